@@ -12,8 +12,9 @@ import numpy as np
 from hframe_post.cli.options import files_read, number, printer_option, quoted, say, share
 from hframe_post.cli.sweep import FILE
 from hframe_post.errors import HframeError
-from hframe_post.printer.edit import with_plant
+from hframe_post.printer.edit import with_advance, with_plant
 from hframe_post.printer.profile import check_identified, load
+from hframe_post.printer.settings import LONGEST_ADVANCE
 from hframe_post.writers.files import Outputs
 
 if TYPE_CHECKING:  # these import SciPy, which takes a second
@@ -30,6 +31,13 @@ def _shift(text: str) -> float:
     value = number(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
     if not -0.3 <= value <= 0.3:
         raise click.BadParameter(f"{text!r} is not a change of at most 30%, such as -6%")
+    return value
+
+
+def _seconds(text: str) -> float:
+    value = number(text)
+    if not 0.0 <= value <= LONGEST_ADVANCE:
+        raise click.BadParameter(f"{text!r} is not from 0 to {LONGEST_ADVANCE:g} s")
     return value
 
 
@@ -62,19 +70,30 @@ def _heat(text: str) -> tuple[float, float]:
     help="Change the model by what the best square has in x and in y, such as --pick -6% 0.",
 )  # fmt: skip
 @click.option(
+    "--advance-lines", type=_seconds, metavar="MOST",
+    help="Print 21 lines with pressure advance from 0 to MOST seconds: about 0.1 for a direct "
+    "drive, 1 for a Bowden tube.",
+)  # fmt: skip
+@click.option(
+    "--advance", type=_seconds, metavar="SECONDS",
+    help="Write the pressure advance of the line that is most even into the profile.",
+)  # fmt: skip
+@click.option(
     "--heat", type=_heat, metavar="NOZZLE,BED",
     help="Temperatures of what is printed, °C, such as 210,60 for PLA. Default: asked on a "
     "terminal.",
 )  # fmt: skip
 def calibrate_print(
     output: Path, printer: str, form: Path | None, compare: float | None,
-    pick: tuple[float, float] | None, heat: tuple[float, float] | None,
+    pick: tuple[float, float] | None, advance_lines: float | None, advance: float | None,
+    heat: tuple[float, float] | None,
 ) -> None:  # fmt: skip
     """Measure a printer by two small prints and a ruler, where there is no accelerometer.
 
     First print the tower, note in the form next to it how far apart its waves are, and read the
     form. Then print three squares, pick the better one in x and in y, and do that once more with
     half the share. The model has one resonance an axis. Racking of an H-bot shows on a low wall.
+    Lines of a slow, a fast and a slow part tell the pressure advance.
 
     \b
     Examples:
@@ -82,14 +101,23 @@ def calibrate_print(
       hframe-post calibrate-print --form tower.form.toml -o printer.toml
       hframe-post calibrate-print --heat 210,60 --compare 6% -o three.gcode
       hframe-post calibrate-print --pick 0 6% -o printer.toml
+      hframe-post calibrate-print --heat 210,60 --advance-lines 0.1 -o lines.gcode
+      hframe-post calibrate-print --advance 0.045 -o printer.toml
     """
-    if sum(choice is not None for choice in (form, compare, pick)) > 1:
-        raise click.UsageError("give one of --form, --compare and --pick")
+    if sum(choice is not None for choice in (form, compare, pick, advance_lines, advance)) > 1:
+        raise click.UsageError(
+            "give one of --form, --compare, --pick, --advance-lines and --advance"
+        )
     profile = load(printer)
     if form is not None:
         _read(form, output, printer, profile)
     elif pick is not None:
         _picked(pick, output, printer, profile)
+    elif advance_lines is not None:
+        _advance_lines(advance_lines, output, printer, profile, heat or _asked())
+    elif advance is not None:
+        _save(output, printer, with_advance(printer, advance))
+        say(f"advance      {advance:g} s")
     elif compare is not None:
         check_identified(profile)
         _compare(compare, output, printer, profile, heat or _asked())
@@ -180,6 +208,24 @@ def _compare(
     )
 
 
+def _advance_lines(
+    most: float, output: Path, printer: str, profile: Printer, heat: tuple[float, float]
+) -> None:
+    from hframe_post.identification.by_eye.lines import advance_lines, values
+
+    if not most:
+        raise click.UsageError("--advance-lines takes seconds above 0, such as 0.1")
+    with Outputs(files_read(printer)) as outputs:
+        outputs.open(output).writelines(advance_lines(profile, most, heat))
+    _, step, *_, last = values(most)
+    say(
+        f"Print {output}. The line in front has no pressure advance, each one behind it {step:g} s "
+        f"more, up to {last:g}; every fifth is longer. Which is as wide where its speed changes as "
+        "elsewhere? For the fourth one behind the front, run hframe-post calibrate-print -p "
+        f"{quoted(printer)} --advance {4.0 * step:g} -o {quoted(printer)}"
+    )
+
+
 def _picked(pick: tuple[float, float], output: Path, printer: str, profile: Printer) -> None:
     check_identified(profile)
     x, y = pick
@@ -207,8 +253,13 @@ def _write(
     if found is None:
         raise HframeError(NO_WINDOW)
     text = with_plant(printer, plant, found.windows, notes, round(off, 3))
-    with Outputs(files_read(printer)) as outputs:
-        outputs.open(output, Path(printer)).write(text.encode())
+    _save(output, printer, text)
     for label, row in [("read", "; ".join(notes)), ("uncertainty", f"±{100.0 * off:.0f} %"),
                        *found.rows()]:  # fmt: skip
         say(f"{label:13s}{row}")
+
+
+def _save(output: Path, printer: str, text: str) -> None:
+    """Write a profile, which may replace the one that was read."""
+    with Outputs(files_read(printer)) as outputs:
+        outputs.open(output, Path(printer)).write(text.encode())

@@ -1,41 +1,66 @@
-"""``hframe-post setup --moonraker``: let Moonraker convert what is uploaded, or no longer."""
+"""``hframe-post setup --moonraker``: connect Klipper and Moonraker, or disconnect them."""
 
 from __future__ import annotations
 
+import difflib
+import glob
 import json
+import os
 import re
 import shlex
 import sys
+from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
+from typing import NamedTuple
+
+import click
 
 from hframe_post.cli.integrations import program
 from hframe_post.errors import HframeError
+from hframe_post.firmware.klipper.macros import FILE
+from hframe_post.firmware.klipper.printer_cfg import HEADING, KlipperConfig
 from hframe_post.hosts import moonraker
+from hframe_post.hosts.moonraker.disk import NAME
 from hframe_post.writers.files import Outputs
 
 CONFIG = "moonraker.conf"
-LINK = f"{moonraker.NAME}.py"
+BACKUP = ".before-hframe-post"  # added to the name of a file that is changed
+INSTANCES = ("*_data/config/printer.cfg", "klipper_config/printer.cfg")
 PLACES = ("moonraker/moonraker", "moonraker-env/lib/python3*/site-packages/moonraker")
-UPDATES = f"update_manager {moonraker.NAME}"
+UPDATES = f"update_manager {NAME}"
 # a header and the lines below it, as far as the next empty line
 SECTIONS = re.compile(
     r"(?:\n*^\[(?:update_manager )?hframe_post\].*(?:\n(?!\[)[^\r\n]+)*\n?)+", re.MULTILINE
 )
-RESTART = "Restart Moonraker: sudo systemctl restart moonraker"
+INCLUDE = f"# added by hframe-post setup --moonraker\n[include {FILE}]\n"
+INCLUDED = re.compile(r"(?:\r?\n)?" + re.escape(INCLUDE).replace("\\\n", "\r?\n"))
+RESTART = "Restart both, while nothing is printed: sudo systemctl restart klipper moonraker"
+
+
+class Change(NamedTuple):
+    """A file that is to be changed. new: its text then; None: it is removed."""
+
+    path: Path
+    old: str
+    new: str | None
+    done: str
+
+    def diff(self) -> str:
+        if self.new is None:
+            return f"{self.path}: {self.done}\n"
+        old, new = (text.splitlines(keepends=True) for text in (self.old, self.new))
+        return "".join(difflib.unified_diff(old, new, str(self.path), str(self.path), n=2))
 
 
 class Moonraker:
-    """Moonraker's configuration and code. Raises HframeError if either is not found.
+    """Configuration and code of Klipper and Moonraker. Raises HframeError if any is not found."""
 
-    folder: that of printer.cfg.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.config = folder / CONFIG
-        if not self.config.is_file():
+    def __init__(self, printer_cfg: Path) -> None:
+        self._printer, self._config = printer_cfg, printer_cfg.with_name(CONFIG)
+        if not self._config.is_file():
             raise HframeError(
-                f"{self.config} was not found. Run this on the printer's computer, with the "
+                f"{self._config} was not found. Run this on the printer's computer, with the "
                 "printer.cfg next to moonraker.conf"
             )
         found = [place for name in PLACES for place in Path.home().glob(f"{name}/components")]
@@ -43,49 +68,121 @@ class Moonraker:
             raise HframeError(f"Moonraker was not found as {' or '.join(PLACES)} in {Path.home()}")
         self._components = found[0]
 
-    def connect(self, outputs: Outputs, profile: Path) -> list[str]:
-        """Link the component, add its section to the configuration, and return what was done."""
+    def connecting(self, profile: Path) -> list[Change]:
+        """Return the changes that connect a profile. Raises HframeError."""
         files = self._components / "file_manager/file_manager.py"
         if not files.is_file() or "register_gcode_processor" not in files.read_text("utf-8"):
             raise HframeError("this Moonraker is older than February 2025: update it first")
-        text, done = self._text(), [f"{self._link(create=True)}: linked"]
+        self._check_link()
         command = f"{program()} -p {shlex.quote(str(profile.absolute()))}"
         installed = metadata.distribution("hframe-post")
-        sections = ((moonraker.NAME, f"command: {command}\n"), (UPDATES, update_lines(installed)))
-        for name, lines in sections:
-            if lines and not re.search(rf"^\[{name}\]", text, re.MULTILINE):
-                text = f"{text.rstrip()}\n\n[{name}]\n{lines}"
-                done.append(f"{self.config}: section [{name}] added")
-        self._write(outputs, text)
-        return [*done, "", RESTART]
+        wanted = {NAME: f"command: {command}\n", UPDATES: update_lines(installed)}
+        text, known = _text(self._config), "\n".join(_with_includes(self._config))
+        new, added = text, []
+        for name, lines in wanted.items():
+            if lines and not re.search(rf"^\[{name}\]", known, re.MULTILINE):
+                new = f"{new.rstrip()}\n\n[{name}]\n{lines}"
+                added.append(f"section [{name}] added")
+        changes = [Change(self._config, text, new, ", ".join(added))] if added else []
+        here = profile.absolute().parent == self._printer.absolute().parent
+        if here and not KlipperConfig(self._printer).has(f"include {FILE}"):
+            old = _text(self._printer)
+            done = f"[include {FILE}] added"
+            changes.append(Change(self._printer, old, _with_macros(old), done))
+        return changes
 
-    def disconnect(self, outputs: Outputs) -> list[str]:
-        """Remove link and sections, and return what was done."""
-        text, done = self._text(), [f"{self._link(create=False)}: removed"]
-        self._write(outputs, SECTIONS.sub("\n", text))
+    def disconnecting(self) -> list[Change]:
+        """Return the changes that undo all that ``connecting`` did but the profile."""
+        changes = []
+        text = _text(self._config)
         if SECTIONS.search(text):
-            done.append(f"{self.config}: section [{moonraker.NAME}] removed")
-        return [*done, "", RESTART]
+            done = f"section [{NAME}] removed"
+            changes.append(Change(self._config, text, SECTIONS.sub("\n", text), done))
+        text, macros = _text(self._printer), self._printer.with_name(FILE)
+        if INCLUDED.search(text):
+            done = f"[include {FILE}] removed"
+            changes.append(Change(self._printer, text, INCLUDED.sub("", text, 1), done))
+            if macros.is_file():
+                changes.append(Change(macros, "", None, "removed"))
+        return changes
 
-    def _text(self) -> str:
-        return self.config.read_bytes().decode("utf-8", "surrogateescape")
+    def link(self, create: bool) -> str:
+        """Link the component into Moonraker, or remove the link; return what was done."""
+        link, former = self._check_link()
+        for old in (link, former):
+            old.unlink(missing_ok=True)
+        if not create:
+            return f"{link}: removed"
+        component = Path(moonraker.__file__)
+        if not component.is_file():
+            raise HframeError("the single-file program has no component: install with pipx")
+        link.symlink_to(component.parent, target_is_directory=True)
+        return f"{link}: linked"
 
-    def _write(self, outputs: Outputs, text: str) -> None:
-        if text != self._text():
-            outputs.open(self.config).write(text.encode("utf-8", "surrogateescape"))
+    def _check_link(self) -> tuple[Path, Path]:
+        """Return the link's place, and that in earlier versions. Raises HframeError."""
+        link = self._components / NAME
+        places = (link, link.with_suffix(".py"))
+        for place in places:
+            if place.exists() and not place.is_symlink():
+                raise HframeError(f"{place} is not hframe-post's: remove it first")
+        return places
 
-    def _link(self, create: bool) -> Path:
-        link = self._components / LINK
-        if link.is_symlink():
-            link.unlink()
-        elif link.exists():
-            raise HframeError(f"{link} is not hframe-post's: remove it first")
-        if create:
-            component = Path(moonraker.__file__)
-            if not component.is_file():
-                raise HframeError("the single-file program has no component: install with pipx")
-            link.symlink_to(component)
-        return link
+
+def find_printer_cfg() -> Path:
+    """Return the one printer.cfg in the places where Klipper keeps it. Raises HframeError."""
+    found = sorted(path for name in INSTANCES for path in Path.home().glob(name))
+    if len(found) == 1:
+        return found[0]
+    several = f"there are several: {', '.join(map(str, found))}" if found else "none was found"
+    raise HframeError(f"{several}. Name it: hframe-post setup PRINTER.CFG --moonraker")
+
+
+def agreed(changes: Sequence[Change]) -> bool:
+    """Show changes and, on a terminal, ask once whether to make them."""
+    if not changes:
+        return True
+    click.echo("\n".join(change.diff() for change in changes))
+    return not sys.stdin.isatty() or click.confirm("Make these changes?", default=True)
+
+
+def make(changes: Sequence[Change], outputs: Outputs) -> list[str]:
+    """Write changes, and each file as it was before next to it; return what was done."""
+    for path, old, new, _ in changes:
+        if new is None:
+            path.unlink()
+            continue
+        outputs.open(path.with_name(path.name + BACKUP)).write(_bytes(old))
+        outputs.open(path, instead_of=path).write(_bytes(new))
+    return [f"{change.path}: {change.done}" for change in changes]
+
+
+def _with_macros(text: str) -> str:
+    """Return printer.cfg with our include as the last line before what SAVE_CONFIG wrote."""
+    saved = HEADING.search(text)
+    at = len(text) if saved is None else saved.start()
+    before = text[:at]
+    end = "\r\n" if "\r\n" in text else "\n"
+    gap = "" if not before or before.endswith("\n") else end
+    return f"{before}{gap}{end}{INCLUDE.replace(chr(10), end)}{text[at:]}"
+
+
+def _with_includes(path: Path, within: tuple[str, ...] = ()) -> Iterator[str]:
+    """Yield the text of moonraker.conf and of the files that it includes."""
+    text, here = _text(path), (*within, os.path.abspath(path))
+    yield text
+    for pattern in re.findall(r"^\[include\s+([^]\n]+)\]", text, re.MULTILINE):
+        for name in sorted(glob.glob(os.path.join(path.parent, pattern.strip()))):
+            if os.path.isfile(name) and os.path.abspath(name) not in here:
+                yield from _with_includes(Path(name), here)
+
+
+def _text(path: Path) -> str:
+    return path.read_bytes().decode("utf-8", "surrogateescape")
+
+
+def _bytes(text: str) -> bytes:
+    return text.encode("utf-8", "surrogateescape")
 
 
 def update_lines(installed: metadata.Distribution) -> str:

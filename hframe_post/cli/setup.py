@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.moonraker import Moonraker
+from hframe_post.cli.moonraker import RESTART, Moonraker, agreed, find_printer_cfg, make
 from hframe_post.cli.options import files_read, number, quoted
 from hframe_post.errors import HframeError
 from hframe_post.firmware.configuration import Source
@@ -23,6 +23,10 @@ from hframe_post.printer.setup import AS_BEFORE, Known, profile_text
 from hframe_post.writers.files import Outputs
 
 PROFILE = "printer.toml"
+CALIBRATE = (
+    "Then mount the accelerometer, clear the bed, heat as for a print, and type on the console of "
+    "Mainsail or Fluidd: HFRAME_CALIBRATE"
+)
 KINDS = ("cartesian", "corexy", "hbot", "hybrid-corexy", "corexz")
 TWO_BELTS = "corexy (two belts, which cross) or hbot (one long belt in the shape of an H)"
 QUESTION = f"The firmware treats two kinds of printer alike. Is yours {TWO_BELTS}?"
@@ -41,12 +45,13 @@ def _size(text: str) -> tuple[float, float]:
 
 @click.command()
 @click.argument(
-    "files", metavar="PRINTER.CFG|M503.TXT [HEADERS]...", nargs=-1, required=True,
+    "files", metavar="PRINTER.CFG|M503.TXT [HEADERS]...", nargs=-1,
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
 )  # fmt: skip
 @click.option(
-    "-o", "--output", "folder", default=".", type=click.Path(path_type=Path, file_okay=False),
-    help=f"Folder for {PROFILE} and {FILE}. Default: the present one.",
+    "-o", "--output", "folder", type=click.Path(path_type=Path, file_okay=False),
+    help=f"Folder for {PROFILE} and {FILE}. Default: the present one; with --moonraker that of "
+    "printer.cfg.",
 )  # fmt: skip
 @click.option(
     "--kinematics", type=click.Choice(KINDS),
@@ -59,10 +64,11 @@ def _size(text: str) -> tuple[float, float]:
 )  # fmt: skip
 @click.option(
     "--moonraker/--no-moonraker", "connected", default=None,
-    help="Also let Moonraker, on this computer, convert each uploaded file; or no longer.",
+    help="Also let Moonraker, on this computer, measure the printer and convert each upload; or no "
+    "longer. printer.cfg is found then.",
 )  # fmt: skip
 def setup(
-    files: tuple[Path, ...], folder: Path, kinematics: str | None,
+    files: tuple[Path, ...], folder: Path | None, kinematics: str | None,
     bed: tuple[float, float] | None, connected: bool | None,
 ) -> None:  # fmt: skip
     """Make this printer's profile from Klipper's printer.cfg or from Marlin's answer to M503.
@@ -73,25 +79,28 @@ def setup(
     may follow. Run setup again after a change: what you changed in the profile stays, as does the
     measured model.
 
-    --moonraker is for the printer's computer, once the printer is measured. It links a component
-    into Moonraker and adds a section [hframe_post] to moonraker.conf, which must be next to
-    printer.cfg. --no-moonraker removes both and does nothing else.
+    --moonraker is for the printer's computer. It also links a component into Moonraker, adds a
+    section [hframe_post] to moonraker.conf, which must be next to printer.cfg, and includes
+    hframe.cfg in printer.cfg. It shows these changes, asks once, and keeps the files as they were.
+    --no-moonraker undoes all of that and does nothing else.
 
     \b
     Examples:
       hframe-post setup printer.cfg
-      hframe-post setup printer.cfg --moonraker
+      hframe-post setup --moonraker
       hframe-post setup m503.txt --bed 220,220
     """
+    if not files and connected is None:
+        raise click.MissingParameter(param=click.get_current_context().command.params[0])
+    files = files or (find_printer_cfg(),)
+    if connected is False:
+        _disconnect(Moonraker(files[0]))
+        return
+    moonraker = Moonraker(files[0]) if connected else None
+    folder = folder or (files[0].parent if moonraker else Path())
     source = source_of(files)
     if source.alone and (len(files) > 1 or bed is not None):
         raise click.UsageError(source.alone)
-    moonraker = None if connected is None else Moonraker(files[0].parent)
-    if moonraker is not None and not connected:
-        with Outputs() as outputs:
-            done = moonraker.disconnect(outputs)
-        click.echo("\n".join(done))
-        return
     target = folder / PROFILE
     old = text_of(str(target)) if target.exists() else ""
     before = parse(old, "printer", str(target)) if old else None
@@ -102,9 +111,11 @@ def setup(
         new = updated(old, tables, str(target))
     # raises before anything is written
     profile = parse(new.text, target.stem, str(target if old else files[0]))
-    if moonraker is not None and profile.invented:
-        raise HframeError(f"{target} is not measured yet: run 'hframe-post identify' first")
     companions = source.companions(profile)
+    changes = moonraker.connecting(target) if moonraker is not None else []
+    if not agreed(changes):
+        click.echo("nothing was changed")
+        return
     folder.mkdir(parents=True, exist_ok=True)
     with Outputs(files_read(*files)) as outputs:
         if new.text != old:
@@ -112,14 +123,25 @@ def setup(
         for name, text in companions.items():
             if not _holds(folder / name, text):
                 outputs.open(folder / name).write(text.encode())
-        done = moonraker.connect(outputs, target) if moonraker is not None else []
+        done = [moonraker.link(create=True), *make(changes, outputs)] if moonraker else []
     written = f"{target}, {_made_default(target, source.warnings)}"
     if old:
         click.echo("\n".join(_differences(new, old, target)))
     click.echo("\n".join(_summary(source, profile, written, kind)))
     if done:
-        click.echo("\n".join(["", *done]))
-    click.echo(source.next_steps(profile, target, quoted))
+        click.echo("\n".join(["", *done, "", RESTART, CALIBRATE]))
+    else:
+        click.echo(source.next_steps(profile, target, quoted))
+
+
+def _disconnect(moonraker: Moonraker) -> None:
+    changes = moonraker.disconnecting()
+    if not agreed(changes):
+        click.echo("nothing was changed")
+        return
+    with Outputs() as outputs:
+        done = [moonraker.link(create=False), *make(changes, outputs)]
+    click.echo("\n".join([*done, "", RESTART]))
 
 
 def _bed(source: Source) -> tuple[float, float] | None:

@@ -184,10 +184,14 @@ def sweep(
 @printer_option
 @places_option
 @chips_option
+@click.option(
+    "--times", type=click.IntRange(1, 10), default=1, show_default=True, metavar="N",
+    help="How often to play each run: what does not repeat is then known, and not compensated.",
+)  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def measure(
     output: Path, printer: str, places: tuple[tuple[float, float], ...], chips: tuple[str, ...],
-    quiet: bool,
+    times: int, quiet: bool,
 ) -> None:  # fmt: skip
     """Write G-code of strokes as in prints, which Klipper records with its accelerometers.
 
@@ -212,7 +216,8 @@ def measure(
         for run in planned:
             file = output.with_name(f"{output.stem}-{'xy'[run.axis]}.gcode")
             jobs.setdefault(file, []).append(run)
-    write_motion(output, printer, profile, planned, chips, jobs)
+    repeated = {file: times * runs for file, runs in (jobs or {output: planned}).items()}
+    write_motion(output, printer, profile, planned, chips, repeated)
     if not quiet:
-        say(summary(profile, planned))
+        say(summary(profile, times * planned))
         say(next_steps("identify", output, printer, planned, list(jobs), recorded=STROKES))

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from hframe_post.compensation.advance import Advancing
 from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
@@ -35,6 +36,7 @@ from hframe_post.conversion.path_meter import PathMeter
 from hframe_post.conversion.report import BandReport, Plastic, Report
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
+from hframe_post.firmware.advance import Advance
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.reader import read
@@ -99,13 +101,14 @@ class Stages:
 
     strategies: to compute; the options' by default. at_stops: solvers reused from other stages with
     the same printer and compensator, because solvers cache their solutions. printing: layer and
-    feature at the beginning. skip_slow: see ``sampled``.
+    feature at the beginning. skip_slow: see ``sampled``. advance: pressure advance at the
+    beginning; the profile's by default.
     """
 
     def __init__(
         self, printer: Printer, options: Options, compensator: Compensator,
         strategies: tuple[str, ...] = (), at_stops: StopSolvers | None = None,
-        printing: Place | None = None, skip_slow: bool = False,
+        printing: Place | None = None, skip_slow: bool = False, advance: Advance | None = None,
     ) -> None:  # fmt: skip
         self._skip_slow = skip_slow
         self._printer, self._options, self._compensator = printer, options, compensator
@@ -116,6 +119,9 @@ class Stages:
         self._clock = Clock()
         picture = _picture(printing or Place()) if options.picture else None
         doubts = Doubts.from_plant(printer.plant, printer.uncertainty)
+        own = firmware(printer)
+        limits = own.motion(printer, options.tolerance).extruder
+        self._advancing = Advancing(advance or own.advance(printer), limits)
         self._errors = ErrorMeter(printer.plant, doubts=doubts, picture=picture)
         self._walls = BandMeter(printer, self._options.strategy, printing or Place())
         self.times = StageTimes()
@@ -147,11 +153,12 @@ class Stages:
         return self.times.timed("guard", self._guard.check(commands, strategy))
 
     def predicted(self, commands: Iterable[Samples], threads: bool) -> Iterator[Samples]:
-        """Measure contour error and print time of the commands on their way to the output.
+        """Add advance; measure contour error and print time, on the way to the output.
 
         threads: compute the commands in one thread and the prediction in another, both ahead of
         the caller.
         """
+        commands = self.times.timed("advance", self._advancing.samples(commands))
         if threads:
             commands = prefetch(commands)
         if self._options.predict:
@@ -169,7 +176,7 @@ class Stages:
         return MotionSummary(
             self._clock.end, self._clock.fed, self._guard.peaks,
             self._clamp.clamped, self._errors.contour, self._errors.width, self.times.seconds,
-            self._errors.picture, self._walls.time,
+            self._errors.picture, (self._advancing.least, self._advancing.most), self._walls.time,
         )  # fmt: skip
 
 
@@ -194,8 +201,8 @@ class PlannedFile:
         self._lines, self._printer, self._options = lines, printer, options
         self._input = InputMeter()
         self._path = PathMeter(printer.limits, options.paces is not None)
-        bands = MotorBands.from_printer(printer)
-        self._sliced = SlicedTime(firmware(printer).limits(printer), bands)
+        self._firmware, bands = firmware(printer), MotorBands.from_printer(printer)
+        self._sliced = SlicedTime(self._firmware.limits(printer), bands)
         self._times = StageTimes()
 
     def spans(self) -> Spans:
@@ -204,7 +211,7 @@ class PlannedFile:
         items = self._times.timed("read", self._input.items(items))
         items = self._times.timed("plan", self._sliced.items(items))
         plans = scheduled(self._path.items(items), self._printer)
-        return Spans(self._times.timed("plan", plans))
+        return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))
 
     def report(self, motion: MotionSummary) -> Report:
         """Return the report of a conversion that saw this motion.

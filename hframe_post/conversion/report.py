@@ -53,6 +53,25 @@ class Plastic:
 
 
 @dataclass(frozen=True, slots=True)
+class AdvanceReport:
+    """Pressure advance in the file, s: least and most. computed: E contains it."""
+
+    least: float
+    most: float
+    computed: bool
+
+    def as_text(self) -> str:
+        """Return a line for a person."""
+        values = f"{self.least:.3g}"
+        if self.most != self.least:
+            values += f" to {self.most:.3g}"
+        how = "the firmware's own"
+        if self.computed:
+            how = "computed into E; the firmware's own is off while the file moves"
+        return f"advance          {values} s, {how}"
+
+
+@dataclass(frozen=True, slots=True)
 class BandReport:
     """Time of outer walls in bands of motor speed (mm/s): as sliced, and as converted."""
 
@@ -97,7 +116,8 @@ class Report:
     stage, not compared. speed, speed_text: how accuracy was traded for speed. picture: the path
     with its errors, if one was asked for. notices: warnings of the printer's profile. plastic: of
     a bed that moves. other_tools: commands after which the plant is not that of the tool that
-    prints; None if the profile does not say. bands: of motor speed, if the profile avoids any.
+    prints; None if the profile does not say. advance: pressure advance, if there is any. bands: of
+    motor speed, if the profile avoids any.
     """
 
     strategy: str
@@ -121,6 +141,7 @@ class Report:
     notices: tuple[str, ...] = ()
     plastic: Plastic | None = None
     other_tools: tuple[str, ...] | None = None
+    advance: AdvanceReport | None = None
     bands: BandReport | None = None
 
     def lines_error(self, name: str) -> float:
@@ -141,6 +162,7 @@ class Report:
             "steps": asdict(self.steps) if self.steps else None,
             "speed": self.speed,
             "plastic_on_bed": asdict(self.plastic) if self.plastic else None,
+            "pressure_advance_s": asdict(self.advance) if self.advance else None,
             "motor_bands": self.bands.as_json() if self.bands else None,
         }
         return {
@@ -192,6 +214,8 @@ class Report:
                 f"{_predicted(self.contour[name], self.lines_error(name))}"
             )
         lines += self._width_as_text()
+        if self.advance is not None:
+            lines.append(self.advance.as_text())
         lines.append(
             f"belts            at most {self.peaks.belt_velocity:.0f} mm/s, "
             f"{self.peaks.belt_acceleration:.0f} mm/s²"

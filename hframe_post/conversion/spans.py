@@ -14,6 +14,7 @@ from itertools import accumulate
 import numpy as np
 
 from hframe_post.arrays import Array
+from hframe_post.firmware.advance import NO_ADVANCE, Advance
 from hframe_post.stream.features import Place
 from hframe_post.stream.types import (
     Handling,
@@ -36,12 +37,13 @@ class Beginning:
     """The state of the machine at the beginning of a span.
 
     place: x, y, z, e in mm; None if the output does not control the machine, as at the start.
-    offset: the user's G92, mm. printing: layer and feature.
+    offset: the user's G92, mm. printing: layer and feature. advance: in force.
     """
 
     place: Position | None = None
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     printing: Place = field(default_factory=Place)
+    advance: Advance = NO_ADVANCE
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,11 +87,15 @@ def _cut(array: Array, counts: list[int]) -> list[Array]:
 
 
 class Spans:
-    """Cuts a stream of planned items; iterate once, and use up each span before the next."""
+    """Cuts a stream of planned items; iterate once, and use up each span before the next.
 
-    def __init__(self, planned: Iterable[Planned]) -> None:
+    advance: pressure advance at the beginning.
+    """
+
+    def __init__(self, planned: Iterable[Planned], advance: Advance = NO_ADVANCE) -> None:
         self._source = iter(planned)
-        self._beginning, self._printing = Beginning(), Place()
+        self._beginning, self._printing = Beginning(advance=advance), Place()
+        self._advance = advance
         self._first: Planned | None = None  # item of the next span
         self._seconds = 0.0  # of the present span
         self._moved = False  # since the output took control of the machine
@@ -125,7 +131,7 @@ class Spans:
             if isinstance(item, MoveAtRest) and self._moved and self._seconds >= SECONDS:
                 self._first, self._seconds = item, 0.0
                 offset, printing = self._beginning.offset, replace(self._printing)
-                self._beginning = Beginning(item.start, offset, printing)
+                self._beginning = Beginning(item.start, offset, printing, self._advance)
                 yield SpanEnd()
                 return
             yield self._noted(item)
@@ -136,11 +142,15 @@ class Spans:
             self._seconds += float(((s[1:] - s[:-1]) / item.cruise).sum())
             self._moved |= bool(item.s[-1] > 1.0)  # so long a path always takes control
             for mark in item.marks:
-                self._printing.mark(mark.text)
+                self._mark(mark.text)
         elif isinstance(item, Passthrough):
             self._seconds += item.seconds
-            self._printing.mark(item.text)
+            self._mark(item.text)
             if item.handling is Handling.RELEASE:
                 self._beginning = Beginning(None, item.state.offset)
                 self._moved = False
         return item
+
+    def _mark(self, text: bytes) -> None:
+        self._printing.mark(text)
+        self._advance = self._advance.after(text)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from hframe_post.arrays import Array
+from hframe_post.firmware.advance import Advance
 from hframe_post.firmware.code import Code
 from hframe_post.firmware.configuration import Finding, Source
 from hframe_post.firmware.dialect import Dialect
@@ -78,6 +79,10 @@ class Firmware(ABC):
     def moves(self, printer: Printer) -> WrittenMoves:
         """Return how it plays moves as they are written. Raises PrinterError without its table."""
         return WrittenMoves(self.code(printer))
+
+    def advance(self, printer: Printer) -> Advance:
+        """Return the pressure advance until the file sets another. Default: the profile's."""
+        return Advance.from_printer(printer, self.dialect.advance)
 
     def limits(self, printer: Printer) -> FirmwareLimits:
         """Return the limits with which it plays a file as sliced. Default: those of the profile."""

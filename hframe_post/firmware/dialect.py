@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from hframe_post.firmware.advance import AdvanceChange, no_advance
+
 Accelerations = tuple[float, float]  # of moves with and without extrusion, mm/s²
 Words = Mapping[str, float]  # of a command: letter → number
 
@@ -23,6 +25,7 @@ class Dialect:
     splines: G5 is supported. cr_ends_lines: a carriage return ends a line, even in a comment.
     retraction_settings: the commands that set what G10 and G11 do.
     g92_resets: G92 without words sets all coordinates to 0; elsewhere it does nothing.
+    advance: what a line sets of pressure advance.
     rejoins_after_object: after it skips an object, the firmware can be led back to the stream.
     """
 
@@ -37,3 +40,4 @@ class Dialect:
     cr_ends_lines: bool = False
     g92_resets: bool = False
     rejoins_after_object: bool = False
+    advance: Callable[[bytes], AdvanceChange] = no_advance

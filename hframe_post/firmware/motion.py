@@ -9,6 +9,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from hframe_post.arrays import Array, Flags, Integers
+from hframe_post.firmware.advance import ExtruderLimits
 from hframe_post.stream.types import Position, StopRules
 
 SPARED = 0.9  # of the lines that a firmware can take in a second; at all of them it stutters
@@ -73,7 +74,8 @@ class MotionRules(ABC):
 
     lines_per_second: lines that it can take in a second; inf if nothing limits them. steady:
     segments over which time is kept inside a motion; 0: over a batch. stop_rules: how the command
-    passes from motion into lifts and retractions, and back.
+    passes from motion into lifts and retractions, and back. extruder: limits of an extruder whose
+    advance must be part of E; None: the firmware adds its own.
     """
 
     @property
@@ -87,6 +89,10 @@ class MotionRules(ABC):
     @property
     def stop_rules(self) -> StopRules:
         return StopRules()
+
+    @property
+    def extruder(self) -> ExtruderLimits | None:
+        return None
 
     @abstractmethod
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:

@@ -244,6 +244,8 @@ class _Reader:
             self._apply_other(line, name)
 
     def _apply_other(self, line: Line, name: str, arguments: bytes = b"") -> None:
+        if (advance := self._dialect.advance(line.text).seconds) is not None:
+            self._state.advance = advance
         self._retraction.apply(line, name, arguments)
         retracts = name in ("G10", "G11") and not arguments.strip()
         if retracts and self._apply_retraction(line, name):

@@ -93,7 +93,7 @@ class State:
     scale: mm per unit of the file. feed: F as the file gives it. factor: M220.
     acceleration, travel_acceleration: path accelerations requested for moves with and without
     extrusion; corner: square-corner velocity; axes: limits of the axes. All are inf where the file
-    has requested none.
+    has requested none. advance: see ``ModalState``.
     """
 
     def __init__(self, dialect: Dialect, extrusion: Extrusion | None = None) -> None:
@@ -109,6 +109,7 @@ class State:
         self.factor = self._saved_factor = 1.0
         self.acceleration = self.travel_acceleration = self.corner = math.inf
         self.axes = FileLimits((math.inf,) * 4, (math.inf,) * 4)
+        self.advance: float | None = None
 
     @property
     def speed(self) -> float:
@@ -239,7 +240,9 @@ class State:
 
     def modal_state(self) -> ModalState:
         e = self.position[3] - self.offset[3]
-        return ModalState(self.absolute, self.absolute_e, e, self.feed, self.offset[:3])
+        return ModalState(
+            self.absolute, self.absolute_e, e, self.feed, self.offset[:3], self.advance
+        )
 
 
 def _replaced(position: Position, axis: int, value: float) -> Position:

@@ -18,11 +18,11 @@ static void end(struct ended *pieces, int64_t k, struct sums now, struct sums fr
     }
 }
 
-/* path (n, 4), nozzle (n, 2). Write how far the line's width is off on each piece that ends, and the
+/* path (n, 4), nozzle (n, 2), laid (n): filament that comes out in the step to each sample. Write how far the line's width is off on each piece that ends, and the
  * sample before which it does; return their number. open (4): of a piece that is open before and after: how far its line is beyond the
  * last end of a piece, and its sums; no way: none is. at, errors (n): room. */
-static int64_t line_pieces(const double *path, const double *nozzle, int64_t n, double piece,
-                           double *open, int64_t *at, double *errors)
+static int64_t line_pieces(const double *path, const double *nozzle, const double *laid, int64_t n,
+                           double piece, double *open, int64_t *at, double *errors)
 {
     struct sums now = {open[1], open[2], open[3]}, from = {0.0, 0.0, 0.0};
     double begin = now.way - open[0], number = 0.0;
@@ -46,7 +46,7 @@ static int64_t line_pieces(const double *path, const double *nozzle, int64_t n, 
         }
         double vx = q[X] - q[X - 2], vy = q[Y] - q[Y - 2], way = sqrt(vx * vx + vy * vy);
         now.way += way;
-        now.laid += fed;
+        now.laid += laid[k];
         now.wanted += fed / sqrt(dx * dx + dy * dy) * way;
     }
     open[0] = drawing ? now.way - begin - number * piece : 0.0;
@@ -56,5 +56,5 @@ static int64_t line_pieces(const double *path, const double *nozzle, int64_t n, 
     return pieces.count;
 }
 
-LOOP(line_pieces, FLOATS(0, COLUMNS * COUNT(2)), FLOATS(1, 2 * COUNT(2)), COUNT(2), REAL(3),
-     OUT_FLOATS(4, 4), OUT_INTEGERS(5, COUNT(2)), OUT_FLOATS(6, COUNT(2)))
+LOOP(line_pieces, FLOATS(0, COLUMNS * COUNT(3)), FLOATS(1, 2 * COUNT(3)), FLOATS(2, COUNT(3)), COUNT(3), REAL(4),
+     OUT_FLOATS(5, 4), OUT_INTEGERS(6, COUNT(3)), OUT_FLOATS(7, COUNT(3)))

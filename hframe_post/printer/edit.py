@@ -48,6 +48,14 @@ def with_windows(
     return _changed(name_or_path, tables)
 
 
+def with_advance(name_or_path: str, seconds: float) -> str:
+    """Return a profile's text with this pressure advance.
+
+    Raises PrinterError if the text cannot be changed safely.
+    """
+    return _changed(name_or_path, {"extruder": {"advance": seconds}})
+
+
 def with_plant(
     name_or_path: str, plant: Plant, windows: Windows, notes: Sequence[str],
     uncertainty: float | None = None, text: str | None = None, measured: date | None = None,

@@ -22,6 +22,7 @@ MACROS = "hframe.cfg"  # what `setup` writes for Klipper
 END_MACRO = "HFRAME_END"  # one of them: restores what printer.cfg sets, whatever the profile says
 RECORDED = "HFRAME_RECORDED"  # another: puts the print time into a recording's name
 UNUSED = "hframe-unused"  # name of the recordings that it throws away
+USUAL_CHIP = "adxl345"  # of [adxl345] in printer.cfg
 SERIAL_BYTES = 45  # of a line with number and checksum, and of the ok that its sender waits for
 
 

@@ -32,6 +32,7 @@ from hframe_post.printer.settings import (
     PLACES,
     SHARE,
     Compensation,
+    Extruder,
     Limits,
     Motors,
     Printer,
@@ -134,7 +135,7 @@ def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 def _check_tables(document: dict[str, Any]) -> None:
     needed = ("travel", "limits", "motors", "compensation", "firmware", "plant")
-    optional = ("kinematics", "steps", "sweep", "speed", "retraction", "verified")
+    optional = ("kinematics", "steps", "sweep", "speed", "retraction", "extruder", "verified")
     known_keys(document, ("description", *optional, *needed), "")
     for section in (*needed, *(name for name in optional if name in document)):
         if not isinstance(document.get(section), dict):
@@ -179,6 +180,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         checked_value(bool, document["plant"].get("invented", True), {}, "plant.invented"),
         checked(Speed, document.get("speed", {}), "speed"),
         optional_table(Retraction),
+        optional_table(Extruder),
         uncertainty,
         _day(document["plant"].get("measured"), "plant.measured"),
     )

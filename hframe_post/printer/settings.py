@@ -30,6 +30,8 @@ CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")  # of an accelerometer in Klipper's co
 # its growth with the days: the figures are in docs/identify.md
 DRIFT_IN_A_DAY, DRIFT_GROWTH = 0.03, 0.2
 MOST_DRIFT = 0.2
+LONGEST_ADVANCE, LONGEST_SMOOTHING = 10.0, 0.2  # s
+SMOOTH_TIME = 0.04  # s, Klipper's default
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,6 +224,17 @@ class Retraction:
 
 
 @dataclass(frozen=True, slots=True)
+class Extruder:
+    """How late the flow follows the extruder, s, and the time over which advance is averaged.
+
+    advance: Klipper's pressure_advance, Marlin's K.
+    """
+
+    advance: float = not_negative(0.0, most=LONGEST_ADVANCE)
+    smooth_time: float = within(1e-3, LONGEST_SMOOTHING, default=SMOOTH_TIME)
+
+
+@dataclass(frozen=True, slots=True)
 class Speed:
     """Trading accuracy for speed, unless options say otherwise.
 
@@ -282,6 +295,7 @@ class Printer:
     invented: bool = False
     speed: Speed = Speed()
     retraction: Retraction | None = None
+    extruder: Extruder | None = None
     uncertainty: float | None = None
     measured: date | None = None
 

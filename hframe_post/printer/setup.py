@@ -105,6 +105,7 @@ TITLES = {
     "motors": "limits of every command, measured at the belts",
     "steps": "mm per step",
     "retraction": "what G10 and G11 do",
+    "extruder": "how late the flow follows it: pressure advance",
     "sweep": "the motion that measures the printer",
     "speed": "of --max-error: largest acceleration of the path",
 }

@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from hframe_post.arrays import Array
 from hframe_post.stream.types import Samples, frozen
 
 T = TypeVar("T")
@@ -130,7 +131,16 @@ def join(chunks: list[Samples]) -> Samples:
             for name in chunks[0].commands
         },
         chunks[-1].ends_stretch,
+        _advance(chunks),
+        any(c.in_e for c in chunks),
     )
+
+
+def _advance(chunks: list[Samples]) -> Array | None:
+    if all(chunk.advance is None for chunk in chunks):
+        return None
+    zeros = (np.zeros((len(c), 2)) if c.advance is None else c.advance for c in chunks)
+    return frozen(np.concatenate(list(zeros)))
 
 
 def part(chunk: Samples, start: int, stop: int) -> Samples:
@@ -141,7 +151,9 @@ def part(chunk: Samples, start: int, stop: int) -> Samples:
     )
     commands = {name: xy[start:stop] for name, xy in chunk.commands.items()}
     ends = chunk.ends_stretch and high >= chunk.end
-    return Samples(low, chunk.xyze[start:stop], chunk.line[start:stop], events, commands, ends)
+    advance = None if chunk.advance is None else chunk.advance[start:stop]
+    xyze, line = chunk.xyze[start:stop], chunk.line[start:stop]
+    return Samples(low, xyze, line, events, commands, ends, advance, chunk.in_e)
 
 
 def shifted(chunk: Samples, samples: int) -> Samples:

@@ -72,13 +72,17 @@ class MoveAtRest:
 
 @dataclass(frozen=True, slots=True)
 class ModalState:
-    """The firmware's state as the file assumes it: modes, e (mm), feed (mm/s), G92 offsets (mm)."""
+    """The firmware's state as the file assumes it: modes, e (mm), feed (mm/s), G92 offsets (mm).
+
+    advance: s of pressure advance that the file has set; None: it has set none.
+    """
 
     absolute: bool
     absolute_e: bool
     e: float
     feed: float
     offset: tuple[float, float, float]
+    advance: float | None = None
 
 
 class Handling(Enum):
@@ -210,7 +214,9 @@ class Samples:
     index, which is in [first, first + n] (first + n: after the last sample). commands:
     strategy → (n, 2), x and y for the motors; empty until ``compensate`` has run.
     ends_stretch: the machine may move on its own after these samples, or a ``SlowStraight`` or a
-    long ``Dwell`` leaves out samples between these and the next.
+    long ``Dwell`` leaves out samples between these and the next. advance (n, 2): mm by which the
+    extruder is ahead of e, and the s of pressure advance for which it is; None: both are
+    0. in_e: what is written for E must contain that; otherwise the firmware adds it.
     """
 
     first: int
@@ -219,6 +225,8 @@ class Samples:
     events: tuple[Event, ...] = ()
     commands: dict[str, Array] = field(default_factory=dict)
     ends_stretch: bool = False
+    advance: Array | None = None
+    in_e: bool = False
 
     def __len__(self) -> int:
         return len(self.xyze)

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import shutil
+import subprocess
+import sys
 from functools import partial
 from importlib.metadata import PathDistribution
 from pathlib import Path
@@ -13,6 +18,7 @@ from hframe_post.cli.moonraker import SECTIONS, update_lines
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Extruder
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT
 from tests.printers import M503, REAL
@@ -164,6 +170,13 @@ def test_a_marlin_with_two_carriages_compensates_the_first(tmp_path: Path) -> No
     assert done.returncode == 0, done.stderr
     assert b"DUAL_X_CARRIAGE: a profile has the model of one carriage" in done.stdout
     assert load(str(tmp_path / "printer.toml")).firmware.other_tools == ("T1",)
+
+
+def test_pressure_advance_is_taken_over(config: Path) -> None:
+    edited(config, "[extruder]", "[extruder]\npressure_advance: 0.042")
+    set_up(config)
+    has = load(str(config.parent / "printer.toml"))
+    assert has.extruder == Extruder(0.042, 0.04)
 
 
 def test_what_the_printer_has_no_more_goes(config: Path) -> None:
@@ -504,11 +517,14 @@ def test_moonraker_updates_what_pip_took_from_an_index_or_from_git(
 def test_moonraker_is_connected_and_disconnected_without_a_trace(
     config: Path, moonraker: Path
 ) -> None:
-    conf, link = config.with_name("moonraker.conf"), moonraker / "hframe_post.py"
+    conf, link = config.with_name("moonraker.conf"), moonraker / "hframe_post"
+    former = moonraker / "hframe_post.py"  # of earlier versions
+    former.symlink_to("/gone/moonraker.py")
     before = conf.read_text()
     printed = set_up(config, "--moonraker")
-    assert "sudo systemctl restart moonraker" in printed
-    assert link.resolve() == ROOT / "hframe_post/hosts/moonraker.py"
+    assert not former.is_symlink()
+    assert "sudo systemctl restart klipper moonraker" in printed
+    assert link.resolve() == ROOT / "hframe_post/hosts/moonraker"
     connected = conf.read_text()
     assert connected.startswith(before)
     assert f"[hframe_post]\ncommand: {program()} -p {config.parent}/printer.toml\n" in connected
@@ -524,11 +540,80 @@ def test_moonraker_is_connected_and_disconnected_without_a_trace(
     assert conf.read_text() == before + "\n[timelapse]\n"
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_macros_are_included_above_what_klipper_saved_and_taken_out_again(
+    config: Path, moonraker: Path, end: str
+) -> None:
+    saved = "#*# <---------------------- SAVE_CONFIG ---------------------->\n#*# [probe]\n"
+    before = (config.read_text() + "\n" + saved).replace("\n", end).encode()
+    config.write_bytes(before)
+    printed = set_up(config, "--moonraker")
+    assert f"+[include hframe.cfg]{end}".strip() in printed
+    lines = config.read_text().splitlines()
+    assert lines[lines.index("[include hframe.cfg]") + 1].startswith("#*# <---")
+    assert config.with_name("printer.cfg.before-hframe-post").read_bytes() == before
+    files = {each: each.read_bytes() for each in config.parent.rglob("*") if each.is_file()}
+    assert "added" not in set_up(config, "--moonraker")
+    assert files == {each: each.read_bytes() for each in config.parent.rglob("*") if each.is_file()}
+    set_up(config, "--no-moonraker")
+    assert config.read_bytes() == before
+    assert not config.with_name("hframe.cfg").exists()
+
+
+def test_an_owners_own_include_and_section_stay(config: Path, moonraker: Path) -> None:
+    conf = config.with_name("moonraker.conf")
+    config.write_text(config.read_text() + "\n[include hframe.cfg]\n")
+    conf.write_text("[include more/*.conf]\n")
+    config.with_name("more").mkdir()
+    (config.parent / "more/ours.conf").write_text("[hframe_post]\ncommand: mine\n")
+    before = {path: path.read_bytes() for path in (config, conf)}
+    set_up(config, "--moonraker")
+    assert before[config] == config.read_bytes()
+    assert "\n[hframe_post]" not in conf.read_text()
+    set_up(config, "--no-moonraker")
+    assert before[config] == config.read_bytes()
+    assert config.with_name("hframe.cfg").exists()
+
+
+@pytest.mark.slow
+def test_the_printers_files_are_found_and_a_question_is_answered_once(
+    config: Path, moonraker: Path
+) -> None:
+    done = run("setup", "--moonraker")
+    assert b"none was found. Name it: hframe-post setup PRINTER.CFG" in done.stderr
+    folder = config.parent / "printer_data/config"
+    folder.mkdir(parents=True)
+    for name in ("printer.cfg", "moonraker.conf"):
+        (folder / name).write_bytes(config.with_name(name).read_bytes())
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    asked, status = at_a_terminal(b"\nn\n", "setup", "--moonraker")
+    assert asked.count(b"Make these changes?") == 1
+    assert status == 0
+    assert before == {path: path.read_bytes() for path in folder.iterdir()}
+    asked, _ = at_a_terminal(b"\ny\n", "setup", "--moonraker")
+    assert b"HFRAME_CALIBRATE" in asked
+    assert (folder / "printer.toml").is_file()
+    assert (moonraker / "hframe_post").is_symlink()
+    shutil.copytree(folder, config.parent / "second_data/config")
+    assert b"there are several: " in run("setup", "--moonraker").stderr
+
+
+def at_a_terminal(typed: bytes, *arguments: str) -> tuple[bytes, int]:
+    """Type answers to a command at a terminal; return what it shows, and its status."""
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "hframe_post", *arguments]
+    with subprocess.Popen(command, stdin=theirs, stdout=subprocess.PIPE) as process:
+        os.write(ours, typed)
+        shown, _ = process.communicate()
+        os.close(theirs)
+        os.close(ours)
+        return shown, process.returncode
+
+
 @pytest.mark.parametrize(
     ("path", "text", "cause"),
     [
         ("moonraker.conf", None, "moonraker.conf was not found"),
-        ("printer.toml", None, "is not measured yet"),
         ("moonraker/moonraker/components/hframe_post.py", "", "is not hframe-post's"),
         ("moonraker/moonraker/components/file_manager/file_manager.py", "", "older than February"),
     ],

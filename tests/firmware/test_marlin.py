@@ -423,10 +423,21 @@ def test_trajectory_and_smoothing_are_those_of_the_user_again(marlin: Printer) -
     assert not any(b"M494" in line for line in code(marlin).end(STATE, AT))
 
 
-def test_advance_that_is_off_is_said(marlin: Printer) -> None:
-    assert not code(marlin).notices
-    (said,) = code(with_own(marlin, linear_advance=0.05)).notices
-    assert "0.45 mm³ of plastic" in said
+def test_advance_is_computed_into_e_and_said(marlin: Printer) -> None:
+    """A line's filament is that of the file at both ends; in between E is ahead of it."""
+    lines = [b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X160 E2\n", b"G1 X100 E2\n"]
+    plain, advanced = (converted(lines, with_own(marlin, linear_advance=K)) for K in (0.0, 0.05))
+    assert advanced[1].advance is not None
+    said = (
+        "advance          0.05 s, computed into E; the firmware's own is off while the file moves"
+    )
+    assert said in advanced[1].as_text()
+    assert plain[1].advance is None
+    fed = [np.array(re.findall(rb"E(-?[\d.]+)", text), float) for text, _ in (plain, advanced)]
+    assert fed[0].min() >= 0.0
+    assert fed[1].min() < -0.01  # where it brakes
+    assert fed[0].sum() == pytest.approx(fed[1].sum(), abs=1e-9)
+    assert b"M900 K0.05" in advanced[0].splitlines()
 
 
 def test_a_slow_sender_gets_fewer_lines(marlin: Printer) -> None:
@@ -457,6 +468,7 @@ def test_linear_advance_of_the_file_does_not_enter_the_stream(marlin: Printer) -
     lines = [b"G1 X100 Y100 Z1 F6000\n", b"G1 X110\n", b"M900 K0.08\n", b"G1 X120\n"]
     text = converted(lines, marlin)[0].splitlines()
     assert text[text.index(b"M900 K0.08") + 1] == b"M900 K0"
+    assert text.count(b"M900 K0.08") == 2  # in force again at the end
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in QUIRKS.iterdir()))

@@ -25,7 +25,7 @@ from hframe_post.gcode.state import Extrusion
 from hframe_post.identification.recordings import accelerometer, excitation
 from hframe_post.planner.lookahead import MELTED
 from hframe_post.printer.profile import load, parse, played_by, shipped
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Extruder, Printer
 from hframe_post.writers.stream.print_time import DURATION, ELAPSED, DeferredLine
 from tests.conftest import SAMPLES
 from tests.fuzz import files, mutations, settings
@@ -44,6 +44,7 @@ PASSED = 0.26  # mm of filament per mm that Klipper lets pass of a nozzle of 0.4
 STEEPER = 2.0  # times as much as in the file there may be, and it must still let it pass
 ELSEWHERE = 6.0  # times as much as in the file, for other firmwares: the nozzle lays it evenly
 ROUND = 0.0075  # mm from a circle: chords, and half of the file's last digit
+ADVANCES = re.compile(rb"M900[^;\n]*?K(\d*\.?\d+)", re.IGNORECASE)
 BOM = b"\xef\xbb\xbf"
 WRITTEN = re.compile(rb"G1(?: [XYZE]-?\d+(?:\.\d+)?)*(?: F\d+(?:\.\d+)?)?")
 WITHOUT_LINE = (
@@ -62,10 +63,11 @@ def printer(firmware: str) -> Printer:
     }[firmware]()
 
 
-def converted(text: bytes, firmware: str, options: Options) -> bytes:
-    """Return the output for a file. Raises HframeError."""
+def converted(text: bytes, firmware: str, options: Options, advance: float = 0.0) -> bytes:
+    """Return the output for a file. advance: pressure advance, s. Raises HframeError."""
     lines = text.splitlines(keepends=True) if b"\r" not in text else _lines(text)
-    output = GcodeConversion(iter(lines), printer(firmware), options)
+    own = replace(printer(firmware), extruder=Extruder(advance))
+    output = GcodeConversion(iter(lines), own, options)
     return b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in output)
 
 
@@ -85,23 +87,25 @@ def check_gcode(seed: int, seeds: list[bytes]) -> tuple[str, bytes, bytes]:
     strategy, clamp = rng.choice(("racking", "racking", "fbs", "none")), rng.random() < 0.2
     # E where the file sets no mode: by option, or detected from the moves
     extrusion: Extrusion | None = rng.choice(("absolute", "absolute", "relative", None))
+    advance = rng.choice((0.0, 0.05))
+    options = Options(strategy, clamp=clamp, extrusion=extrusion)
     try:
-        output = converted(text, firmware, Options(strategy, clamp=clamp, extrusion=extrusion))
+        output = converted(text, firmware, options, advance)
     except HframeError as error:
         check_error(error)
         return f"refused: {type(error).__name__}", text, b""
     if extrusion is None:
-        extrusion = _detected(text, output, firmware, strategy, clamp)
+        extrusion = _detected(text, output, firmware, options, advance)
         if extrusion is None:
             return "converted: E set by a macro", text, b""
-    check_same_print(text, output, firmware, extrusion)
+    check_same_print(text, output, firmware, extrusion, advance)
     begin = b"M83\n" if extrusion == "relative" else b""  # Klipper does not know the option
     played = begin + output if firmware == "klipper" else b""
     return f"converted: {firmware}", begin + text.removeprefix(BOM), played
 
 
 def _detected(
-    text: bytes, output: bytes, firmware: str, strategy: str, clamp: bool
+    text: bytes, output: bytes, firmware: str, options: Options, advance: float
 ) -> Extrusion | None:
     """Return which mode of E the tool detected: the option that gives the same output.
 
@@ -109,7 +113,8 @@ def _detected(
     """
     for extrusion in EXTRUSIONS:
         with contextlib.suppress(HframeError):
-            other = converted(text, firmware, Options(strategy, clamp=clamp, extrusion=extrusion))
+            asked = replace(options, extrusion=extrusion)
+            other = converted(text, firmware, asked, advance)
             if other.partition(b"\n")[2] == output.partition(b"\n")[2]:
                 return extrusion
     assert re.search(rb"^\s*(?:[Nn]\d+)?\s*[^;GMT\s]", text, re.MULTILINE | re.IGNORECASE)
@@ -128,11 +133,13 @@ def check_error(error: HframeError) -> None:
 
 
 def check_same_print(
-    text: bytes, output: bytes, firmware: str, extrusion: Extrusion = "absolute"
-) -> None:
+    text: bytes, output: bytes, firmware: str, extrusion: Extrusion = "absolute",
+    advance: float = 0.0,
+) -> None:  # fmt: skip
     """Assert equal marks and comments in order, and equal filament, modes and places at marks.
 
-    extrusion: what E is before the first M82 or M83.
+    extrusion: what E is before the first M82 or M83. advance: pressure advance, s, by which E is
+    ahead in motion where it is computed into E.
     """
     asked, written = (
         Machine(firmware, absolute_e=extrusion == "absolute").play(each) for each in (text, output)
@@ -140,6 +147,8 @@ def check_same_print(
     numbers = [stand.number for stand in asked.stands]
     assert [stand.number for stand in written.stands] == numbers, "marks are lost or out of order"
     _check_comments(text, output)
+    longest = max([advance, *map(float, ADVANCES.findall(text))])
+    ahead = longest * min(asked.flow, MELTED)
     at_rest = {int(n) for n in re.findall(rb"^UNHEARD_OF @(\d+)", text, re.MULTILINE)}
     for before, after in zip(asked.stands, written.stands, strict=True):
         off = after.filament - before.filament
@@ -147,7 +156,7 @@ def check_same_print(
         low, high = -known, known
         if firmware == "marlin" and before.number not in at_rest:
             least, most = _fed_at_segment(asked, before, after)
-            low, high = low + least - before.filament, high + most - before.filament
+            low, high = low + least - before.filament, high + most - before.filament + ahead
         assert low < off < high, f"filament at mark {before.number} differs by {off:.5f} mm"
         if before.number in at_rest:
             assert after.modes == before.modes, f"modes differ at mark {before.number}"

@@ -10,7 +10,8 @@ import importlib
 import sys
 from typing import Any
 
-from tests.klipper.batch import compile_helper
+from tests.hosts.accelerometer import answer_with_a_machine
+from tests.klipper.batch import compile_helper, record_moves
 
 
 def main() -> None:
@@ -31,6 +32,8 @@ def main() -> None:
         add_objects(printer)
         printer.lookup_object("gcode").is_fileinput = False
 
+    moves = record_moves(importlib.import_module("klippy.toolhead").ToolHead)
+    answer_with_a_machine(importlib.import_module("klippy.extras.adxl345"), moves)
     server.__init__ = open_as_on_a_printer
     gcode.add_early_printer_objects = answering_errors
     gcode.GCodeIO._handle_ready = lambda _: None  # nothing is read, so it does not end

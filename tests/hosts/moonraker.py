@@ -79,9 +79,11 @@ class Printer(Server):
     """Klipper's host and Moonraker with hframe-post, set up as its owner does.
 
     python: one that has Moonraker, whose code is copied, so that the component is linked there.
+    options: lines of the component's section. sensor: of printer.cfg; a printer that has one is not
+    measured yet.
     """
 
-    def __init__(self, python: Path, folder: Path) -> None:
+    def __init__(self, python: Path, folder: Path, options: str = "", sensor: str = "") -> None:
         super().__init__(free_port(), {})
         self.data, self.home, self._python = folder / "printer_data", folder, python
         self.gcodes = self.data / "gcodes"
@@ -96,16 +98,20 @@ class Printer(Server):
         self.config.write_text(CONFIG.format(port=self.port, data=self.data))
         (self.data / "config/printer.cfg").write_text(
             f"{TEMPLATE.read_text()}\n[virtual_sdcard]\npath: {self.gcodes}\n[pause_resume]\n"
-            "[display_status]\n"
+            f"[display_status]\n{sensor}\n[include hframe.cfg]\n"
         )
+        (self.data / "config/hframe.cfg").touch()
         self.profile = self.data / "config/printer.toml"
-        shutil.copy(ROOT / "tests/measured.toml", self.profile)
+        if not sensor:
+            shutil.copy(ROOT / "tests/measured.toml", self.profile)
         self.set_up("--moonraker")
         self.as_set_up = self.config.read_text()
         # while the gate exists, conversions wait: no test depends on who is faster
         self.gate = folder / "gate"
         waits = " ".join(waiting_for(self.gate))
-        self.config.write_text(self.as_set_up.replace("command: ", f"command: {waits} ", 1))
+        self.config.write_text(
+            self.as_set_up.replace("command: ", f"{options}command: {waits} ", 1)
+        )
 
     def set_up(self, *options: str) -> str:
         config = self.data / "config"
@@ -133,7 +139,7 @@ class Printer(Server):
             [sys.executable, "-P", "-m", "tests.hosts.klipper_server"],
             self.data / "config/printer.cfg", "-i", self.data / "input", "-o", os.devnull,
             "-d", messages, "-l", self.data / "logs/klippy.log", "-a", self.data / "klippy.sock",
-            PYTHONPATH=str(ROOT),
+            PYTHONPATH=str(ROOT), TMPDIR=str(self.data),
         )  # fmt: skip
 
     def start_moonraker(self, *before: str) -> None:
@@ -184,6 +190,9 @@ class Printer(Server):
         return [
             entry["message"] for entry in self.get("/server/gcode_store?count=200")["gcode_store"]
         ]
+
+    def type(self, command: str) -> None:
+        self.post(f"/printer/gcode/script?script={quote(command)}")
 
     def print_stats(self) -> Mapping[str, Any]:
         status = self.get("/printer/objects/query?print_stats&virtual_sdcard")["status"]

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from hframe_post.hosts.moonraker import KEPT, Upload
+from hframe_post.hosts.moonraker.upload import KEPT, Upload
 from tests.command_line import RECTANGLE
 from tests.conftest import SAMPLES
 from tests.hosts.moonraker import Printer, processes, until
@@ -218,7 +218,66 @@ def attempted(printer: Printer, name: str, content: bytes, **form: str) -> Any:
 
 
 def left_over(printer: Printer) -> list[str]:
-    return os.listdir(printer.gcodes / ".hframe_post")
+    """Return what is in the component's folder but sliced files of converted ones."""
+    names = os.listdir(printer.gcodes / ".hframe_post")
+    return [name for name in names if not name.endswith(".original")]
+
+
+def test_files_of_an_older_model_are_converted_again_whatever_comes_between(
+    printer: Printer,
+) -> None:
+    """A kill in mid-conversion, two uploads at once, names that are no files of Moonraker's."""
+    for path in printer.gcodes.glob("*.gcode"):  # of other tests, which would be stale, too
+        path.unlink()
+    printer.upload("part.gcode", PART)
+    path, profile = printer.gcodes / "part.gcode", printer.profile.read_text()
+    before = path.read_bytes()
+    newer = re.sub("belt_velocity = .*", "belt_velocity = 691.0", profile)
+    assert newer != profile
+    try:
+        printer.profile.write_text(newer)
+        assert "part.gcode" in printer.get("/server/hframe_post/status")["stale"]
+        printer.gate.touch()
+        answer = printer.post("/server/hframe_post/convert?filename=part.gcode")
+        assert answer == {"converting": ["part.gcode"]}
+        until(lambda: conversions(printer) != [])
+        printer.post("/server/hframe_post/cancel")
+        until(lambda: conversions(printer) == [])
+        assert path.read_bytes() == before
+        printer.post("/server/hframe_post/convert?filename=part.gcode")
+        until(lambda: conversions(printer) != [])
+        printer.kill("moonraker")
+        assert path.read_bytes() == before
+        printer.gate.unlink()
+        printer.start_moonraker()
+        until(lambda: printer.get("/server/info")["klippy_state"] == "ready")
+        parts = {f"{k}.gcode": PART + b"; %d\n" % k for k in range(2)}
+        uploads = [threading.Thread(target=printer.upload, args=each) for each in parts.items()]
+        for name, upload in zip(parts, uploads, strict=True):
+            upload.start()
+            until((printer.gcodes / name).exists)  # within a second, Moonraker confuses them
+        printer.post("/server/hframe_post/convert")
+        for upload in uploads:
+            upload.join()
+        until(lambda: printer.get("/server/hframe_post/status")["stale"] == [])
+        for name, content in {**parts, "part.gcode": PART}.items():
+            assert (printer.gcodes / name).read_bytes() == printer.converted(content), name
+        assert path.read_bytes() != before
+        for name in ("../config/printer.toml", "/etc/passwd", "none.gcode"):
+            with pytest.raises(AssertionError, match="there is no file"):
+                printer.post(f"/server/hframe_post/convert?filename={name}")
+    finally:
+        printer.profile.write_text(profile)
+    # by its macro, and before it prints
+    printer.type("HFRAME_CONVERT FILENAME=part.gcode")
+    until(lambda: path.read_bytes() == printer.converted(PART))
+    printer.post("/printer/print/start?filename=0.gcode")
+    until(lambda: printer.print_stats()["state"] == "complete")
+    assert (printer.gcodes / "0.gcode").read_bytes() == printer.converted(parts["0.gcode"])
+    printer.request("DELETE", "/server/files/gcodes/0.gcode")
+    kept = printer.gcodes / ".hframe_post"
+    count = len([*kept.glob("*.original")])
+    until(lambda: len([*kept.glob("*.original")]) < count)
 
 
 @pytest.mark.parametrize(("room", "fits_twice"), [("1600k", True), ("600k", False)])
@@ -254,6 +313,6 @@ def test_removing_it_leaves_moonraker_as_it_was(printer: Printer) -> None:
     assert printer.config.read_text() == before
     assert "removed" in printer.set_up("--no-moonraker")
     assert "hframe_post" not in printer.config.read_text()
-    assert not (printer.components / "hframe_post.py").is_symlink()
+    assert not (printer.components / "hframe_post").is_symlink()
     printer.set_up("--moonraker")
     assert printer.config.read_text() == before

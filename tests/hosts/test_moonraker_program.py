@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -17,16 +18,10 @@ from typing import Any
 import pytest
 
 from hframe_post.hosts import moonraker
-from hframe_post.hosts.moonraker import (
-    CONVERTING,
-    FOLDER,
-    REFUSAL,
-    FailureError,
-    Upload,
-    alone,
-    cause,
-    refuse,
-)
+from hframe_post.hosts.moonraker.disk import FOLDER, FailureError, alone, cause
+from hframe_post.hosts.moonraker.originals import Originals
+from hframe_post.hosts.moonraker.settings import Settings
+from hframe_post.hosts.moonraker.upload import CONVERTING, REFUSAL, Upload, refuse
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT
 from tests.hosts.moonraker import WAIT, until
@@ -52,8 +47,28 @@ def kept(part: Path) -> list[str]:
 def started(part: Path, *command: str) -> subprocess.Popen[bytes]:
     """Start the component as a program on a file."""
     gcodes = next(folder for folder in part.parents if (folder / FOLDER).is_dir())
-    words = (sys.executable, moonraker.__file__, part, gcodes, gcodes / "socket")
-    return subprocess.Popen([str(word) for word in (*words, *(command or COMMAND))], cwd=ROOT)
+    return begun("upload", settings(gcodes, *command), part)
+
+
+def settings(
+    gcodes: Path, *command: str, keep: int = 10_000_000, recordings: str = "/nowhere"
+) -> Settings:
+    address = str(gcodes / "socket")
+    return Settings(str(gcodes), address, [*(command or COMMAND)], keep, recordings)
+
+
+def begun(duty: str, told: Settings, *words: str | Path) -> subprocess.Popen[bytes]:
+    """Start a duty of the component."""
+    return subprocess.Popen(words_of(duty, told, *words), cwd=ROOT)
+
+
+def words_of(duty: str, told: Settings, *words: str | Path) -> list[str]:
+    folder = Path(moonraker.__file__).parent
+    return [str(word) for word in (sys.executable, folder, duty, told.as_json(), *words)]
+
+
+def stale(told: Settings) -> Any:
+    return json.loads(subprocess.check_output(words_of("stale", told), cwd=ROOT))
 
 
 def processed(part: Path, *command: str) -> int:
@@ -95,7 +110,7 @@ def test_it_writes_the_bytes_of_the_command_line(part: Path, reports: list[Any])
     assert part.read_bytes() == part.with_name("by_hand.gcode").read_bytes()
     assert processed(part) == 0  # a second pass
     assert part.read_bytes() == part.with_name("by_hand.gcode").read_bytes()
-    assert kept(part) == []
+    assert [(part.parents[1] / FOLDER / name).read_bytes() for name in kept(part)] == [PART]
     texts = [each["text"] for each in reports]
     assert len(texts) == 2
     assert texts[0].startswith("hframe-post: part.gcode: converted\n")
@@ -119,6 +134,73 @@ def test_a_file_that_fails_begins_with_its_reason_until_it_can_be_converted(
     part.write_bytes(part.read_bytes().replace(OUTSIDE, PART))
     assert processed(part) == 0
     assert part.read_bytes().startswith(b"; processed by hframe-post")
+
+
+OTHER = ("--tolerance", "0.008")  # an option that changes the output, as another profile does
+
+
+def converted_by(options: tuple[str, ...], folder: Path) -> bytes:
+    (folder / "in.gcode").write_bytes(PART)
+    done = run(folder / "in.gcode", "-o", "-", "-p", ROOT / "tests/measured.toml", *options)
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_a_converted_file_is_converted_again_whatever_became_of_its_name(
+    part: Path, reports: list[Any], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    gcodes, newer = part.parents[1], settings(part.parents[1], *COMMAND, *OTHER)
+    assert processed(part) == 0
+    renamed = gcodes / "renamed.gcode"
+    part.rename(renamed)
+    by_hand = gcodes / "by_hand.gcode"  # converted elsewhere: nothing of it is kept
+    by_hand.write_bytes(renamed.read_bytes() + b"; another\n")
+    before = by_hand.read_bytes()
+    assert stale(settings(gcodes)) == {"old": [], "kept": []}
+    assert stale(newer)["kept"] == ["renamed.gcode"]
+    for words in ((), ("renamed.gcode",)):
+        assert begun("again", newer, *words).wait() == 0
+        assert renamed.read_bytes() == converted_by(OTHER, tmp_path_factory.mktemp("by_hand"))
+        assert len(kept(part)) == 1
+    assert begun("again", newer, "by_hand.gcode").wait() == 1
+    assert by_hand.read_bytes() == before
+    assert reports[-1]["text"].endswith("its sliced file is not kept: upload it again")
+    # what fails or is killed leaves the file as it is
+    before, held = renamed.read_bytes(), kept(part)
+    assert begun("again", settings(gcodes, *COMMAND, "--jobs", "0"), "renamed.gcode").wait() == 1
+    assert "renamed.gcode: left as it was converted before: " in reports[-1]["text"]
+    with begun("again", settings(gcodes), "renamed.gcode") as killed:
+        killed.kill()
+    assert begun("tidy", newer).wait() == 0
+    assert (renamed.read_bytes(), kept(part)) == (before, held)
+    renamed.unlink()
+    assert begun("tidy", newer).wait() == 0
+    assert kept(part) == []
+
+
+@pytest.mark.slow
+def test_no_more_is_kept_than_the_owner_allows(part: Path, reports: list[Any]) -> None:
+    gcodes, room = part.parents[1], 3 * len(PART) // 2
+    paths = [part, part.with_name("second.gcode")]
+    for path in paths:
+        path.write_bytes(PART)
+        assert begun("upload", settings(gcodes, keep=room), path).wait() == 0
+    originals = Originals(gcodes, room)
+    assert [originals.of(path).exists() for path in paths] == [False, True]
+    assert begun("again", settings(gcodes, keep=0), "sub/second.gcode").wait() == 0
+    assert kept(part) == []
+    assert all(path.read_bytes().startswith(b"; processed by") for path in paths)
+
+
+@pytest.mark.slow
+def test_before_the_printer_is_measured_a_file_stays_as_sliced(
+    part: Path, reports: list[Any]
+) -> None:
+    assert processed(part, *COMMAND[:-1], "example-voron") == 1
+    assert part.read_bytes() == PART
+    assert kept(part) == []
+    assert "left as sliced: " in reports[0]["text"]
+    assert "was not measured on your printer" in reports[0]["text"]
 
 
 @pytest.mark.slow
@@ -178,7 +260,7 @@ def test_after_an_interruption_every_name_gets_its_own_file_back(tmp_path: Path)
         again = Upload(tmp_path / name, tmp_path)
         again.take()
         assert again.work.read_bytes() == PART + b"; part %d\n" % number, name
-        again.give_back()
+        again.give_back(None, Originals(tmp_path, 0))
     assert os.listdir(tmp_path / FOLDER) == []
 
 
@@ -194,7 +276,7 @@ def test_an_interrupted_file_is_found_under_its_new_name_and_as_copies(tmp_path:
     for path, expected in ((new, PART), (old, PART + b"; another\n"), (copied, PART)):
         again = Upload(path, tmp_path)
         again.take()
-        again.give_back()
+        again.give_back(None, Originals(tmp_path, 0))
         assert path.read_bytes() == expected, path.name
     assert os.listdir(tmp_path / FOLDER) == []
 
@@ -257,7 +339,7 @@ def test_a_conversion_ends_when_its_file_is_gone(
     if fate == "renamed":
         assert processed(renamed) == 0
         assert renamed.read_bytes().startswith(b"; processed by hframe-post")
-    assert kept(part) == []
+    assert [Path(name).suffix for name in kept(part)] == [".original"] * (fate != "deleted")
 
 
 def test_a_file_that_is_deleted_while_it_waits_is_no_failure(
@@ -300,3 +382,35 @@ def test_a_file_that_cannot_be_read_is_not_touched(part: Path) -> None:
     refuse(Upload(part, part.parents[1]), "cannot be read")
     assert part.read_bytes() == PART
     assert [path.name for path in part.parent.iterdir()] == ["part.gcode"]
+
+
+@pytest.mark.slow
+def test_where_the_bed_moves_the_sensor_is_moved_in_between(part: Path, reports: list[Any]) -> None:
+    gcodes, profile = part.parents[1], part.with_name("mine.toml")
+    profile.write_text('extends = "example-cartesian"\n')
+    told = settings(gcodes, *COMMAND[:-1], str(profile), recordings=str(part.parent))
+    job = prepared(told)
+    assert job == ".hframe_post/calibration/measure-x.gcode"
+    recorded(told, job)
+    assert reports[-1]["text"].endswith("the bed, then type HFRAME_CALIBRATE AXIS=Y")
+    job = prepared(told, "Y")
+    assert job == ".hframe_post/calibration/measure-y.gcode"
+    assert len([*(gcodes / FOLDER / "calibration").glob("adxl345-measure-x-*")]) == 2
+    recorded(told, job)  # nothing that could be identified
+    assert reports[-1]["failed"]
+    assert "the model stays as it was: " in reports[-1]["text"]
+    assert profile.read_text() == 'extends = "example-cartesian"\n'
+
+
+def recorded(told: Settings, job: str) -> None:
+    """Write what passes for recordings of a job, and draw the conclusions."""
+    (name,) = set(re.findall("NAME=(measure-[xy]-.*)", Path(told.gcodes, job).read_text()))
+    for ended in (1000, 2000):
+        Path(told.recordings, f"adxl345-{name}-t{ended}.csv").write_text("0,0,0,0\n")
+    assert begun("conclude", told, "calibration", job, "0").wait() == 1
+
+
+def prepared(told: Settings, axis: str = "") -> str:
+    command = words_of("prepare", told, "calibration", axis)
+    job: str = json.loads(subprocess.check_output(command, cwd=ROOT))["job"]
+    return job

@@ -11,7 +11,9 @@ import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.errors import HframeError, IdentificationError
+from hframe_post.firmware.registry import firmware
 from hframe_post.identification.by_eye.form import Filled, filled, form
+from hframe_post.identification.by_eye.lines import advance_lines, values
 from hframe_post.identification.by_eye.racking import (
     LEVER,
     Comb,
@@ -342,6 +344,27 @@ def test_squares_are_compared_and_the_best_is_picked(tmp_path: Path) -> None:
     assert frequencies(own) == pytest.approx([0.94 * before[0], before[1]], rel=1e-3)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "sets"), [("paper", b"SET_PRESSURE_ADVANCE ADVANCE="), ("example-ender", b"M900 K")]
+)
+def test_lines_tell_the_pressure_advance(tmp_path: Path, name: str, sets: bytes) -> None:
+    """For Klipper, which adds its own, and for Marlin, where E contains it."""
+    printer = load(name)
+    text = b"".join(advance_lines(printer, 0.1, HEAT)).splitlines()
+    asked = [float(line.removeprefix(sets)) for line in text if line.startswith(sets)]
+    rising = [value for value in asked if value] if b"M900" in sets else asked[1:-1]
+    assert sorted(set(rising)) == pytest.approx(values(0.1)[1:])
+    assert asked[-1] == firmware(printer).advance(printer).seconds
+    own = tmp_path / "own.toml"
+    own.write_text(f'extends = "{name}"\n')
+    done = run("calibrate-print", "-p", own, "--advance", "0.045", "-o", own)
+    assert done.returncode == 0, done.stderr
+    extruder = load(str(own)).extruder
+    assert extruder is not None
+    assert extruder.advance == 0.045
+
+
 def test_mistakes_are_errors(tmp_path: Path) -> None:
     out = tmp_path / "a.gcode"
     for words, status, message in (
@@ -351,6 +374,8 @@ def test_mistakes_are_errors(tmp_path: Path) -> None:
         ((), 2, b"give the temperatures of your filament"),
         (("--compare", "6%", "--pick", "0", "0"), 2, b"give one of"),
         (("--compare", "6%"), 1, b"not measured on your printer"),
+        (("--advance", "11"), 2, b"not from 0 to 10 s"),
+        (("--advance-lines", "0", "--heat", "210,60"), 2, b"above 0"),
     ):
         done = run("calibrate-print", "-p", "example-ender", *words, "-o", out)
         assert done.returncode == status

@@ -111,11 +111,11 @@ class Playback:
 
         Between moves and after the last it is where the move before ended.
         """
-        return _evaluate(self.moves, t)
+        return evaluated(self.moves, t)
 
     def extruded(self, t: ArrayLike) -> Floats:
         """Return the planned filament (n,) in mm at times ``t`` (n,) in s, 0 before any move."""
-        return _evaluate(self.extruder, t)[:, 0]
+        return evaluated(self.extruder, t)[:, 0]
 
     def steps(self) -> dict[str, Steps]:
         """Return the steps of the motors ``A`` (x + y), ``B`` (x - y), ``z`` and ``e``.
@@ -248,7 +248,7 @@ def _end(move: np.void) -> float:
     return float(move["print_time"] + move["accel_t"] + move["cruise_t"] + move["decel_t"])
 
 
-def _evaluate(moves: NDArray[np.void], t: ArrayLike) -> Floats:
+def evaluated(moves: NDArray[np.void], t: ArrayLike) -> Floats:
     """Return positions (n, 3) in mm at times ``t`` (n,) in s; zeros if there are no moves."""
     times = np.atleast_1d(np.asarray(t, dtype=np.float64))
     if not len(moves):

@@ -125,7 +125,7 @@ def test_a_check_is_printed_from_the_console(machine: Printer, tmp_path: Path) -
     """The host has no accelerometer, and goes on after its unknown command."""
     pieces = gcode(machine, check_runs(machine, [0]), ("adxl345",), 10.0)
     text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in pieces)
-    script = [("at once", "HFRAME_CHECK"), ("stopped", "")]
+    script = [("at once", "HFRAME_CHECK FILENAME=check.gcode"), ("stopped", "")]
     config = sections("Klipper's own", machine, tmp_path)
     _, done = typed(script, {"check.gcode": text}, config, tmp_path / "host")
     assert done["state"] == "complete"

@@ -319,3 +319,24 @@ def test_prism_takes_about_as_long_as_klipper_takes_without_compensation(tmp_pat
     own = play(SAMPLES / "prism.gcode", limits=limits, workdir=tmp_path)
     below(run.report.time.after, 1.05 * own.print_time, "print time, s")
     near(run.report.time.before, own.print_time, 0.01 * own.print_time, "print time as sliced, s")
+
+
+@pytest.mark.klipper
+@pytest.mark.slow
+def test_pressure_advance_is_what_the_width_is_predicted_with(tmp_path: Path) -> None:
+    """The steps of Klipper's extruder, advanced and smoothed, against its rule on the path."""
+    head, *rest = (SAMPLES / "rectangle.gcode").read_bytes().partition(b"G28\n")
+    lines = (head + rest[0] + b"SET_PRESSURE_ADVANCE ADVANCE=0.05\n" + rest[1]).splitlines(True)
+    lines += lines[-4:] * 2
+    run = lines_played(lines, tmp_path, Options("racking"))
+    _, offset = first_offset(run)
+    chunks = list(SampleStream(iter(lines), profile.load("paper"), Options("racking")))
+    ahead = np.concatenate([b.advance[:, 0] for b in chunks if b.advance is not None])
+    filament = run.z_e[:, 1]
+    assert len(ahead) == len(filament)
+    assert ahead.max() > 0.2
+    fed = run.playback.steps()["e"]
+    off = fed.position(TS * np.arange(len(filament)) + offset) - filament - ahead
+    below(rms(off - np.median(off)), 0.5 * fed.size, "RMS distance of the extruder, mm")
+    assert run.report.advance is not None
+    assert not run.report.advance.computed

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hframe_post.arrays import TS, Array, Integers, Z
+from hframe_post.arrays import TS, Array, E, Integers, Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.firmware.marlin.motion import MarlinMotion
@@ -20,7 +20,7 @@ from hframe_post.firmware.marlin.planner import GENERATIONS
 from hframe_post.native.ramps import whole_feeds
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Extruder, Printer
 from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
 from tests.conftest import few
@@ -366,3 +366,38 @@ def test_nozzle_follows_with_marlins_command(
     none = contour(commands("none"), marlin, "none")
     below(ours, ideal + 6.0, "RMS contour error, µm")
     below(ours, none / 8, "RMS contour error, µm")
+
+
+# ---------------------------------------------------------------------- the extruder
+
+
+def asked_of_the_extruder(lines: list[bytes], printer: Printer) -> tuple[Array, Array]:
+    """Return filament along the path (n,), and how far the extruder is to be ahead of it, (n,)."""
+    found = [b for b in SampleStream(iter(lines), printer, Options("racking")) if len(b)]
+    none = np.zeros((1, 2))
+    ahead = [none.repeat(len(b), axis=0) if b.advance is None else b.advance for b in found]
+    return np.concatenate([b.xyze[:, E] for b in found]), np.concatenate(ahead)[:, 0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("planner", ["2.1", "2.1-dev", "ft-motion"])
+def test_the_extruder_is_ahead_as_computed_and_no_time_is_lost(
+    marlin: Printer, planner: str
+) -> None:
+    """Its place is that of whole steps; the filament is that of the file, to a step."""
+    lines = laps(3)
+    plain = with_own(marlin, planner=planner)
+    advanced = replace(plain, extruder=Extruder(0.05))
+    without, one = (played(lines, each, planner=planner) for each in (plain, advanced))
+    filament, ahead = asked_of_the_extruder(lines, advanced)
+    assert ahead.max() > 0.2
+    first, late, _ = one.track()
+    part = slice(int(first[0]), int(first[-1]) + WINDOW)
+    n = np.arange(len(filament))
+    t = n * TS + np.interp(n, first + WINDOW / 2, late)
+    step, fed = one.build.e, one.run.cells(t)[:, E] * one.build.e
+    off = (fed - (filament + ahead))[part]
+    below(rms(off - np.median(off)), step, "RMS distance of the extruder, mm")
+    below(abs(fed[-1] - fed[0] - filament[-1] + filament[0]), 1.5 * step, "filament lost, mm")
+    assert one.machine.merged == 0
+    near(one.run.duration, without.run.duration, 2e-4 * one.run.duration, "duration, s")

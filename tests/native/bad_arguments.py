@@ -117,7 +117,9 @@ def right() -> dict[str, Arguments]:
             n, steps, floats(n), floats(n), floats(n + 1), t, 0.0, 0, stepper, 3,
             guarded([3.0, 0.01, 0.05, 0.9, 1e15]), floats(3, n), floats(n),
         ],
-        "line_pieces": [floats(5, 4), floats(5, 2), 5, 0.4, floats(4), zeros(5), floats(5)],
+        "line_pieces": [
+            floats(5, 4), floats(5, 2), floats(5), 5, 0.4, floats(4), zeros(5), floats(5),
+        ],
         "marlin_segment_ends": [zeros(8, 2), 8, 2, 2, 24, 1, 1, zeros(54), zeros(8)],
         "marlin_times": [
             n, steps, floats(n), floats(n), floats(n + 1), floats(n), floats(n), 0.0, 0, stepper,

@@ -159,8 +159,10 @@ def drawn_lines(rng: Rng) -> Iterator[Call]:
     path = np.column_stack([walk(rng, n), np.zeros(n), np.cumsum(rng.normal(0.01, 0.01, n))])
     nozzle = path[:, :Z] + rng.normal(0.0, 10.0 ** rng.uniform(-5.0, -1.0), (n, 2))
     cuts = [0, *sorted(rng.integers(0, n, 2).tolist()), n - 1]
+    laid = rng.normal(0.01, 0.01, n)
     for low, high in pairwise(cuts):
-        call = path[low : high + 1], nozzle[low : high + 1], 0.4, begun
+        part = slice(low, high + 1)
+        call = path[part], nozzle[part], laid[part], 0.4, begun
         yield line_width.line_pieces, *call
         begun = line_width.line_pieces(*call)[2]
 

@@ -16,7 +16,12 @@ from hframe_post.studies.inputs import rectangle
 
 def drawn(path: Array, nozzle: Array) -> Array:
     """Return |w − 1| of a line's pieces that are complete."""
-    return line_pieces(path, nozzle, PIECE, np.zeros(4))[1]
+    return line_pieces(path, nozzle, fed(path), PIECE, np.zeros(4))[1]
+
+
+def fed(path: Array) -> Array:
+    """Return the filament that comes out in the step to each sample, (n,), without pressure."""
+    return np.diff(path[:, E], prepend=path[0, E])
 
 
 def straight(n: int = 500, step: float = 0.05, flow: float = 0.03) -> Array:
@@ -82,7 +87,7 @@ def test_where_a_piece_ends_does_not_depend_on_chunks() -> None:
     begun, found = np.zeros(4), []
     for low in range(0, 2999, 7):
         part = slice(low, min(low + 7, 2999) + 1)
-        _, errors, begun = line_pieces(path[part], nozzle[part], PIECE, begun)
+        _, errors, begun = line_pieces(path[part], nozzle[part], fed(path[part]), PIECE, begun)
         found.append(errors)
     np.testing.assert_allclose(np.concatenate(found), whole, rtol=1e-9)
 

@@ -65,6 +65,8 @@ def test_a_profile_has_the_values_of_m503_and_m115(answers: Path) -> None:
     assert (table.junction_deviation, table.classic_jerk) == (0.08, False)
     assert (table.shaper_freq_x, table.shaper_freq_y, table.linear_advance) == (37.5, 29.0, 0.05)
     assert (table.min_segment_time, table.planner) == (0.02, "2.1")
+    assert own.extruder is not None
+    assert own.extruder.advance == 0.05
 
 
 def test_a_stored_mesh_is_known(answers: Path) -> None:

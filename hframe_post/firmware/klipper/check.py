@@ -14,7 +14,7 @@ from hframe_post.firmware.configuration import Finding
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import corner_in, extruder
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import SMOOTH_TIME, Printer
 from hframe_post.printer.setup import Known, as_float, motors
 
 CLOSE = 1e-3  # tolerated difference of two numbers
@@ -113,6 +113,12 @@ def _repeated(config: KlipperConfig, printer: Printer) -> list[tuple[str, float,
             ("retraction.return_speed", back, "firmware_retraction", "unretract_speed", 10.0),
             ("retraction.extra", retraction.extra,
              "firmware_retraction", "unretract_extra_length", 0.0),
+        ]  # fmt: skip
+    if (extrudes := printer.extruder) is not None:
+        pairs += [
+            ("extruder.advance", extrudes.advance, "extruder", "pressure_advance", 0.0),
+            ("extruder.smooth_time", extrudes.smooth_time,
+             "extruder", "pressure_advance_smooth_time", SMOOTH_TIME),
         ]  # fmt: skip
     return pairs
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from hframe_post.firmware.advance import klipper_advance
 from hframe_post.firmware.base import MOST, Firmware, FirmwareLimits, unlimited
 from hframe_post.firmware.configuration import Finding, Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
@@ -37,7 +38,7 @@ class Klipper(Firmware):
     dialect = Dialect(
         frozenset({"M204", "SET_VELOCITY_LIMIT"}), _accelerations, _dwell,
         retraction_settings=frozenset({"SET_RETRACTION"}), g92_resets=True,
-        rejoins_after_object=True,
+        rejoins_after_object=True, advance=klipper_advance,
     )  # fmt: skip
     decimates = True
     shapers = SHAPERS

@@ -15,7 +15,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.code import KlipperCode
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY
-from hframe_post.printer.firmware_tables import END_MACRO, MACROS, RECORDED, UNUSED
+from hframe_post.printer.firmware_tables import END_MACRO, MACROS, RECORDED, UNUSED, USUAL_CHIP
 from hframe_post.printer.settings import Printer
 
 FILE, BEGIN, END = MACROS, "HFRAME_BEGIN", END_MACRO
@@ -36,6 +36,10 @@ _HEAD = f"""\
 """
 _BUILTIN = "\n[pause_resume]\n"
 _FORGET = "SET_GCODE_VARIABLE MACRO=_HFRAME_LEAVE VARIABLE=stream VALUE=None"
+_ASKED = (
+    "hframe-post writes the motion to record. If nothing follows, connect it to Moonraker: "
+    "hframe-post setup --moonraker"
+)
 _LIMITS = f"""
 [gcode_macro {BEGIN}]
 description: Set the limits of a converted file and turn input shaping off
@@ -58,13 +62,40 @@ SHAPER_FREQ_Y={{own.input_shaper.shaper_freq_y}} \
 SHAPER_FREQ_Z={{own.input_shaper.shaper_freq_z|default(0)}}
     {{% endif %}}
 
+# The next three ask hframe-post in Moonraker: 'hframe-post setup --moonraker' connects it
+[gcode_macro HFRAME_CALIBRATE]
+description: Measure this printer; where the bed moves, AXIS=Y once the sensor is on the bed
+gcode:
+    {{% if "ACCELEROMETER_QUERY" not in printer.gcode.commands %}}
+    {{action_raise_error("no accelerometer is configured in printer.cfg")}}
+    {{% endif %}}
+    {{action_respond_info("{_ASKED}")}}
+    {{action_call_remote_method("hframe_calibrate", axis=params.AXIS|default("")|upper)}}
+
 [gcode_macro HFRAME_CHECK]
-description: Home if needed and print check.gcode, for 'hframe-post check'
+description: Measure in 20 s what has drifted; FILENAME=check.gcode prints that file instead
+gcode:
+    {{% if "FILENAME" in params %}}
+    _HFRAME_RECORD FILENAME="{{params.FILENAME}}"
+    {{% else %}}
+    {{action_respond_info("{_ASKED}")}}
+    {{action_call_remote_method("hframe_check")}}
+    {{% endif %}}
+
+[gcode_macro HFRAME_CONVERT]
+description: Convert the files of an older model again, or FILENAME; CANCEL=1 ends that
+gcode:
+    {{action_call_remote_method("hframe_convert", filename=params.FILENAME|default(""), \
+cancel=params.CANCEL|default(""))}}
+
+[gcode_macro _HFRAME_RECORD]
+description: Home if needed, ask the accelerometers for a reading, and print FILENAME
 gcode:
     {{% if printer.toolhead.homed_axes != "xyz" %}}
     G28
     {{% endif %}}
-    SDCARD_PRINT_FILE FILENAME={{params.FILENAME|default("check.gcode")}}
+    @readings
+    SDCARD_PRINT_FILE FILENAME="{{params.FILENAME}}"
 
 # After M400 the print time is that at which the motion has ended, and it is read only once: the end
 # of the first recording changes it. Without NAME the recordings are of no use
@@ -146,11 +177,14 @@ def macros(printer: Printer, config: KlipperConfig | None = None) -> str:
         raise PrinterError(cause, "firmware.dialect", printer.name)
     code = KlipperCode.from_printer(printer)
     shaper_off, limits = code.limits_of_stream
+    known = dict.fromkeys((printer.sweep.chip_x, printer.sweep.chip_y))
+    chips = [chip for chip in known if chip] or [USUAL_CHIP]
     text = (
         _LIMITS.replace("@shaper_off", shaper_off)
         .replace("@limits", limits)
         .replace("@corner", f"{SQUARE_CORNER_VELOCITY:g}")
         .replace("@acceleration", f"{code.stream.acceleration:g}")
+        .replace("@readings", "\n    ".join(f"ACCELEROMETER_QUERY CHIP={chip}" for chip in chips))
     )
     # Klipper's own commands refuse a macro of their name that does not rename them
     own = _own_commands(config) if config is not None else []

@@ -7,7 +7,7 @@ import math
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.printer.firmware_tables import END_MACRO
-from hframe_post.printer.settings import CHIP_NAME
+from hframe_post.printer.settings import CHIP_NAME, SMOOTH_TIME
 from hframe_post.printer.setup import (
     CLOCK,
     Known,
@@ -59,6 +59,7 @@ def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
         "motors": motors(kinematics, velocity, acceleration, corner),
         "steps": _steps(config),
         "retraction": _retraction(config),
+        "extruder": _advance(config),
         "speed": {"acceleration": acceleration},
         "sweep": {**sweep(acceleration), **_chips(config)},
         "firmware.klipper": {
@@ -75,7 +76,7 @@ def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
     for section in config.sections("dual_carriage")[:1]:
         tables["firmware"] = {"other_tools": Known(("T1",), f"[{section}] prints then")}
     # a file that was not found may set it
-    unknown = ("steps", "retraction") if config.missing else ("steps",)
+    unknown = ("steps", "retraction", "extruder") if config.missing else ("steps",)
     return {name: table for name, table in tables.items() if table or name not in unknown}
 
 
@@ -177,6 +178,15 @@ def _retraction(config: KlipperConfig) -> dict[str, Known]:
         "speed": _or(config, section, "retract_speed", 20.0),
         "return_speed": _or(config, section, "unretract_speed", 10.0),
         "extra": _or(config, section, "unretract_extra_length", 0.0),
+    }
+
+
+def _advance(config: KlipperConfig) -> dict[str, Known]:
+    if not config.number("extruder", "pressure_advance", 0.0) > 0.0:
+        return {}
+    return {
+        "advance": _or(config, "extruder", "pressure_advance", 0.0),
+        "smooth_time": _or(config, "extruder", "pressure_advance_smooth_time", SMOOTH_TIME),
     }
 
 

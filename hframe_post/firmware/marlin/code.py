@@ -20,7 +20,6 @@ from hframe_post.stream.types import ModalState
 HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two
 JUNCTION_DEVIATION = 0.3  # mm, the most that M205 takes; the stream makes its own corners
 DEVIATIONS, RIGHT_ANGLE = (0.01, 0.3), 2.414  # mm that M205 J takes; v² = RIGHT_ANGLE·J·a
-ADVANCED = 9.0  # mm³/s, a line of 0.45 × 0.2 mm at 100 mm/s, times K: what the nozzle holds
 JERK = 1000.0  # mm/s, where CLASSIC_JERK is built: more than any speed
 FIXED_TIME, RAMPED = "M493 S1 X0 Y0 C0 P0", "M493 S0"  # on without a shaper, for any build; off
 TRAPEZOIDS = "M494 T0 X0 Y0 Z0 E0"  # of 2026; another trajectory leaves ramps unplanned
@@ -46,23 +45,15 @@ class MarlinCode(Code):
 
     @property
     def notices(self) -> tuple[str, ...]:
-        found, k = list[str](), self.table.linear_advance
-        if k:
-            found.append(
-                f"linear advance (K {k:g}) is off while this file moves: where a line of 0.45 × "
-                f"0.2 mm stops from 100 mm/s, {k * ADVANCED:.2f} mm³ of plastic are too much, and "
-                "as much is missing where the next one sets out"
-            )
         received = self.table.lines_received
         if received == self.table.lines_per_second:
-            return tuple(found)
-        found.append(
+            return ()
+        return (
             f"a serial line of {self.table.baud} baud, with a sender that takes "
             f"{1e3 * self.table.latency:g} ms (latency), carries {received:.0f} lines in a second, "
             "so motion is coarser: raise its baud rate, or print from the SD card, without baud in "
-            "the profile"
+            "the profile",
         )
-        return tuple(found)
 
     @property
     def after_homing(self) -> list[str]:
@@ -89,6 +80,14 @@ class MarlinCode(Code):
     def block_acceleration(self) -> float:
         """Return the acceleration of the stream's blocks, mm/s²."""
         return HEADROOM * self.motors.belt_acceleration
+
+    @property
+    def jerk_e(self) -> float:
+        """Return the sudden change of E's speed, mm/s, that the user allows."""
+        if self.table.classic_jerk:
+            return self.table.jerk_e
+        acceleration = self.table.max_acceleration_e or self.limits.extruder_acceleration
+        return math.sqrt(RIGHT_ANGLE * self.table.junction_deviation * acceleration)
 
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
         velocity = VELOCITY_HEADROOM * self.motors.belt_velocity
@@ -125,8 +124,9 @@ class MarlinCode(Code):
             f"M205 B{plain(table.min_segment_time * 1e6, 0)} S{plain(table.min_velocity, 3)} "
             f"T{plain(table.min_travel_velocity, 3)} {self.corners(True)}",
         ]
-        if table.linear_advance:
-            lines.append(f"M900 K{plain(table.linear_advance, 5)}")
+        advance = table.linear_advance if state.advance is None else state.advance
+        if advance:
+            lines.append(f"M900 K{plain(advance, 5)}")
         for axis, frequency in (("X", table.shaper_freq_x), ("Y", table.shaper_freq_y)):
             if frequency:
                 lines.append(f"M593 {axis} F{plain(frequency, 3)}")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hframe_post.errors import PrinterError
+from hframe_post.firmware.advance import Advance, marlin_advance
 from hframe_post.firmware.base import MOST, Firmware, FirmwareLimits, unlimited
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
@@ -43,6 +44,7 @@ class Marlin(Firmware):
         frozenset({"M201", "M203", "M204", "M205"}), _accelerations, _dwell,
         retraction_settings=frozenset({"M207", "M208"}), g90_sets_e=True, saves_factor=True,
         ignores_zero_feed=True, splines=True, cr_ends_lines=True,
+        advance=marlin_advance,
     )  # fmt: skip
     configuration = "m503.txt"
     unchecked = (
@@ -67,6 +69,11 @@ class Marlin(Firmware):
         from hframe_post.firmware.marlin.written_moves import MarlinMoves
 
         return MarlinMoves(self.code(printer), printer.kinematics)
+
+    def advance(self, printer: Printer) -> Advance:
+        table = printer.firmware.marlin
+        seconds = 0.0 if table is None else table.linear_advance
+        return Advance.from_printer(printer, marlin_advance, seconds)
 
     def limits(self, printer: Printer) -> FirmwareLimits:
         table = printer.firmware.marlin

@@ -218,6 +218,7 @@ def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Kno
         "motors": motors(kinematics, velocity, acceleration, corner),
         "steps": _steps(settings),
         "retraction": _retraction(settings),
+        "extruder": _advance(settings),
         "speed": {"acceleration": acceleration},
         "sweep": sweep(acceleration),
         "firmware.marlin": _table(settings),
@@ -272,6 +273,11 @@ def _retraction(settings: MarlinSettings) -> dict[str, Known]:
         "return_speed": speed("M208", 0.0),
         "extra": settings.word("M208", "S", 0.0),
     }
+
+
+def _advance(settings: MarlinSettings) -> dict[str, Known]:
+    K = settings.word("M900", "K", 0.0)
+    return {"advance": K} if K.value else {}
 
 
 def _table(settings: MarlinSettings) -> dict[str, Known]:

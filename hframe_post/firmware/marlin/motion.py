@@ -17,6 +17,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, Integers, Z
 from hframe_post.errors import HframeError
+from hframe_post.firmware.advance import ExtruderLimits
 from hframe_post.firmware.marlin.code import JUNCTION_DEVIATION, MarlinCode
 from hframe_post.firmware.marlin.planner import Planner
 from hframe_post.firmware.motion import SPARED, MotionRules, NextTo, Stroke, Way
@@ -65,6 +66,18 @@ class MarlinMotion(MotionRules):
     def steady(self) -> int:
         # whole steps and ticks leave blocks that no rate fits; their neighbours make up for it
         return 0 if self.planner.fixed_time else 50
+
+    @property
+    def extruder(self) -> ExtruderLimits:
+        """Return the limits of E: those of M203, M201 and, from line to line, of M205.
+
+        Rounding to whole steps makes a line faster by a step.
+        """
+        lines, users = SPARED * self.lines_per_second, self.code.limits
+        least = 0.1 * users.extruder_velocity
+        velocity = max(SPARED * users.extruder_velocity - self.code.steps.e * lines, least)
+        acceleration = self.code.table.max_acceleration_e or users.extruder_acceleration
+        return ExtruderLimits(velocity, min(acceleration, self.code.jerk_e * lines))
 
     def dwell(self, seconds: float, next_to: NextTo) -> tuple[bytes, float] | None:
         # a dwell is left out, and what follows makes up for it

@@ -72,7 +72,7 @@ def tower(printer: Printer, heat: Heat) -> list[str]:
 
     Raises HframeError if it does not fit onto the bed.
     """
-    (x, y), long = _middle(printer), comb(printer)
+    (x, y), long = middle(printer), comb(printer)
     width = depth = SIDE + 2.0 * GAP
     if long is not None:
         x, width, depth = x - SIDE / 2.0, 2.0 * (SIDE + GAP), depth + 2.0 * (GAP + DEPTH)
@@ -81,7 +81,7 @@ def tower(printer: Printer, heat: Heat) -> list[str]:
     lines = [
         OFF.decode(),
         f"; waves to measure, hframe-post {__version__}",
-        *_heated(printer, heat),
+        *heated(printer, heat),
     ]
     if long is not None:
         lines += _comb(printer, long, y - SIDE / 2.0 - GAP - DEPTH)
@@ -104,7 +104,8 @@ def _limits(printer: Printer, acceleration: float, corner: float) -> list[str]:
     return _code(printer).set_limits(printer.limits.velocity, acceleration, corner)
 
 
-def _heated(printer: Printer, heat: Heat) -> list[str]:
+def heated(printer: Printer, heat: Heat) -> list[str]:
+    """Return the commands that heat and home the printer."""
     nozzle, bed = (plain(one, 0) for one in heat)
     return [f"M140 S{bed}", f"M190 S{bed}", "G28", *_code(printer).after_homing,
             f"M104 S{nozzle}", f"M109 S{nozzle}", "M106 S128", "G90", "M83"]  # fmt: skip
@@ -118,7 +119,7 @@ def comb(printer: Printer) -> Comb | None:
     a = min(most, COMB_ACCELERATION)
     v = min(COMB_SPEED, printer.limits.velocity, float(np.sqrt(0.1 * BLOCK * a)))
     blocks = int((np.ptp(printer.travel.x) - 2.0 * GAP) // BLOCK)
-    left = _middle(printer)[0] - blocks * BLOCK / 2.0
+    left = middle(printer)[0] - blocks * BLOCK / 2.0
     return Comb(left, blocks, round(v, 1), round(a))
 
 
@@ -128,16 +129,16 @@ def _comb(printer: Printer, wall: Comb, y: float) -> Iterator[str]:
     code = _code(printer)
     yield from ["; wall for racking", *_limits(printer, wall.acceleration, HARD)]
     yield from _brim(printer, (left, y), (right, back))
-    yield _travel(left, y)
+    yield travel(left, y)
     for layer in range(LOW):
         yield from (_height(layer), "G4 P0")
         for x, both in zip(wall.borders().tolist(), pairwise(wall.accelerations), strict=True):
             halves = pairwise([(x, y), (x + BLOCK / 2.0, y), (x + BLOCK, y)])
             for half, a in zip(halves, both, strict=True):
                 yield code.set_acceleration(a)
-                yield from _line(printer, half, wall.speed if layer else FIRST)
+                yield from extruded(printer, half, wall.speed if layer else FIRST)
             yield "G4 P0"
-        yield from _line(printer, [(right, y), (right, back), (left, back), (left, y)], FIRST)
+        yield from extruded(printer, [(right, y), (right, back), (left, back), (left, y)], FIRST)
     yield _height(LOW + LAYERS)
 
 
@@ -153,7 +154,7 @@ def _square(
 
 def _brim(printer: Printer, low: Place, high: Place) -> Iterator[str]:
     """Yield lines on the bed around a rectangle between two corners, from the outermost."""
-    yield _travel(*(at - BRIM * WIDTH for at in low))  # it may pass above another wall
+    yield travel(*(at - BRIM * WIDTH for at in low))  # it may pass above another wall
     yield _height(0)
     for w in (k * WIDTH for k in range(BRIM, 0, -1)):
         yield from _loop(printer, (low[0] - w, low[1] - w), (high[0] + w, high[1] + w), FIRST)
@@ -161,11 +162,11 @@ def _brim(printer: Printer, low: Place, high: Place) -> Iterator[str]:
 
 def _loop(printer: Printer, low: Place, high: Place, speed: float) -> Iterator[str]:
     """Yield a rectangle, counter-clockwise from the front left corner."""
-    yield _travel(*low)
-    yield from _line(printer, [low, (high[0], low[1]), high, (low[0], high[1]), low], speed)
+    yield travel(*low)
+    yield from extruded(printer, [low, (high[0], low[1]), high, (low[0], high[1]), low], speed)
 
 
-def _line(printer: Printer, places: Sequence[Place], speed: float) -> Iterator[str]:
+def extruded(printer: Printer, places: Sequence[Place], speed: float) -> Iterator[str]:
     """Yield moves that extrude from the first place to the others in turn."""
     for start, (x, y) in pairwise(places):
         volume = LAYER * WIDTH * dist(start, (x, y))
@@ -177,11 +178,13 @@ def _height(layer: int) -> str:
     return f"G1 Z{plain((layer + 1) * LAYER, 2)} F600"
 
 
-def _travel(x: float, y: float) -> str:
+def travel(x: float, y: float) -> str:
+    """Return a move to a place without extrusion."""
     return f"G0 X{plain(x, 3)} Y{plain(y, 3)} F{plain(TRAVEL * 60.0, 0)}"
 
 
-def _middle(printer: Printer) -> Place:
+def middle(printer: Printer) -> Place:
+    """Return the middle of the bed."""
     return round(sum(printer.travel.x) / 2.0, 1), round(sum(printer.travel.y) / 2.0, 1)
 
 
@@ -207,13 +210,13 @@ def _squares(
     printer: Printer, plants: Sequence[Plant], heat: Heat, limits: Limits
 ) -> tuple[list[bytes], bool]:
     """Return the G-code, and whether less than all is compensated somewhere."""
-    n, (x, y) = len(plants), _middle(printer)
+    n, (x, y) = len(plants), middle(printer)
     side = min(SIDE, (float(np.ptp(printer.travel.x)) - (n + 1) * GAP) / n)
     if side < SIDE / 2.0 or np.ptp(printer.travel.y) < side + 2.0 * GAP:
         raise HframeError(f"the bed is too small for {n} squares of {SIDE / 2.0:g} mm in a row")
     speed, above = bands(printer)[-1].speed, f"G1 Z{plain(LOW * LAYER + 3.0, 1)} F600"
     head = [OFF.decode(), f"; {n} squares to compare, hframe-post {__version__}"]
-    pieces, clamped = ["\n".join([*head, *_heated(printer, heat), ""]).encode()], False
+    pieces, clamped = ["\n".join([*head, *heated(printer, heat), ""]).encode()], False
     for k, plant in enumerate(plants):
         at = round(x + (k - (n - 1) / 2.0) * (side + GAP), 1), y
         walls = _square(printer, at, side, speed, range(LOW))

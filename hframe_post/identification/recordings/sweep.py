@@ -43,7 +43,7 @@ from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import STAMP
 from hframe_post.identification.recordings.accelerometer import FULL_SCALE
 from hframe_post.identification.recordings.excitation import peaks, trajectory
-from hframe_post.printer.firmware_tables import RECORDED
+from hframe_post.printer.firmware_tables import RECORDED, USUAL_CHIP
 from hframe_post.printer.settings import Printer, Sweep
 from hframe_post.stream.types import (
     Dwell,
@@ -66,7 +66,6 @@ APPROACH = 100.0  # mm/s, to the place of a run
 LIFT = 5.0  # mm/s
 SETTLED = 2000  # samples of rest before a recording, in which the sensors are set up
 STATE = "hframe_post_sweep"
-USUAL_CHIP = "adxl345"  # of [adxl345] in printer.cfg
 HEAD = """\
 ; accelerometer runs for printer {printer}, {version}: {runs}, {total}
 ; Before printing this file: home (G28), clear the bed, bring hotend and bed to the temperature

@@ -172,7 +172,8 @@ class Machine:
             if len(self._buffer) == SAMPLES_AT_ONCE and (batch := self._buffer.batch(last=False)):
                 yield from self._motion(batch)
             rows = slice(start, stop)
-            start += self._buffer.add(xy[rows], xyze[rows], chunk.first + start, here)
+            ahead = chunk.advance[rows, 0] if chunk.advance is not None and chunk.in_e else None
+            start += self._buffer.add(xy[rows], xyze[rows], ahead, chunk.first + start, here)
 
     def _stop(self, speed: float = 0.0) -> Iterator[OutputCommand]:
         """Yield what is buffered, up to rest or to a lift that begins at a speed, mm/s."""

@@ -111,11 +111,11 @@ class SampleBuffer:
     def __len__(self) -> int:
         return self._count
 
-    def add(self, xy: Array, xyze: Array, index: int, here: Position) -> int:
+    def add(self, xy: Array, xyze: Array, advance: Array | None, index: int, here: Position) -> int:
         """Add samples from ``index`` on, and return how many there was room for.
 
-        xy (n, 2): the command; xyze (n, 4): the path, for z and e; here: the machine's place
-        before them if motion begins.
+        xy (n, 2): the command; xyze (n, 4): the path, for z and e; advance (n,): mm to add to e;
+        here: the machine's place before them if motion begins.
         """
         if not self._count:
             self._index = index
@@ -126,6 +126,8 @@ class SampleBuffer:
         points[:] = xyze[:n]  # rows, then columns: numpy is slow along axes as short as two
         points[:, X] = xy[:n, X]
         points[:, Y] = xy[:n, Y]
+        if advance is not None:
+            points[:, E] += advance[:n]
         self._count += n
         return n
 

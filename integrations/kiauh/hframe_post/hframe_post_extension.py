@@ -15,7 +15,7 @@ from extensions.base_extension import BaseExtension
 
 ENVIRONMENT = Path.home() / "hframe-post-env"
 PROGRAM = Path.home() / ".local/bin/hframe-post"
-NEXT = "Next, in ~/printer_data/config: hframe-post setup printer.cfg --moonraker"
+NEXT = "Next: hframe-post setup --moonraker"
 
 
 class HframePostExtension(BaseExtension):

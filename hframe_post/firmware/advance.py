@@ -1,0 +1,106 @@
+"""Pressure advance: by how much an extruder runs ahead of the path, and the lines that set it.
+
+The pressure in a hot end follows the extruder late, as a filter of first order with a time of
+``seconds``. So firmwares command E + seconds · dE/dt.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from hframe_post.printer.settings import (
+    LONGEST_ADVANCE,
+    LONGEST_SMOOTHING,
+    SMOOTH_TIME,
+    Extruder,
+    Printer,
+)
+
+_KLIPPER = re.compile(rb"\s*(?:N\d+\s*)?SET_PRESSURE_ADVANCE\s([^;#*]*)", re.IGNORECASE)
+_PARAMETER = re.compile(rb"(\w+)=[\"']?([^\s\"']*)")
+_MARLIN = re.compile(rb"\s*(?:N\s*\d+\s*)?M\s*900(?![\d.])([^;(*]*)", re.IGNORECASE)
+_WORD = re.compile(rb"([A-Z])\s*(\d*\.?\d*)", re.IGNORECASE)
+
+
+class AdvanceChange(NamedTuple):
+    """What a line sets, s; None: it stays."""
+
+    seconds: float | None = None
+    smooth_time: float | None = None
+
+
+NOTHING = AdvanceChange()
+
+
+def no_advance(_: bytes) -> AdvanceChange:
+    """Return what a line sets where no command sets advance: nothing."""
+    return NOTHING
+
+
+@dataclass(frozen=True, slots=True)
+class Advance:
+    """The advance in force. smooth_time: s over which it is averaged; reads: what a line sets."""
+
+    seconds: float = 0.0
+    smooth_time: float = SMOOTH_TIME
+    reads: Callable[[bytes], AdvanceChange] = no_advance
+
+    @classmethod
+    def from_printer(
+        cls, printer: Printer, reads: Callable[[bytes], AdvanceChange], seconds: float = 0.0
+    ) -> Advance:
+        """Return the advance of a profile. seconds: where the profile has none."""
+        own = printer.extruder or Extruder(seconds)
+        return cls(own.advance, own.smooth_time, reads)
+
+    def after(self, text: bytes) -> Advance:
+        """Return what is in force after a line."""
+        change = self.reads(text)
+        given = {name: value for name, value in change._asdict().items() if value is not None}
+        return replace(self, **given) if given else self
+
+
+NO_ADVANCE = Advance()
+
+
+@dataclass(frozen=True, slots=True)
+class ExtruderLimits:
+    """Greatest speed, mm/s, and acceleration, mm/s², of an extruder that is told its advance."""
+
+    velocity: float
+    acceleration: float
+
+
+def klipper_advance(text: bytes) -> AdvanceChange:
+    """Return what SET_PRESSURE_ADVANCE sets for the extruder that prints."""
+    if (match := _KLIPPER.match(text)) is None:
+        return NOTHING
+    found = {name.upper(): value for name, value in _PARAMETER.findall(match[1])}
+    if found.get(b"EXTRUDER", b"extruder") != b"extruder":
+        return NOTHING
+    return AdvanceChange(
+        _within(found.get(b"ADVANCE"), LONGEST_ADVANCE),
+        _within(found.get(b"SMOOTH_TIME"), LONGEST_SMOOTHING),
+    )
+
+
+def marlin_advance(text: bytes) -> AdvanceChange:
+    """Return what M900 sets for the first extruder."""
+    if (match := _MARLIN.match(text)) is None:
+        return NOTHING
+    found = {name.upper(): value for name, value in _WORD.findall(match[1])}
+    if _within(found.get(b"T"), 99.0):
+        return NOTHING
+    return AdvanceChange(_within(found.get(b"K"), LONGEST_ADVANCE))
+
+
+def _within(text: bytes | None, most: float) -> float | None:
+    """Return a number from 0 to ``most``; None for anything else, which firmware refuses."""
+    try:
+        value = float(text or b"")
+    except ValueError:
+        return None
+    return value if 0.0 <= value <= most else None

@@ -1,0 +1,148 @@
+"""What the component's processes do. Each returns an exit status, as a program does."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+
+from .conversion import converted
+from .disk import FailureError, GoneError, alone, cause, settle, stamp
+from .interface import Interface
+from .originals import settings_of
+from .recordings import conclude, prepare
+from .settings import Settings
+from .upload import Upload, refuse
+
+__all__ = ["Settings", "again", "conclude", "prepare", "stale", "tidy", "upload"]
+
+OF_THE_FILE = re.compile(r"line \d+: ")  # how the reasons begin that a line of the file gives
+
+
+def upload(settings: Settings, path: str) -> int:
+    """Convert a new file. If it fails, it cannot be printed, unless the profile is the cause."""
+    with alone(settings.folder):
+        settings.originals.make_room()
+        while stamp(Path(path)):  # otherwise it was deleted while it waited
+            status = _uploaded(settings, Path(path))
+            if status is not None:
+                return status
+            settle(Path(path))  # it was replaced, and Moonraker does not read it meanwhile
+    return 1
+
+
+def _uploaded(settings: Settings, path: Path) -> int | None:
+    """Convert a new file; return None if it was replaced meanwhile."""
+    interface, one = _interface(settings, path), Upload(path, Path(settings.gcodes))
+    made = one.work.with_suffix(".converted")
+    try:
+        one.take()
+        text, new = converted(one.work, made, path.name, settings.command, interface, one.is_gone)
+        one.give_back(made if new else None, settings.originals)
+    except (FailureError, GoneError, OSError) as error:
+        fate = one.let_go() if one.is_gone() else "failed"
+        if fate == "replaced":
+            return None
+        if fate != "failed":
+            interface.report(f"its conversion was stopped, because it was {fate}")
+        elif one.work.exists() and (unusable := _unusable(settings, error)):
+            one.give_back(None, settings.originals)
+            interface.report(f"left as sliced: {unusable}", failed=True)
+        else:
+            reason = f"not converted: {cause(error)}"
+            interface.report(reason, failed=True)
+            refuse(one, reason)
+        return 1
+    finally:
+        made.unlink(missing_ok=True)
+    interface.report(text)
+    return 0
+
+
+def _unusable(settings: Settings, error: Exception) -> str:
+    """Return why no file at all can be converted with the profile; empty: the file is the cause."""
+    if not isinstance(error, FailureError) or OF_THE_FILE.match(cause(error)):
+        return ""
+    try:
+        settings.present()
+    except FailureError as of_profile:
+        return cause(of_profile) if shutil.which(settings.command[0]) else ""
+    return ""
+
+
+def again(settings: Settings, *names: str) -> int:
+    """Convert files again from what was sliced; without names all that are stale."""
+    gcodes, failed = Path(settings.gcodes), 0
+    with alone(settings.folder):
+        try:
+            present = "" if names else settings.present()
+            paths = [gcodes / name for name in names] or [*settings.originals.stale(present)]
+        except FailureError as error:
+            Interface(settings.socket).report(f"nothing is converted: {cause(error)}", failed=True)
+            return 1
+        for path in paths:
+            known = settings_of(path)
+            failed |= _again(settings, path) if known else _uploaded(settings, path) or 0
+    return failed
+
+
+def _again(settings: Settings, path: Path) -> int:
+    """Convert a file again. It stays as it is until the new one is complete, and if that fails."""
+    interface, before = _interface(settings, path), stamp(path)
+    new = settings.folder / f"{os.getpid()}.converted"
+    try:
+        original = settings.originals.of(path)
+        if not original.exists():
+            raise FailureError("its sliced file is not kept: upload it again")
+        text, _ = converted(
+            original, new, path.name, settings.command, interface, lambda: stamp(path) != before
+        )
+        settings.originals.replace(path, new, original)
+    except GoneError:
+        interface.report("its conversion was stopped, because it was deleted or replaced")
+        return 1
+    except (FailureError, OSError) as error:
+        interface.report(f"left as it was converted before: {cause(error)}", failed=True)
+        return 1
+    finally:
+        new.unlink(missing_ok=True)
+    interface.report(text.replace("converted", "converted again", 1))
+    return 0
+
+
+def stale(settings: Settings, *names: str) -> int:
+    """Print which files, or which of these, were converted with other settings, as JSON.
+
+    kept: those that can be converted again.
+    """
+    gcodes = Path(settings.gcodes)
+    try:
+        present = settings.present()
+    except FailureError:  # which an upload reports
+        return 1
+    if names:
+        old = [gcodes / name for name in names if settings_of(gcodes / name) not in ("", present)]
+        kept = [path for path in old if settings.originals.of(path).exists()]
+    else:
+        old = kept = [*settings.originals.stale(present)]
+    shown = {"old": old, "kept": kept}
+    print(json.dumps({key: [_name(gcodes, path) for path in each] for key, each in shown.items()}))
+    return 0
+
+
+def tidy(settings: Settings) -> int:
+    """Remove what is kept for files that are gone."""
+    with alone(settings.folder), contextlib.suppress(OSError):  # a file is deleted meanwhile
+        settings.originals.tidy()
+    return 0
+
+
+def _interface(settings: Settings, path: Path) -> Interface:
+    return Interface(settings.socket, os.fsencode(path.name).decode(errors="replace"))
+
+
+def _name(gcodes: Path, path: Path) -> str:
+    return os.fsencode(os.path.relpath(path, gcodes)).decode(errors="surrogateescape")

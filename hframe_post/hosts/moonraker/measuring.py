@@ -1,0 +1,80 @@
+"""Measuring jobs: Klipper plays a file while it records, then hframe-post updates the profile."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+JOB_ENDS = 3600.0  # s
+LOOK = 0.5  # s between two looks at a job
+
+
+class Measuring:
+    """Calibrations and checks, one at a time.
+
+    run: runs a duty and returns its exit status and output. say: shows a line on the console.
+    """
+
+    def __init__(
+        self, server: Any, run: Callable[..., Awaitable[tuple[int, str]]], say: Callable[..., None]
+    ) -> None:
+        self._server, self._run, self._say = server, run, say
+        self._busy = False
+
+    @property
+    def busy(self) -> bool:
+        """Return whether a measurement runs, during which nothing else can be printed."""
+        return self._busy
+
+    async def measure(self, kind: str, axis: str = "") -> bool:
+        """Record and update the profile; return whether it was written."""
+        if self._busy or self._stats().get("state") in ("printing", "paused"):
+            self._say("nothing is measured: the printer prints. Try again once it has ended", True)
+            return False
+        self._busy = True
+        try:
+            status, output = await self._run("prepare", kind, axis)
+            if status != 0:
+                return False
+            job, began = json.loads(output)["job"], time.time()
+            if not await self._played(job):
+                return False
+            self._say("recorded. The model is computed, which may take some minutes")
+            status, _ = await self._run("conclude", kind, job, repr(began))
+            return status == 0
+        finally:
+            self._busy = False
+
+    async def _played(self, job: str) -> bool:
+        """Let Klipper play a file, and return whether it came to its end."""
+        klippy = self._server.lookup_component("klippy_apis")
+        try:
+            await klippy.run_gcode(f'_HFRAME_RECORD FILENAME="{job}"')
+        except self._server.error as error:  # no sensor answers, for example
+            self._say(f"nothing is measured: {error}", True)
+            return False
+        try:
+            ended = await asyncio.wait_for(self._ended(job), JOB_ENDS)
+        except (self._server.error, asyncio.TimeoutError):  # noqa: UP041  Python 3.9
+            ended = "interrupted"
+        if ended != "complete":
+            self._say(f"nothing is measured: the recording was {ended}", True)
+        return ended == "complete"
+
+    async def _ended(self, job: str) -> str:
+        """Wait until a job has ended, and return its state. Klipper has loaded it already."""
+        klippy = self._server.lookup_component("klippy_apis")
+        while True:
+            stats = (await klippy.query_objects({"print_stats": None}))["print_stats"]
+            if stats["filename"] != job:
+                return "cancelled"  # and forgotten, or another file was begun
+            if stats["state"] not in ("standby", "printing", "paused"):
+                return str(stats["state"])
+            await asyncio.sleep(LOOK)
+
+    def _stats(self) -> dict[str, Any]:
+        stats: dict[str, Any] = self._server.lookup_component("job_state").get_last_stats()
+        return stats

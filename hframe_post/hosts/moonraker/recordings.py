@@ -1,0 +1,186 @@
+"""The G-code that Klipper plays while it records its accelerometers, and what the recordings say.
+
+Both kinds have a folder in FOLDER, with the G-code, the exact commands and the recordings. Those of
+one axis stay until it is recorded again, so that the sensor may be moved in between.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from .conversion import said
+from .disk import FOLDER, FailureError, cause
+from .interface import Interface
+from .settings import Settings
+
+WRITING = {  # a command's words before the file of G-code
+    "calibration": ("measure", "-q", "--times", "2", "-o"),
+    "check": ("check", "--gcode"),
+}
+MINUTES = 15.0 * 60.0  # s that such a command may take on a slow host
+ENDS_RECORDING = re.compile(r"^ACCELEROMETER_MEASURE CHIP=\S+ NAME=(\S+)$", re.MULTILINE)
+PATIENCE = 120.0  # s for Klipper to write its recordings, which it does in the background
+QUIET = 3.0  # s without a change, after which they are complete
+AXES = {"Gxx": "x", "Gyy": "y"}
+OTHER_PLACE = {
+    "X": "Mount the sensor on the print head, then type HFRAME_CALIBRATE AXIS=X",
+    "Y": "Move the sensor to the bed, then type HFRAME_CALIBRATE AXIS=Y",
+}
+
+
+def prepare(settings: Settings, kind: str, axis: str = "") -> int:
+    """Write the G-code of a kind and print the job to play, as JSON: its name below the folder.
+
+    axis: X or Y where one sensor records both, in two places. Exit status 1: said why not.
+    """
+    folder, interface = settings.folder / kind, Interface(settings.socket)
+    try:
+        program, profile = settings.program_and_profile()
+        if kind == "calibration" and axis != "Y":
+            shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(exist_ok=True)
+        os.utime(folder)  # the time of the last check
+        if kind == "calibration" or not _is_written(folder, profile):
+            command, *words = WRITING[kind]
+            target = str(folder / f"{command}.gcode")
+            said([*program, command, "-p", str(profile), *words, target], MINUTES)
+    except (FailureError, OSError) as error:
+        interface.report(f"nothing is measured: {cause(error)}", failed=True)
+        return 1
+    jobs = sorted(folder.glob("*.gcode"))
+    if len(jobs) > 1:
+        jobs = [job for job in jobs if job.stem.endswith(f"-{(axis or 'X').lower()}")]
+    elif axis:
+        interface.report("this printer's sensors record x and y at once, so AXIS does nothing")
+    print(json.dumps({"job": f"{FOLDER}/{kind}/{jobs[0].name}"}))
+    return 0
+
+
+def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
+    """Update the profile from what was recorded since a time, and say what came out.
+
+    job: as ``prepare`` prints it. began: s since 1970. Exit status 0: the profile was written.
+    """
+    interface = Interface(settings.socket)
+    try:
+        folder = settings.folder / kind
+        _fetch(settings, Path(settings.gcodes, job), float(began))
+        program, profile = settings.program_and_profile()
+        if kind == "calibration":
+            for axis in _missing(folder):
+                interface.report(f"recorded. {OTHER_PLACE[axis]}")
+                return 1
+        inputs = [str(path) for path in sorted(folder.glob("*.csv")) if _is_wanted(folder, path)]
+        summary = folder / "summary.json"
+        page = profile.with_suffix(".html")
+        words = {"calibration": ["identify", "--report", str(page)], "check": ["check"]}[kind]
+        result = ("-p", str(profile), "--json", str(summary), "-o", str(profile))
+        said([*program, *words, *result, *inputs], MINUTES)
+        found = json.loads(summary.read_text("utf-8"))
+    except (FailureError, OSError, ValueError) as error:
+        interface.report(f"the model stays as it was: {cause(error)}", failed=True)
+        return 1
+    told = {"calibration": _identified, "check": _checked}[kind](found)
+    plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
+    for line in (*told, f"the model is written into {profile}{plots}"):
+        interface.report(line)
+    return 0
+
+
+def _is_written(folder: Path, profile: Path) -> bool:
+    """Return whether the G-code in a folder is of the present profile."""
+    times = [path.stat().st_mtime for path in folder.glob("*.gcode")]
+    return bool(times) and min(times) > profile.stat().st_mtime
+
+
+def _commands(folder: Path) -> dict[str, Path]:
+    """Return the commands of a folder by the name of their run, such as measure-x-at-110."""
+    return {path.stem.partition(".")[2]: path for path in folder.glob("*.*.csv")}
+
+
+def _recordings(folder: Path, run: str) -> list[Path]:
+    """Return the recordings of a run in a folder."""
+    name = re.compile(rf".+-{re.escape(run)}(-t\d+)?\.csv")
+    return [path for path in folder.glob(f"*-{run}*.csv") if name.fullmatch(path.name)]
+
+
+def _fetch(settings: Settings, job: Path, began: float) -> None:
+    """Copy what Klipper recorded of a job, once it is complete. Raises FailureError, OSError."""
+    expected = Counter(ENDS_RECORDING.findall(job.read_text("utf-8")))
+    source, deadline = Path(settings.recordings), time.monotonic() + PATIENCE
+    before: dict[Path, int] = {}
+    changed = time.monotonic()
+    while True:
+        found = {
+            run: [p for p in _recordings(source, run) if p.stat().st_mtime >= began - 1.0]
+            for run in expected
+        }
+        sizes = {path: path.stat().st_size for paths in found.values() for path in paths}
+        if sizes != before:
+            before, changed = sizes, time.monotonic()
+        complete = all(len(found[run]) >= count for run, count in expected.items())
+        if complete and time.monotonic() - changed > QUIET:
+            break
+        if time.monotonic() > deadline:
+            raise FailureError(
+                f"Klipper wrote {len(sizes)} of {sum(expected.values())} recordings into {source}. "
+                "If it writes elsewhere, set recordings in [hframe_post] of moonraker.conf"
+            )
+        time.sleep(0.5)
+    for run, paths in found.items():
+        for old in _recordings(job.parent, run):
+            old.unlink()
+        for path in paths:
+            shutil.copyfile(path, job.parent / path.name)
+
+
+def _missing(folder: Path) -> Iterator[str]:
+    """Yield X or Y for each command of one axis that has no recording."""
+    for run in sorted(_commands(folder)):
+        if not _recordings(folder, run):
+            yield run.split("-")[1].upper()
+
+
+def _is_wanted(folder: Path, path: Path) -> bool:
+    """Return whether a file is a recording, or a command that was recorded."""
+    run = path.stem.partition(".")[2]
+    return not run or bool(_recordings(folder, run))
+
+
+def _identified(found: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what identify says, in four lines."""
+    axes = {AXES[name]: one for name, one in found["functions"].items() if name in AXES}
+    rings = [
+        f"{axis} rings at {one['modes'][0]['hz']:.1f} Hz (damping {one['modes'][0]['damping']:.2f})"
+        if one["modes"] else f"{axis} does not ring"
+        for axis, one in axes.items()
+    ]  # fmt: skip
+    if "Gxtheta" in found["functions"]:
+        rings.append("it racks")
+    yield ", ".join(rings)
+    errors, range_ = found["predicted"], found["predicted_under_model_error"]
+    yield (
+        f"compensation leaves {range_['median_um']:.1f} of {errors['none']['rms']:.1f} µm RMS of a "
+        f"rectangle's contour error, up to {range_['worst_um']:.1f} µm as the printer changes"
+    )
+    unexplained = (f"{axis} {100.0 * one['residual']:.1f} %" for axis, one in axes.items())
+    yield f"it does not remove what the model does not explain: {', '.join(unexplained)}"
+    warnings = found["warnings"]
+    yield "WARNING: " + "; ".join(warnings) if warnings else "nothing else is unusual"
+
+
+def _checked(found: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what check says, a line for each axis."""
+    for name, one in found["functions"].items():
+        before, now = one["resonance"]["hz"]
+        moved = f"moved from {before:.1f} to {now:.1f} Hz" if one["drifted"] else "has not drifted"
+        old, new = (f"{100.0 * share:.0f} %" for share in one["unexplained"])
+        yield f"{AXES[name]}: the main resonance {moved}, unexplained {old} → {new}"

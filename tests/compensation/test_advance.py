@@ -1,0 +1,88 @@
+"""The stage that adds pressure advance: cuts, lines of the file, and filament at every stop."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hframe_post.arrays import Array
+from hframe_post.compensation.advance import Advancing
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.firmware.advance import Advance, ExtruderLimits, klipper_advance, marlin_advance
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Extruder
+from hframe_post.stream.chunks import smaller
+from hframe_post.stream.types import Samples
+from tests.gcode_tools import converted, sample
+
+LIMITS = ExtruderLimits(40.0, 2000.0)
+ADVANCES = {
+    "Klipper's": (Advance(0.05, 0.04, klipper_advance), None),
+    "ours": (Advance(0.05, 0.04, marlin_advance), LIMITS),
+}
+
+
+@pytest.fixture(scope="module")
+def chunks() -> list[Samples]:
+    """Return part of the cube, in which the advance changes."""
+    lines = sample("cube.gcode")
+    lines = lines[: lines.index(b";LAYER:1\n")][:160]
+    for at, text in (
+        (80, b"M900 K0.09\n"), (80, b"SET_PRESSURE_ADVANCE ADVANCE=0.09 SMOOTH_TIME=0.02\n"),
+        (120, b"M900 K0\n"), (120, b"SET_PRESSURE_ADVANCE ADVANCE=0\n"),
+    ):  # fmt: skip
+        lines.insert(at, text)
+    source = SampleStream(iter(lines), load("paper"), Options("none", limits="printer"))
+    return list(source.computed())
+
+
+def advances(chunks: Iterable[Samples], name: str) -> tuple[Array, Advancing]:
+    stage = Advancing(*ADVANCES[name])
+    found: Iterator[Array] = (
+        np.zeros((len(c), 2)) if c.advance is None else c.advance for c in stage.samples(chunks)
+    )
+    return np.concatenate(list(found)), stage
+
+
+@pytest.mark.parametrize("name", ADVANCES)
+def test_cuts_do_not_matter(chunks: list[Samples], name: str) -> None:
+    whole, _ = advances(chunks, name)
+    cut, _ = advances(smaller(chunks, 177), name)
+    np.testing.assert_array_equal(cut[:, 0], whole[:, 0])
+
+
+@pytest.mark.parametrize("name", ADVANCES)
+def test_lines_of_the_file_change_it(chunks: list[Samples], name: str) -> None:
+    found, stage = advances(chunks, name)
+    assert (stage.least, stage.most) == (0.0, 0.09)
+    seconds = found[:, 1]
+    assert {*np.unique(seconds)} == {0.0, 0.05, 0.09}
+    assert np.argmax(seconds == 0.09) < np.argmax(seconds == 0.0)
+    assert not found[-1].any()
+
+
+@pytest.mark.slow
+def test_the_filament_at_every_retraction_is_that_of_the_file() -> None:
+    """To the last digit that is written."""
+    lines = sample("cube.gcode")
+    lines = lines[: lines.index(b";LAYER:1\n")]
+
+    def at_retractions(K: float) -> list[int]:
+        printer = replace(load("paper-marlin"), extruder=Extruder(K))
+        text, _ = converted(lines, printer)
+        fed, found = 0, list[int]()
+        for line in text.splitlines():
+            if match := re.match(rb"G1 (?:[^;]* )?E(-?[\d.]+)", line):
+                if not re.search(rb"[XY]", line):
+                    found.append(fed)
+                fed += round(1e5 * float(match[1]))
+        return [*found, fed]
+
+    plain, advanced = at_retractions(0.0), at_retractions(0.05)
+    assert len(plain) > 3
+    assert advanced == plain
