@@ -40,8 +40,8 @@ def all_kinds() -> list[type[Exception]]:
 
 def example(kind: type[Exception]) -> Exception:
     """Return an error with a value for every argument, also those with a default."""
-    parameters = list(inspect.signature(kind).parameters.values())
-    names = [getattr(one.annotation, "__name__", str(one.annotation)) for one in parameters]
+    annotations = [each.annotation for each in inspect.signature(kind).parameters.values()]
+    names = [each.__name__ if isinstance(each, type) else str(each) for each in annotations]
     return kind(*(SAMPLES[name] for name in names))
 
 

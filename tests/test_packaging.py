@@ -19,6 +19,7 @@ import pytest
 import hframe_post
 from hframe_post.errors import install_advice
 from tests.conftest import ROOT, SAMPLES
+from tools.release_check import KIAUH, missing
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 
@@ -121,6 +122,37 @@ def test_octoprint_finds_the_plugin_in_the_package() -> None:
 
 def test_version_is_that_of_the_installation() -> None:
     assert metadata.version("hframe-post") == hframe_post.__version__
+
+
+FILLED_IN = {
+    "pyproject.toml": "[project.urls]\nHomepage = ''\nRepository = ''\nChangelog = ''\n",
+    KIAUH: '{"metadata": {"repo": "https://example.org"}}',
+    "README.md": "![a figure](https://example.org/a.svg)\npipx install hframe-post\n",
+    "docs/install.md": "pipx install hframe-post\n",
+    "docs/start.md": "pipx install hframe-post\n",
+}
+
+
+@pytest.mark.parametrize(
+    ("page", "now", "forgotten", "words"),
+    [
+        ("pyproject.toml", "Homepage", "Home", r": \[project.urls\] has no Homepage"),
+        (KIAUH, "repo", "report", ": there is no repo"),
+        ("README.md", "https://example.org/", "docs/", ":1: PyPI shows figures"),
+        ("docs/start.md", "install hframe-post", "install .", ":1: .*: pipx install \\."),
+        ("docs/install.md", "pipx", "It is in no index", ":1: .*: It is in no index"),
+    ],
+)
+def test_a_release_names_what_its_owner_forgot(
+    page: str, now: str, forgotten: str, words: str, tmp_path: Path
+) -> None:
+    for name, text in FILLED_IN.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    assert missing(tmp_path) == []
+    (tmp_path / page).write_text(FILLED_IN[page].replace(now, forgotten))
+    (line,) = missing(tmp_path)
+    assert re.match(f"{page}{words}", line)
 
 
 @pytest.mark.parametrize(

@@ -29,11 +29,12 @@ def build(folder: Path) -> Path:
     found = re.match(r"\d+\.\d+(\.\d+)?", about["Version"])
     version = found[0] if found and found[1] else f"{found[0] if found else '0.0'}.0"
     author = about["Author"]
+    urls = dict(each.split(", ", 1) for each in about.get_all("Project-URL") or ())
     said = {"description": about["Summary"], "supported_sdk_versions": [SDK]}
     package = {
         "package_id": NAME, "package_type": "plugin", "display_name": "hframe-post",
         "package_version": version, "sdk_version": int(SDK[0]), "sdk_version_semver": SDK,
-        "description": about["Summary"], "website": "",
+        "description": about["Summary"], "website": urls.get("Homepage", ""),
         "author": {"author_id": "hframepost", "display_name": author, "email": "", "website": ""},
     }  # fmt: skip
     plugin = {"name": "hframe-post", "author": author, "version": version, "api": 8, **said}

@@ -1,4 +1,4 @@
-"""Hooks of mkdocs: pages from outside docs/, and a reference from the docstrings."""
+"""Hooks of mkdocs: pages from outside docs/, links by title, a reference from the docstrings."""
 
 from __future__ import annotations
 
@@ -11,30 +11,41 @@ from mkdocs.structure.files import File, Files
 import hframe_post as hp
 
 ROOT = Path(__file__).resolve().parents[1]
-OUTSIDE = {"README.md": "overview.md", "CONTRIBUTING.md": "contributing.md",
-           "CHANGELOG.md": "changelog.md"}  # fmt: skip
+PAGES = {  # files of the project that are pages under another name
+    "README.md": "index.md",
+    "docs/index.md": "pages.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+}
+LINK = re.compile(r"\[([^][]*)\]\(([\w./-]+\.md)(#[^)]*)?\)")
 
 
 def on_files(files: Files, config: Any) -> Files:
     """Add the pages that are not files of docs/."""
-    for source, page in OUTSIDE.items():
-        text = (ROOT / source).read_text("utf-8").replace("](docs/", "](")
-        files.append(File.generated(config, page, content=linked(text)))
+    for source, page in PAGES.items():
+        text = (ROOT / source).read_text("utf-8").replace("](docs/paper/", "](paper/")
+        files.append(File.generated(config, page, content=text))
     names = [where(name) for name in hp.__all__ if name != "__version__"]
     text = "# Reference\n\n" + "\n".join(f"::: {name}" for name in names)
     files.append(File.generated(config, "reference.md", content=text))
     return files
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Let links lead to the pages that were added."""
-    return linked(markdown.replace("](../", "]("))
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Let links lead to pages of the site, and name a page by its title instead of its file."""
+    sources = {name: source for source, name in PAGES.items()}
+    uri = page.file.src_uri
+    folder = (ROOT / sources.get(uri, f"docs/{uri}")).parent
 
+    def linked(found: re.Match[str]) -> str:
+        words, target, anchor = found[1], found[2], found[3] or ""
+        path = (folder / target).resolve()
+        source = str(path.relative_to(ROOT))
+        if words.removeprefix("docs/") in (target, path.name):
+            words = path.read_text("utf-8").partition("\n")[0].removeprefix("# ")
+        return f"[{words}]({PAGES.get(source, source.removeprefix('docs/'))}{anchor})"
 
-def linked(text: str) -> str:
-    return re.sub(
-        rf"\]\(({'|'.join(map(re.escape, OUTSIDE))})", lambda found: f"]({OUTSIDE[found[1]]}", text
-    )
+    return LINK.sub(linked, markdown)
 
 
 def where(name: str) -> str:

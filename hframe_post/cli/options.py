@@ -208,6 +208,8 @@ def progress_bar(source: Path, quiet: bool) -> Iterator[Callable[[int], object] 
         length=size, label=source.name, file=sys.stderr, update_min_steps=size // 200
     ) as bar:
         yield bar.update
+        bar.finish()  # click 8.2 leaves out the last steps
+        bar.render_progress()
 
 
 def _log_progress(size: int) -> Callable[[int], None]:

@@ -48,6 +48,28 @@ def segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool
     return ends
 
 
+def with_late_starts(ends: Integers, steps: Integers) -> tuple[Integers, Integers]:
+    """Return ends (k,), one more where a rest goes on until the command sets out; and whose place.
+
+    The places (k,) are the samples that the segments end at the place of. steps (n, 2): of the
+    motors. A command that swings by a few steps first comes back to where it rested. Marlin cannot
+    follow it there, and one segment for all of that would be slow and far off.
+    """
+    places = np.vstack([np.zeros((1, 2), dtype=np.int64), np.cumsum(steps, axis=0)])
+    starts = np.append(0, ends[:-1])
+    moving = most_steps(places[ends] - places[starts]) > 0
+    rested = np.append(True, ~moving[:-1])  # so does motion that a batch begins with, perhaps
+    found, at = list[int](), list[int]()
+    for k in (moving & rested).nonzero()[0].tolist():
+        away = np.abs(places[starts[k] : ends[k]] - places[starts[k]]).max(axis=1) > 1
+        back = int((~away).nonzero()[0][-1])
+        if away[:back].any():
+            found.append(int(starts[k]) + back)
+            at.append(int(starts[k]))
+    rows = np.searchsorted(ends, found)
+    return np.insert(ends, rows, found), np.insert(ends, rows, at)
+
+
 def _edges_of_rest(path: Integers) -> Integers:
     changes = np.flatnonzero(np.diff(path)) + 1
     first, after = np.append(0, changes), np.append(changes, len(path))

@@ -17,14 +17,14 @@ from hframe_post.conversion.tables import SampleConversion, StepConversion
 from hframe_post.errors import LimitError, PrinterError
 from hframe_post.gcode import batching
 from hframe_post.planner import sampling
-from hframe_post.printer.profile import load, parse
+from hframe_post.printer.profile import load, parse, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 from hframe_post.writers import step_file, steps
 from hframe_post.writers.samples import COLUMNS, as_csv
 from hframe_post.writers.step_file import MOTORS, inlined
 from tests.command_line import run
-from tests.conftest import ROOT, SAMPLES, few
+from tests.conftest import SAMPLES, few
 
 RECTANGLE = SAMPLES / "rectangle.gcode"
 TURN = [
@@ -176,7 +176,7 @@ def test_profile_without_steps_has_all_other_formats() -> None:
         converted(TURN, printer, "steps")
 
 
-PAPER_TEXT = (ROOT / "hframe_post" / "printer" / "profiles" / "paper.toml").read_text("utf-8")
+PAPER_TEXT = shipped()["paper"]
 
 
 def test_clock_that_is_too_slow_names_the_line_of_the_file() -> None:

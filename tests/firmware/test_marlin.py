@@ -238,7 +238,9 @@ def test_counting_filament_again_keeps_the_fraction_of_a_step(marlin: Printer) -
 def test_fixed_time_motion_fills_its_queue_before_it_moves(marlin: Printer) -> None:
     """It goes up and down by what a block needs, for longer than it plans ahead."""
     begin = code(with_own(marlin, planner="ft-motion")).begin(NOWHERE, AT)
-    (up, feed), (down, _) = (map(float, WORDS.findall(line)) for line in begin[-2:])
+    (up, feed), (down, _) = (map(float, WORDS.findall(line)) for line in begin[-3:-1])
+    assert begin[-4] == b"M201 Z100000"  # else it overshoots downwards
+    assert begin[-1] == b"M201 Z%d" % marlin.limits.z_acceleration
     assert marlin.steps is not None
     assert (up - AT[2]) / marlin.steps.z == pytest.approx(6.0)
     assert down == AT[2]

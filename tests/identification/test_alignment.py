@@ -38,7 +38,7 @@ def seconds(swept: Array) -> float:
 def tone(values: Array, hz: float, t: Array) -> complex:
     """Complex amplitude of a sine in values (n,)."""
     columns = np.column_stack([np.sin(2.0 * np.pi * hz * t), np.cos(2.0 * np.pi * hz * t)])
-    (sine, cosine), *_ = np.linalg.lstsq(columns, values)
+    (sine, cosine), *_ = np.linalg.lstsq(columns, values, rcond=None)
     return complex(sine, cosine)
 
 

@@ -51,7 +51,7 @@ def lagging(G: TransferFunction, lead: int, lag: float = 0.0, m: int = 440) -> I
     columns = -((2.0 * np.sin(omega / 2.0)) ** 2)[:, None] * np.exp(-1j * np.outer(omega, t))
     A, b = (np.concatenate([x.real, x.imag]) for x in (columns / hz[:, None], wanted / hz))
     decay = np.diag(1e-3 * 1.015 ** np.abs(t) / hz[-1])
-    q = np.linalg.lstsq(np.vstack([A, decay]), np.concatenate([b, np.zeros(m)]))[0]
+    q = np.linalg.lstsq(np.vstack([A, decay]), np.concatenate([b, np.zeros(m)]), rcond=None)[0]
     return ImpulseResponse(q, lead, lag=lag)
 
 

@@ -436,7 +436,10 @@ def _spread(block: Block) -> Integers:
 
 
 def fixed_time(blocks: list[Block]) -> FixedTimeRun:
-    """Return exact trapezoids in time, looked up every millisecond."""
+    """Return exact trapezoids in time, looked up every millisecond.
+
+    A block that is to end faster than it can run overshoots, as the real one does.
+    """
     durations, shares = [], []
     for block in blocks:
         a, v_s, v_e = block.path_acceleration, block.entry, block.exit
@@ -457,7 +460,7 @@ def fixed_time(blocks: list[Block]) -> FixedTimeRun:
         np.array([getattr(b, name) for b in blocks])[which] for name in ("start", "delta")
     )
     d = np.array([b.d for b in blocks])[which]
-    frames = np.vstack([blocks[0].start, start + delta * np.clip(s / d, 0.0, 1.0)[:, None]])
+    frames = np.vstack([blocks[0].start, start + delta * np.maximum(s / d, 0.0)[:, None]])
     return FixedTimeRun(frames)
 
 

@@ -191,6 +191,32 @@ def test_rectangle_keeps_time_and_place(
     below(np.ptp(late), 2e-3, "range of the lateness, s")
     below(rms(off), 0.012, "RMS distance to the command, mm")
     below(off.max(), 0.06, "greatest distance to the command, mm")
+    if own["planner"] != "2.0":  # in which two steps wait after a turn
+        _, starting = rectangle.lateness(0, rectangle.run.sets_out, 0.4)
+        below(starting[:100].max(), 0.0605, "distance in the first 0.1 s, mm")
+
+
+SWING = [b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 E2 F1800\n", b"G1 X130 Y93 E2 F1200\n"]
+
+
+@pytest.mark.parametrize("planner", ["2.1", "2.1-dev", "ft-motion"])
+def test_a_start_that_swings_by_a_few_steps_is_waited_for(marlin: Printer, planner: str) -> None:
+    """The command swings by 50 µm before it sets out: as one long segment it is off by 204 µm."""
+    start = played(SWING, with_own(marlin, planner=planner), planner=planner)
+    away = np.hypot(*(start.command - start.command[0]).T) > 0.012
+    first = int(away.argmax())
+    _, off = start.lateness(first, start.run.sets_out - first * TS, 0.4)
+    below(off[:100].max(), 0.06, "distance in the first 0.1 s, mm")
+
+
+def test_while_fixed_time_motion_fills_its_queue_z_moves_by_six_steps_up(marlin: Printer) -> None:
+    """With the acceleration of z it dips by 21 steps, and snaps back as x sets out."""
+    run = played(laps(1), with_own(marlin, planner="ft-motion"), planner="ft-motion").run
+    assert isinstance(run, FixedTimeRun)
+    z = run.frames[:, Z] - run.frames[0, Z]
+    assert z.min() > -0.5
+    assert 5.5 < z.max() < 6.5
+    below(run.sets_out, 0.55, "time before x and y move, s")
 
 
 @pytest.mark.parametrize("hz", [3e4, 5e4])

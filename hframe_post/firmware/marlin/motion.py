@@ -24,7 +24,7 @@ from hframe_post.firmware.motion import SPARED, MotionRules, NextTo, Stroke, Way
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.blocks import BlockLimits, Blocks, blocks_between
 from hframe_post.native.ramps import speeds, whole_feeds
-from hframe_post.native.whole_steps import motor_steps, segment_ends
+from hframe_post.native.whole_steps import motor_steps, segment_ends, with_late_starts
 from hframe_post.printer.settings import Printer
 
 SLOWEST_STROKE = 0.3  # of the speed that the file asks for
@@ -141,12 +141,14 @@ class MarlinMotion(MotionRules):
         """Return segments on whole steps. A line of the file waits for the end of its segment."""
         cells = np.rint(points[:, :Z] / self.code.steps.belt).astype(np.int64)
         apart = 1.0 / (TS * SPARED * self.lines_per_second)
+        steps = motor_steps(cells, self.kinematics.matrix)
         ends = segment_ends(
-            motor_steps(cells, self.kinematics.matrix), self.code.table.min_steps_per_segment,
+            steps, self.code.table.min_steps_per_segment,
             max(1, int(np.ceil(round(apart, 6)))), round(self.planner.stall / TS), last,
         )  # fmt: skip
+        ends, of_place = with_late_starts(ends, steps)
         at = points[ends]
-        at[:, :Z] = cells[ends] * self.code.steps.belt
+        at[:, :Z] = cells[of_place] * self.code.steps.belt
         return ends, at
 
     def possible_times(self, at: Array, T: Array, before: float) -> Array:

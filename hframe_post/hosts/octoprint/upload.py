@@ -11,6 +11,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from contextlib import ExitStack
 from importlib import import_module  # of what only OctoPrint's Python has
 from typing import IO, Any, NamedTuple
 
@@ -56,27 +57,29 @@ class Converted:
         return file
 
     def _converted(self) -> str:
-        try:
-            handle, path = tempfile.mkstemp(suffix=".gcode")
-            os.close(handle)
-        except OSError as error:
-            raise failed(self.filename, f"{tempfile.gettempdir()}: {error.strerror}") from None
-        try:
-            self._source.save(path)
+        """Return the path of the converted file. Raises UnprocessableEntity."""
+        with ExitStack() as undo:
             try:
-                show(self.filename, self._run(path))
-            except RefusalError as refusal:
-                if not self._settings.keep:
-                    raise failed(self.filename, str(refusal)) from None
-                show_refusal(self.filename, str(refusal))
-                mark(path, str(refusal))
-        except OSError as error:
-            os.unlink(path)
-            raise failed(self.filename, f"{os.path.dirname(path)}: {error.strerror}") from None
-        except BaseException:
-            os.unlink(path)
-            raise
+                handle, path = tempfile.mkstemp(suffix=".gcode")
+                undo.callback(os.unlink, path)
+                os.close(handle)
+                self._source.save(path)
+                self._convert(path)
+            except OSError as error:
+                reason = f"{tempfile.gettempdir()}: {error.strerror}"
+                raise failed(self.filename, reason) from None
+            undo.pop_all()
         return path
+
+    def _convert(self, path: str) -> None:
+        """Convert the file in its place, or mark it if it is refused and to be kept."""
+        try:
+            show(self.filename, self._run(path))
+        except RefusalError as refusal:
+            if not self._settings.keep:
+                raise failed(self.filename, str(refusal)) from None
+            show_refusal(self.filename, str(refusal))
+            mark(path, str(refusal))
 
     def _run(self, path: str) -> list[str]:
         """Convert the file in its place and return the summary. Raises RefusalError."""

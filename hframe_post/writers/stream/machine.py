@@ -306,8 +306,11 @@ class Ledger:
         self._passed += filament
 
     def is_count_due(self) -> bool:
-        """Return whether the firmware should count from 0, once for every 50 mm of filament."""
-        due = abs(self._steps - self._counted) > 5_000_000
+        """Return whether the firmware should count from 0, at least every 2 mm of filament.
+
+        Marlin adds up E in floats of 32 bits, whose errors grow with the sum.
+        """
+        due = abs(self._steps - self._counted) > 200_000
         if due:
             self._counted = self._steps
         return due

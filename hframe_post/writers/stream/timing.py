@@ -23,6 +23,7 @@ from hframe_post.writers.stream.segments import Units
 
 CATCH_UP = 0.01  # share of its time by which a segment is sped up or delayed, in a long motion
 REVERSED = -0.999  # cosine between ways from which every firmware stops between them
+EARLY = 0.3  # share of its time by which a segment is shorter for one after it that needs longer
 LEAST = 0.1  # share of its time that a segment is asked to take at least, to make up for others
 
 
@@ -148,7 +149,7 @@ class Timing:
         if self._turns_back(at):
             self._come_to_rest()
         rest[0] |= self._before == 0.0
-        planned, T = T, self._rules.possible_times(at, T, self._before)
+        planned, T = T, self._possible(at, T)
         if self._lift is not None:
             first = float(lengths(at[1:2, :E] - at[:1, :E])[0])
             T[0] = self._lift.stroke.time_of_next(first, float(T[0]))
@@ -169,6 +170,13 @@ class Timing:
         self.lag += float(over.sum())
         self._before = min(float(feeds[-1] / self._per_feed), after)
         return feeds
+
+    def _possible(self, at: Array, planned: Array) -> Array:
+        """Return times (k,) that segments can last, beginning early where they need longer."""
+        possible = self._rules.possible_times(at, planned, self._before)
+        if not (possible > planned).any():
+            return possible
+        return self._rules.possible_times(at, _begun_early(planned, possible), self._before)
 
     def _asked(self, at: Array, T: Array, rest: Flags, after: float) -> tuple[Integers, Array]:
         """Return F by which segments are to last T (k,), and how long they then take."""
@@ -265,6 +273,18 @@ class Timing:
         line, waited = dwell
         self.lag += waited - samples * TS
         return line
+
+
+def _begun_early(planned: Array, possible: Array) -> Array:
+    """Return times (k,) in which the segments before one that needs longer than planned give way.
+
+    Before a motor sets out after a turn the machine is slow: being early matters less than late.
+    """
+    over = (possible - planned)[::-1]
+    change = np.where(over > 0.0, over, -EARLY * planned[::-1])
+    total = np.cumsum(change)
+    early = total - np.minimum(np.minimum.accumulate(total), 0.0)
+    return np.asarray(planned + np.diff(early, prepend=0.0)[::-1])
 
 
 def _near(x: Array, n: int) -> Array:
