@@ -44,6 +44,7 @@ from hframe_post.writers.files import Outputs
 
 if TYPE_CHECKING:
     from hframe_post.studies.simulation.simulate import SimulationReport
+    from hframe_post.studies.speed.curve import Curve
     from hframe_post.studies.tuning.tune import StopsTrial, Trial
 
 DEFAULT = Options()
@@ -227,6 +228,17 @@ def simulate(
             html = print_page(report, given.again(), printer, options, title, [*notes])
             outputs.open(Path(page)).write(html)
     return report
+
+
+def speed_curve(source: Source, printer: Printer, options: Options = DEFAULT) -> Curve:
+    """Return how long a print takes within each error, and what limits its speed.
+
+    source: is read several times. options: limits and extrusion, which say how it is read. Raises
+    HframeError, OSError.
+    """
+    from hframe_post.studies.speed.curve import curve
+
+    return curve(Input(source).again, printer, replace(options, predict=()).resolved(printer))
 
 
 @dataclass(frozen=True, slots=True)

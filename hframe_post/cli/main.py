@@ -25,6 +25,7 @@ COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of
     "batch": ("batch.batch", "Convert many files, here or on a cluster."),
     "compare": ("compare.compare", "Compare the motion of two G-code files."),
     "simulate": ("simulate.simulate", "Predict what compensation does for a print."),
+    "speed": ("speed.speed", "Print how long a file takes within each error."),
     "tune": ("tune.tune", "Recommend a profile's window, weight and acceleration."),
     "use": ("printers.use", "Set or show the default profile."),
     "printers": ("printers.printers", "List and show printer profiles."),

@@ -5,18 +5,24 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from hframe_post.arrays import TS, E
+import numpy as np
+
+from hframe_post.arrays import TS, E, Z
 from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
+from hframe_post.model.kinematics import Differences
 from hframe_post.model.plant import Plant
+from hframe_post.planner.bands import OUTER_WALL, MotorBands, TimeInBands
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.line_width import Lines
 from hframe_post.prediction.predict import judge
-from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
+from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics, Labels
+from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import stretches
+from hframe_post.stream.features import Place, kind
 from hframe_post.stream.running import joined
 from hframe_post.stream.types import Dwell, Item, MoveAtRest, Moves, Passthrough, Rest, Samples
 
@@ -83,7 +89,8 @@ class MotionSummary:
     """What the stages saw of one span or of several.
 
     fed: most filament in one stretch, mm. seconds: processor time by stage. picture: if one was
-    asked for. advance: least and most s of pressure advance.
+    asked for. advance: least and most s of pressure advance. in_bands: outer walls, and what of
+    them a motor spends in a band that it avoids.
     """
 
     samples: int = 0
@@ -95,6 +102,7 @@ class MotionSummary:
     seconds: dict[str, float] = field(default_factory=dict)
     picture: Picture | None = None
     advance: tuple[float, float] = (math.inf, 0.0)
+    in_bands: TimeInBands = field(default_factory=TimeInBands)
 
     @property
     def duration(self) -> float:
@@ -116,6 +124,8 @@ class MotionSummary:
             self.contour.setdefault(name, ContourErrors()).join(errors)
         for name, shares in later.width.items():
             self.width.setdefault(name, ErrorStatistics()).join(shares)
+        self.in_bands.total += later.in_bands.total
+        self.in_bands.inside += later.in_bands.inside
         self.seconds = joined(self.seconds, later.seconds)
         (least, most), (other_least, other_most) = self.advance, later.advance
         self.advance = min(least, other_least), max(most, other_most)
@@ -147,6 +157,37 @@ class Clock:
             if chunk.ends_stretch:
                 self._begun = None
             yield chunk
+
+
+class BandMeter:
+    """Measures how long motors are in the bands that they avoid, while outer walls are printed.
+
+    strategy: whose commands count. place: where in the print the first chunk begins.
+    """
+
+    def __init__(self, printer: Printer, strategy: str, place: Place) -> None:
+        self._bands, self._strategy = MotorBands.from_printer(printer), strategy
+        self._kinematics = printer.kinematics
+        self._labels, self.time = Labels(replace(place)), TimeInBands()
+
+    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
+        if self._bands is None:
+            yield from chunks
+            return
+        for stretch in stretches(chunks):
+            rates = Differences(self._kinematics)
+            for chunk in stretch:
+                self._add(chunk, rates, self._bands)
+                yield chunk
+
+    def _add(self, chunk: Samples, rates: Differences, bands: MotorBands) -> None:
+        _, feature = self._labels.number(chunk)
+        walls = [n for n, name in enumerate(self._labels.features) if kind(name) == OUTER_WALL]
+        outer = np.isin(feature, walls)
+        command = chunk.commands.get(self._strategy, chunk.xyze[:, :Z])
+        inside = bands.contains(rates.rates(command).belt_velocity)
+        self.time.total += TS * np.count_nonzero(outer)
+        self.time.inside += TS * np.count_nonzero(outer & inside)
 
 
 class FilamentMeter:

@@ -23,10 +23,17 @@ from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
-from hframe_post.conversion.meters import Clock, ErrorMeter, InputMeter, MotionSummary, PrintTime
+from hframe_post.conversion.meters import (
+    BandMeter,
+    Clock,
+    ErrorMeter,
+    InputMeter,
+    MotionSummary,
+    PrintTime,
+)
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.path_meter import PathMeter
-from hframe_post.conversion.report import Plastic, Report
+from hframe_post.conversion.report import BandReport, Plastic, Report
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.advance import Advance
@@ -35,8 +42,9 @@ from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
+from hframe_post.planner.bands import MotorBands, TimeInBands, avoid_bands
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.pacing import pace
+from hframe_post.planner.pacing import PieceStart, pace
 from hframe_post.planner.sampling import sample
 from hframe_post.planner.sliced import SlicedTime
 from hframe_post.prediction.doubts import Doubts
@@ -63,7 +71,17 @@ def parsed(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterat
 
 def planned(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Planned]:
     """Read G-code and plan the speeds along its path. Raises HframeError."""
-    return plan(parsed(lines, printer, options), printer.limits)
+    return scheduled(parsed(lines, printer, options), printer)
+
+
+def scheduled(
+    items: Iterable[Item], printer: Printer, start: PieceStart | None = None
+) -> Iterator[Planned]:
+    """Plan the speeds of moves, which keep out of the bands that the profile's motors avoid.
+
+    start: place of the first item in the print.
+    """
+    return plan(avoid_bands(items, printer, start), printer.limits)
 
 
 def sampled(
@@ -105,6 +123,7 @@ class Stages:
         limits = own.motion(printer, options.tolerance).extruder
         self._advancing = Advancing(advance or own.advance(printer), limits)
         self._errors = ErrorMeter(printer.plant, doubts=doubts, picture=picture)
+        self._walls = BandMeter(printer, self._options.strategy, printing or Place())
         self.times = StageTimes()
 
     def commands(self, items: Iterable[Planned]) -> Iterator[Samples]:
@@ -149,7 +168,7 @@ class Stages:
                 commands = shape(commands, {SHAPER: self._options.shaping})
             commands = self.times.timed("predict", self._errors.samples(commands))
             commands = prefetch(commands) if threads else commands
-        return self._clock.samples(commands)
+        return self._clock.samples(self._walls.samples(commands))
 
     @property
     def summary(self) -> MotionSummary:
@@ -157,7 +176,7 @@ class Stages:
         return MotionSummary(
             self._clock.end, self._clock.fed, self._guard.peaks,
             self._clamp.clamped, self._errors.contour, self._errors.width, self.times.seconds,
-            self._errors.picture, (self._advancing.least, self._advancing.most),
+            self._errors.picture, (self._advancing.least, self._advancing.most), self._walls.time,
         )  # fmt: skip
 
 
@@ -182,8 +201,8 @@ class PlannedFile:
         self._lines, self._printer, self._options = lines, printer, options
         self._input = InputMeter()
         self._path = PathMeter(printer.limits, options.paces is not None)
-        self._firmware = firmware(printer)
-        self._sliced = SlicedTime(self._firmware.limits(printer))
+        self._firmware, bands = firmware(printer), MotorBands.from_printer(printer)
+        self._sliced = SlicedTime(self._firmware.limits(printer), bands)
         self._times = StageTimes()
 
     def spans(self) -> Spans:
@@ -191,7 +210,7 @@ class PlannedFile:
         items = parsed(self._input.lines(self._lines), self._printer, self._options)
         items = self._times.timed("read", self._input.items(items))
         items = self._times.timed("plan", self._sliced.items(items))
-        plans = plan(self._path.items(items), self._printer.limits)
+        plans = scheduled(self._path.items(items), self._printer)
         return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))
 
     def report(self, motion: MotionSummary) -> Report:
@@ -208,7 +227,12 @@ class PlannedFile:
             notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
+            bands=self._bands(motion.in_bands),
         )  # fmt: skip
+
+    def _bands(self, after: TimeInBands) -> BandReport | None:
+        bands = self._printer.speed.avoid
+        return BandReport(bands, self._sliced.in_bands, after) if bands else None
 
     def _plastic(self, fed: float) -> Plastic | None:
         bed, limits = self._printer.plant.bed, self._printer.limits

@@ -14,6 +14,7 @@ from hframe_post.compensation.guard import Peaks
 from hframe_post.conversion.meters import InputSummary, PrintTime
 from hframe_post.conversion.path_meter import PathSummary, percent
 from hframe_post.model.strategies import STRATEGIES
+from hframe_post.planner.bands import TimeInBands
 from hframe_post.prediction.line_width import PIECE
 from hframe_post.prediction.statistics import DECIMALS, ContourErrors, ErrorStatistics
 from hframe_post.writers.stream.print_time import duration
@@ -71,6 +72,41 @@ class AdvanceReport:
 
 
 @dataclass(frozen=True, slots=True)
+class BandReport:
+    """Time of outer walls in bands of motor speed (mm/s): as sliced, and as converted."""
+
+    bands: tuple[tuple[float, float], ...]
+    before: TimeInBands
+    after: TimeInBands
+
+    def as_text(self) -> str:
+        """Return a line for the summary."""
+        if not self.after.total:
+            return (
+                "motor bands      no outer walls are named in the file, so no speed was changed "
+                "for speed.avoid of the profile"
+            )
+        bands = ", ".join(f"{low:g} to {high:g}" for low, high in self.bands)
+        return (
+            f"motor bands      outer walls: {percent(self.before.share)} of their time with a "
+            f"motor at {bands} mm/s as sliced, {percent(self.after.share)} now"
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "bands": self.bands,
+            "outer_wall_s": {
+                "before": round(self.before.total, 3),
+                "after": round(self.after.total, 3),
+            },
+            "in_bands_s": {
+                "before": round(self.before.inside, 3),
+                "after": round(self.after.inside, 3),
+            },
+        }
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
     """What one conversion did: the summaries of its stages. Lengths in mm.
 
@@ -80,7 +116,8 @@ class Report:
     stage, not compared. speed, speed_text: how accuracy was traded for speed. picture: the path
     with its errors, if one was asked for. notices: warnings of the printer's profile. plastic: of
     a bed that moves. other_tools: commands after which the plant is not that of the tool that
-    prints; None if the profile does not say. advance: pressure advance, if there is any.
+    prints; None if the profile does not say. advance: pressure advance, if there is any. bands: of
+    motor speed, if the profile avoids any.
     """
 
     strategy: str
@@ -105,6 +142,7 @@ class Report:
     plastic: Plastic | None = None
     other_tools: tuple[str, ...] | None = None
     advance: AdvanceReport | None = None
+    bands: BandReport | None = None
 
     def lines_error(self, name: str) -> float:
         """Return by how much (mm RMS) the written lines, in whole steps, add to a strategy's error.
@@ -125,6 +163,7 @@ class Report:
             "speed": self.speed,
             "plastic_on_bed": asdict(self.plastic) if self.plastic else None,
             "pressure_advance_s": asdict(self.advance) if self.advance else None,
+            "motor_bands": self.bands.as_json() if self.bands else None,
         }
         return {
             "warnings": self.warnings(),
@@ -192,6 +231,7 @@ class Report:
                 f"{on.bed:g} kg, in steps of at most {1e3 * on.step:.2g} g (filament of "
                 f"{on.diameter:g} mm, {on.density:g} g/cm³)"
             )
+        lines += [self.bands.as_text()] if self.bands else []
         lines += self.path.as_text()
         if self.steps:
             motors = ", ".join(f"{motor} {n}" for motor, n in self.steps.motors.items())

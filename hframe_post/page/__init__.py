@@ -12,6 +12,8 @@ from typing import Any
 
 ESCAPED = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", "\u2029": "\\u2029"}
 
+SCRIPTS = {"page": ("frame", "modes", "page"), "measured": ("frame", "measured")}
+
 
 def filled(name: str, data: dict[str, Any], **more: str) -> bytes:
     """Return ``frame.html`` filled with ``name.html``, ``page.css``, the scripts and further parts.
@@ -25,7 +27,7 @@ def filled(name: str, data: dict[str, Any], **more: str) -> bytes:
     folder = resources.files(__package__)
     parts = {
         "STYLE": (folder / "page.css").read_text("utf-8"),
-        "SCRIPT": "".join((folder / f"{one}.js").read_text("utf-8") for one in ("frame", name)),
+        "SCRIPT": "".join((folder / f"{one}.js").read_text("utf-8") for one in SCRIPTS[name]),
         "DATA": content,
         **more,
     }

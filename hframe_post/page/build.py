@@ -65,6 +65,8 @@ def page(
             "speed": [round(belts.belt_velocity), motors.belt_velocity],
             "acceleration": [round(belts.belt_acceleration), motors.belt_acceleration],
         },
+        "bands": _bands(report),
+        "matrix": printer.kinematics.matrix.tolist(),
         "features": picture.labels.features,
         "layers": _layers(picture, pieces, columns),
         "byFeature": _by_feature(picture, columns),
@@ -91,6 +93,13 @@ def _compressed(lines: Iterable[bytes]) -> bytes:
 
 
 # ---------------------------------------------------------------------- figures
+
+
+def _bands(report: Report) -> dict[str, Any] | None:
+    """Return the bands of motor speed that outer walls avoid, and the share of time in them."""
+    if (found := report.bands) is None or not found.after.total:
+        return None
+    return {"bands": found.bands, "share": [found.before.share, found.after.share]}
 
 
 def _strategy(name: str, report: Report) -> dict[str, Any]:

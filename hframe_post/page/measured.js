@@ -72,6 +72,7 @@ function draw(figure, chart) {
     });
     const shown = addSvg(svg, "path", { d: path, fill: "none", "stroke-width": line.strong ? 2.2 : 1.1, "stroke-linejoin": "round" });
     shown.style.stroke = colour(chart, line);
+    if (line.at.length === 1 && line.y[0] !== null) addSvg(svg, "circle", { cx: x(line.at[0]), cy: y(line.y[0]), r: 5 }).style.fill = colour(chart, line);
     if (line.dashed) shown.setAttribute("stroke-dasharray", "6 4");
   }
   const cursor = addSvg(svg, "line", { y1: EDGE.top, y2: bottom, class: "cursor", visibility: "hidden" });

@@ -1,20 +1,12 @@
-const RAMP = [[1, 88, 138, 190], [10, 46, 146, 136], [25, 178, 132, 20], [100, 216, 62, 48], [1000, 176, 66, 156]];  // µm: calm up to 10
-const LOW = 1, HIGH = 1000, COLOURS = 48;  // µm, and shades between them
-const state = { layer: 0, strategy: Math.max(data.strategies.findIndex((s) => s.name === data.chosen), 0), magnified: 20, scale: 1, x: 0, y: 0, picked: -1 };
-let path = null, first = [], rows = null;
+const state = { layer: 0, strategy: Math.max(data.strategies.findIndex((s) => s.name === data.chosen), 0), mode: "error", hidden: new Set(), until: 1, magnified: 20, scale: 1, x: 0, y: 0, picked: -1 };
+const FARTHEST = 1.5;  // mm that the nozzle is drawn off the path; beyond it is compressed
+let rows = null;
 
 // ------------------------------------------------------------------ small helpers
 
 const micrometres = (um) => um >= 99.5 ? um.toFixed(0) : um >= 9.95 ? um.toFixed(0) : um.toFixed(1);
 const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-const share = (um) => Math.log(Math.max(um, LOW) / LOW) / Math.log(HIGH / LOW);  // of the logarithmic scale
-const shade = (um) => Math.min(Math.floor(share(um) * COLOURS), COLOURS - 1);
-function colour(k) {
-  const um = LOW * (HIGH / LOW) ** (k / (COLOURS - 1));
-  const i = Math.max(RAMP.findIndex(([to]) => um <= to * 1.001), 1), [from, ...a] = RAMP[i - 1], [to, ...b] = RAMP[i];
-  const t = Math.log(um / from) / Math.log(to / from);
-  return `rgb(${a.map((c, n) => Math.round(c + t * (b[n] - c))).join(",")})`;
-}
+const share = (um) => MODES.error.share(um);
 function clock(seconds) {
   const s = Math.round(seconds), h = Math.floor(s / 3600), m = Math.floor(s / 60) % 60;
   return h ? `${h} h ${m} min` : m ? `${m} min ${s % 60} s` : `${s} s`;
@@ -40,13 +32,16 @@ async function load() {
   first = data.layers.map((layer) => { const here = start; start += layer.count; return here; });
   first.push(n);
 }
-const place = (k) => [path.x[k] / 100, path.y[k] / 100];
 const begins = (k) => path.feature[k] >= 128 || k === first[state.layer];
-const um = (k, s) => path.error[s][k] / 10;
 const layerOf = (k) => first.findIndex((start, n) => k >= start && k < first[n + 1]);
 function nozzle(k) {  // where it is drawn: its way from the path is magnified
   const [x, y] = place(k), [along, off] = [path.nozzle[state.strategy], path.off[state.strategy]], more = (state.magnified - 1) / 1000;
   return [x + along[0][k] / 100 + more * off[0][k], y + along[1][k] / 100 + more * off[1][k]];
+}
+function drawn(k) {  // the nozzle, not so far off that corners hide the rest
+  const [x, y] = place(k), [u, v] = nozzle(k), far = Math.hypot(u - x, v - y);
+  const shown = far > FARTHEST ? FARTHEST * (1 + Math.log(far / FARTHEST)) / far : 1;
+  return [x + shown * (u - x), y + shown * (v - y)];
 }
 async function lineOf(number) {
   if (rows === null) rows = new TextDecoder("utf-8").decode(await unpacked("text")).split("\n");
@@ -81,34 +76,42 @@ function paint() {
   const ink = canvas.getContext("2d");
   ink.scale(ratio, ratio);
   grid(ink, box);
-  const from = first[state.layer], to = first[state.layer + 1], error = path.error[state.strategy];
+  const from = first[state.layer], to = from + Math.round(state.until * (first[state.layer + 1] - from));
+  const mode = MODES[state.mode], ramp = rampOf(state.mode);
   const strokes = new Array(COLOURS).fill(null), travels = new Path2D(), nozzleLine = new Path2D();
-  let [x0, y0] = from < to ? toScreen(...place(from), box) : [0, 0], printing = false;
+  let [x0, y0] = from < to ? toScreen(...place(from), box) : [0, 0], before = null;
   for (let k = from; k < to; k++) {
     const [x, y] = toScreen(...place(k), box);
-    if (!begins(k)) {
-      const travel = (path.feature[k] & 127) === 0;
-      const shown = travel ? 0 : shade(error[k] / 10);
-      const stroke = travel ? travels : (strokes[shown] = strokes[shown] || new Path2D());
+    if (!begins(k) && !state.hidden.has(path.feature[k] & 127)) {
+      const shown = isTravel(k) ? 0 : shadeOf(mode.share(mode.value(k, state.strategy), state.mode));
+      const stroke = isTravel(k) ? travels : (strokes[shown] = strokes[shown] || new Path2D());
       stroke.moveTo(x0, y0); stroke.lineTo(x, y);
-      if (!travel && state.magnified) {
-        if (!printing) nozzleLine.moveTo(...toScreen(...nozzle(k - 1), box));
-        nozzleLine.lineTo(...toScreen(...nozzle(k), box));
-      }
-      printing = !travel;
-    } else printing = false;
+      if (!isTravel(k) && state.magnified) before = ringing(nozzleLine, k, before, box);
+      else before = null;
+    } else before = null;
     x0 = x; y0 = y;
   }
   ink.lineCap = "round"; ink.lineJoin = "round";
   ink.lineWidth = 1; ink.strokeStyle = style("--faint"); ink.setLineDash([2, 4]); ink.stroke(travels); ink.setLineDash([]);
-  ink.lineWidth = Math.min(Math.max(0.38 * state.scale, 1.3), 9);
-  strokes.forEach((stroke, k) => { if (stroke) { ink.strokeStyle = colour(k); ink.stroke(stroke); } });
+  const wide = Math.min(Math.max(0.38 * state.scale, 1.3), 9), order = [...strokes.keys()];
+  if (mode.diverging) order.sort((a, b) => Math.abs(a - COLOURS / 2) - Math.abs(b - COLOURS / 2));
+  for (const k of order) if (strokes[k]) {  // the worst on top, and wider where lines are thin
+    const bad = mode.diverging ? Math.abs(2 * k / COLOURS - 1) : k / COLOURS;
+    ink.lineWidth = wide + Math.max(3 - wide, 0) * bad; ink.strokeStyle = colour(k, ramp); ink.stroke(strokes[k]);
+  }
   ink.lineWidth = 1.2; ink.strokeStyle = style("--ink"); ink.stroke(nozzleLine);
+  if (state.until < 1 && to > from) { ink.beginPath(); ink.arc(x0, y0, 6, 0, 7); ink.fillStyle = style("--accent"); ink.fill(); }
   if (state.picked >= from && state.picked < to) {
     const [x, y] = toScreen(...place(state.picked), box);
     ink.beginPath(); ink.arc(x, y, 9, 0, 7); ink.lineWidth = 5; ink.strokeStyle = style("--stage"); ink.stroke();
     ink.beginPath(); ink.arc(x, y, 9, 0, 7); ink.lineWidth = 2.5; ink.strokeStyle = style("--ink"); ink.stroke();
   }
+}
+function ringing(line, k, before, box) {  // through the middles of the pieces, so that it bends
+  const here = toScreen(...drawn(k), box);
+  if (before === null) { before = toScreen(...drawn(k - 1), box); line.moveTo(...before); }
+  line.quadraticCurveTo(...before, (before[0] + here[0]) / 2, (before[1] + here[1]) / 2);
+  return here;
 }
 function grid(ink, box) {
   const step = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100].find((mm) => mm * state.scale >= 56) || 200;
@@ -133,7 +136,7 @@ function strip() {  // the error of each layer, above the slider
   const height = (um) => box.height * Math.min(Math.max(share(um), 0.06), 1);
   data.layers.forEach((layer, k) => {
     const um = layer.rms[state.strategy];
-    ink.fillStyle = colour(shade(um)); ink.globalAlpha = k === state.layer ? 1 : 0.45;
+    ink.fillStyle = colour(shadeOf(share(um))); ink.globalAlpha = k === state.layer ? 1 : 0.45;
     ink.fillRect(inset + (k - 0.5) * wide + (wide > 3 ? 0.5 : 0), box.height - height(um), Math.max(wide - (wide > 3 ? 1 : 0), 1), height(um));
   });
   ink.globalAlpha = 1; ink.fillStyle = style("--ink"); ink.fillRect(inset + state.layer * wide - 1, 0, 2, box.height);
@@ -165,7 +168,8 @@ async function pick(k) {
   const fact = (name, value) => add(facts, add(make("span", name + " "), make("b", value)));
   fact("at", `X${x.toFixed(2)} Y${y.toFixed(2)}`);
   fact("feature", feature);
-  fact("speed", `${path.speed[k]} mm/s`);
+  for (const name of ["speed", "motor", "acceleration"]) fact(name, `${MODES[name].value(k).toFixed(0)} ${MODES[name].unit}`);
+  if (!isTravel(k)) fact("line width", `${MODES.width.value(k, state.strategy).toFixed(0)} %`);
   data.strategies.forEach((each, s) => fact(each.label, `${micrometres(um(k, s))} µm`));
   $("place").replaceChildren(code, facts);
   draw();
@@ -175,6 +179,7 @@ function nearest(px, py) {
   let best = -1, least = 24 * 24;
   let before = null;
   for (let k = first[state.layer]; k < first[state.layer + 1]; k++) {
+    if (state.hidden.has(path.feature[k] & 127)) { before = null; continue; }
     const here = toScreen(...place(k), box);
     const start = begins(k) || !before ? here : before;
     const dx = here[0] - start[0], dy = here[1] - start[1], length2 = dx * dx + dy * dy;
@@ -230,6 +235,17 @@ $("fit").addEventListener("click", () => { fit(); draw(); });
 $("layer").addEventListener("input", () => show(Number($("layer").value)));
 $("below").addEventListener("click", () => show(state.layer - 1));
 $("above").addEventListener("click", () => show(state.layer + 1));
+$("until").addEventListener("input", () => { state.until = Number($("until").value) / 1000; draw(); });
+const KEYS = {
+  ArrowUp: () => show(state.layer + 1), ArrowDown: () => show(state.layer - 1),
+  ArrowRight: () => along(0.01), ArrowLeft: () => along(-0.01),
+  "+": () => zoom(1.6, ...middle()), "-": () => zoom(1 / 1.6, ...middle()), 0: () => { fit(); draw(); },
+};
+function along(more) {
+  state.until = Math.min(Math.max(state.until + more, 0), 1);
+  $("until").value = 1000 * state.until; draw();
+}
+canvas.addEventListener("keydown", (event) => { if (path && KEYS[event.key] && !event.ctrlKey && !event.metaKey) { event.preventDefault(); KEYS[event.key](); } });
 window.addEventListener("resize", () => { if (path) { strip(); draw(); } });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (path) showReadout(); });
 
@@ -241,6 +257,7 @@ function cards() {
   const [plain, compensated] = data.seconds, longer = 100 * (compensated / plain - 1);
   card("Print time", clock(compensated), "", `${longer >= 0 ? "+" : ""}${longer.toFixed(1)} % for compensation`, "");
   card("Belts at most", String(data.belts.speed[0]), `of ${data.belts.speed[1]} mm/s`, `${data.belts.acceleration.join(" of ")} mm/s²`, "");
+  if (data.bands) card("Outer walls in motor bands", (100 * data.bands.share[1]).toFixed(1), "% of their time", `${(100 * data.bands.share[0]).toFixed(1)} % as sliced; ${data.bands.bands.map((band) => band.join(" to ")).join(", ")} mm/s`, "");
   if (before && chosen && data.chosen !== "none") {
     const strong = (each) => make("strong", `${micrometres(each.rms)}\u00a0µm`);
     $("lead").replaceChildren("Predicted distance of the nozzle from the path, RMS: ", strong(chosen), " with compensation, ",
@@ -269,9 +286,26 @@ function tables() {
     return add(row, ...cells.map((text) => make("td", text)), make("td", data.features[path.feature[k] & 127] || "", "name"), make("td", path.speed[k]));
   }));
 }
+function legend() {  // the scale of what the path is coloured by
+  const ink = $("ramp").getContext("2d"), ramp = rampOf(state.mode);
+  for (let k = 0; k < COLOURS; k++) { ink.fillStyle = colour(k, ramp); ink.fillRect(k * 256 / COLOURS, 0, 256 / COLOURS + 1, 1); }
+  $("marks").replaceChildren(...MODES[state.mode].marks(state.mode).map(([share, text]) => {
+    const mark = make("span", text);
+    mark.style.left = `${100 * share}%`; mark.style.transform = `translateX(-${100 * share}%)`;
+    return mark;
+  }));
+}
+function filters() {  // a switch for each feature of the print
+  for (const [k, name] of data.features.entries()) {
+    if (!path.feature.some((each) => (each & 127) === k)) continue;
+    const box = make("input"), label = make("label");
+    box.type = "checkbox"; box.checked = true;
+    box.addEventListener("change", () => { if (box.checked) state.hidden.delete(k); else state.hidden.add(k); draw(); });
+    add($("filter"), add(label, box, name));
+  }
+}
 function frame() {
-  const ramp = $("ramp").getContext("2d");
-  for (let k = 0; k < COLOURS; k++) { ramp.fillStyle = colour(k); ramp.fillRect(k * 256 / COLOURS, 0, 256 / COLOURS + 1, 1); }
+  $("mode").addEventListener("change", () => { state.mode = $("mode").value; legend(); draw(); });
   $("magnified").addEventListener("change", () => { state.magnified = Number($("magnified").value); draw(); });
   data.strategies.forEach((each, k) => {
     const button = make("button", each.label);
@@ -286,6 +320,6 @@ frame(); cards();
 load().then(() => {
   $("loading").remove();
   show(Math.floor(data.layers.length / 2));
-  fit(); tables(); showReadout();
+  scales(); filters(); legend(); fit(); tables(); showReadout();
   document.body.dataset.ready = "yes";
 }).catch((error) => { $("loading").textContent = "This browser cannot unpack the view: " + error; throw error; });

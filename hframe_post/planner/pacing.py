@@ -211,7 +211,7 @@ class _Pacer:
             np.concatenate([getattr(each, name) for each in moves])
             for name in ("speed", "acceleration", "corner")
         )
-        _lower_to_axes(file_speed, file_acceleration, moves[0].limits, delta, length)
+        lower_to_axes(file_speed, file_acceleration, moves[0].limits, delta, length)
         speed = file_speed * feed * self._layer_factors(layer)
         with np.errstate(divide="ignore"):
             path = 1.0 / np.maximum(delta[:, E] / length, 0.0)  # mm of path per mm of filament
@@ -230,7 +230,7 @@ class _Pacer:
         return np.array(factors)[layer - first]
 
 
-def _lower_to_axes(
+def lower_to_axes(
     speed: Array, acceleration: Array, limits: FileLimits, delta: Array, length: Array
 ) -> None:
     """Lower speed and acceleration (n,) to the file's limits by axis, for moves by delta (n, 4)."""

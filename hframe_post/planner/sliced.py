@@ -11,18 +11,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Z
+from hframe_post.arrays import Array, E, Flags, Z, lengths
 from hframe_post.firmware.base import FirmwareLimits
+from hframe_post.planner.bands import MotorBands, OuterWalls, TimeInBands
 from hframe_post.planner.lookahead import Lookahead
 from hframe_post.stream.types import Handling, Item, MoveAtRest, Moves, Passthrough, Plan
 
 
 class SlicedTime:
-    """Adds up the time of items that pass. ``seconds``: of all, once all have passed."""
+    """Adds up the time of items that pass. ``seconds``: of all, once all have passed.
 
-    def __init__(self, rules: FirmwareLimits) -> None:
+    in_bands: the outer walls' time, and what of it a motor spends in these bands.
+    """
+
+    def __init__(self, rules: FirmwareLimits, bands: MotorBands | None = None) -> None:
         self._rules, self._queue = rules, Lookahead(rules.limits)
         self.seconds = 0.0
+        self._bands, self._walls, self.in_bands = bands, OuterWalls(), TimeInBands()
+        self._outer = list[Flags]()  # which of the queued moves are outer walls
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
         for item in items:
@@ -31,6 +37,11 @@ class SlicedTime:
         self._stop()
 
     def _add(self, item: Item) -> None:
+        if self._bands is not None:
+            if isinstance(item, Moves):
+                self._outer.append(self._walls.among(item))
+            else:
+                self._walls.pass_by(item)
         if isinstance(item, Moves):
             self._queue.append(self._limited(item))
             while (plan := self._queue.take_final()) is not None:
@@ -68,7 +79,38 @@ class SlicedTime:
         ramped = (1.0 - self._rules.cruise_ratio) * a * d
         reached = np.sqrt(np.maximum(ramped + (v_s**2 + v_e**2) / 2.0, np.maximum(v_s, v_e) ** 2))
         top = np.minimum(cruise, reached)
+        if self._bands is not None:
+            self._add_in_bands(plan, top, self._bands)
         return float(_seconds(d, v_s, v_e, top, a).sum())
+
+    def _add_in_bands(self, plan: Plan, top: Array, bands: MotorBands) -> None:
+        """Add a plan's outer walls to the time in bands. top: greatest speed of each run."""
+        outer = np.concatenate(self._outer)
+        self._outer = [outer[len(plan.line) :]]
+        if not outer[: len(plan.line)].any():
+            return
+        begun, ended = plan.s[plan.ends[:-1]], plan.s[plan.ends[1:]]
+        v_s, v_e, a = plan.speed[:-1], plan.speed[1:], plan.acceleration
+        ramps = begun + (top**2 - v_s**2) / (2.0 * a), ended - (top**2 - v_e**2) / (2.0 * a)
+        # between these ways the acceleration is constant and the direction is that of one move
+        ways = np.clip(np.sort(np.concatenate([plan.s, *ramps])), 0.0, plan.s[-1])
+        middle = 0.5 * (ways[1:] + ways[:-1])
+        move = np.clip(np.searchsorted(plan.s, middle, "right") - 1, 0, len(plan.line) - 1)
+        chosen = np.flatnonzero(outer[move] & (np.diff(ways) > 1e-9))
+        move, middle = move[chosen], middle[chosen]
+        run = np.clip(np.searchsorted(begun, middle, "right") - 1, 0, len(begun) - 1)
+        v = np.sqrt([
+            np.clip(np.minimum(
+                v_s[run] ** 2 + 2.0 * a[run] * (way - begun[run]),
+                v_e[run] ** 2 + 2.0 * a[run] * (ended[run] - way),
+            ), 1e-6, top[run] ** 2)
+            for way in (ways[chosen], ways[chosen + 1])
+        ])  # fmt: skip
+        way = np.diff(plan.points[:, :E], axis=0)[move]
+        seconds = np.diff(ways)[chosen] / v.mean(axis=0)
+        shares = bands.share(v.min(axis=0), v.max(axis=0), way[:, :Z] / lengths(way)[:, None])
+        self.in_bands.total += float(seconds.sum())
+        self.in_bands.inside += float((seconds * shares).sum())
 
     def _at_rest(self, move: MoveAtRest) -> float:
         limits, delta = self._rules.limits, np.abs(np.subtract(move.end, move.start))

@@ -14,7 +14,7 @@ from hframe_post.arrays import Array, Complex
 from hframe_post.errors import PrinterError
 
 T = TypeVar("T")
-Rules: TypeAlias = Mapping[str, Any]  # a field's bounds, ``choices``, ``ascending``, ``names``
+Rules: TypeAlias = Mapping[str, Any]  # a field's bounds, choices, ascending, names, count
 
 LARGEST = 1e15  # a larger number is a mistake
 MOST_ROOTS = 50  # of a transfer function; the product of 50 roots within ROOTS is finite
@@ -85,6 +85,8 @@ def checked_value(hint: Any, value: Any, rules: Rules, key: str) -> Any:
     """Return a value of the type ``hint``. Raises PrinterError if it breaks its field's rules."""
     if hint == tuple[float, float]:
         return _range(value, rules, key)
+    if hint == tuple[tuple[float, float], ...]:
+        return _ranges(value, rules, key)
     if hint == dict[str, float]:
         return _by_name(value, rules, key)
     if hint in (int, float):
@@ -107,6 +109,12 @@ def _range(value: Any, rules: Rules, key: str) -> tuple[float, float]:
     if rules.get("ascending") and not low < high:
         raise PrinterError(f"least {low:g} is not below greatest {high:g}", key)
     return low, high
+
+
+def _ranges(value: Any, rules: Rules, key: str) -> tuple[tuple[float, float], ...]:
+    if not isinstance(value, list) or len(value) > rules["count"]:
+        raise PrinterError(f"must be a list of at most {rules['count']} pairs of numbers", key)
+    return tuple(_range(pair, rules, key) for pair in value)
 
 
 def _by_name(value: Any, rules: Rules, key: str) -> dict[str, float]:

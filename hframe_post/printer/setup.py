@@ -109,6 +109,10 @@ TITLES = {
     "sweep": "the motion that measures the printer",
     "speed": "of --max-error: largest acceleration of the path",
 }
+# About what prints have without compensation; walls show it, infill does not.
+MAX_ERROR = """\
+# max_error = {outer-wall = 0.05, inner-wall = 0.1, infill = 0.2}
+#   mm: print as fast as that allows; 'hframe-post speed part.gcode' shows the time of each error"""
 FIRMWARE = "firmware."  # how the name of a firmware's table begins
 COLUMN = 32
 
@@ -155,6 +159,8 @@ def _table(name: str, table: dict[str, Known]) -> Iterator[str]:
     yield f"{f'[{name}]':24s}# {title}"
     for key, known in table.items():
         yield _line(key, known)
+    if name == "speed":
+        yield MAX_ERROR
     yield ""
 
 

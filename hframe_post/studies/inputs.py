@@ -21,6 +21,7 @@ from hframe_post.stream.features import TRAVEL
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough
 
 PIECE = 3.0  # s at the file's feed rates
+SECONDS = 40.0, 100.0  # least and most to keep of a print
 SHARE = 0.03  # of a print to keep; up to twice as much is kept
 
 
@@ -34,7 +35,7 @@ class Piece:
 
 
 def excerpt(
-    items: Iterable[Item], first_layers: int = 1, seconds: tuple[float, float] = (40.0, 100.0)
+    items: Iterable[Item], first_layers: int = 1, seconds: tuple[float, float] = SECONDS
 ) -> list[Piece]:
     """Return pieces of a print, or all of it if it is short, without its first layers.
 

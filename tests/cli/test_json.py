@@ -53,7 +53,8 @@ def test_success_and_difference_have_their_status() -> None:
 
 WITHOUT_INPUT: dict[str, list[str]] = {
     "convert": ["none.gcode"], "batch": ["none.gcode", "-d", "out"],
-    "compare": ["none.gcode", "none.gcode"], "simulate": ["none.gcode"], "tune": ["none.gcode"],
+    "compare": ["none.gcode", "none.gcode"], "simulate": ["none.gcode"], "speed": ["none.gcode"],
+    "tune": ["none.gcode"],
     "identify": ["empty", "-o", "my.toml"], "check": ["empty"], "verify": ["empty"],
 }  # fmt: skip
 

@@ -69,6 +69,7 @@ DONE = {
     "simulate {print}": Done(r"1( +[\d.]+){3}"),
     "simulate": Done(r"0( +[\d.]+){3}"),
     "simulate --shapers": Done("."),
+    "speed {print}": Done(r"At the error that the file has today: "),
     "tune {print}": Done("."),
     "tune": Done("."),
     "tune --shaper": Done(r"damping_ratio_y: 0\.|M500 ; saves it"),

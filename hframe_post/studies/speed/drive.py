@@ -7,12 +7,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
+from copy import copy
 from dataclasses import dataclass, replace
 
-from hframe_post.arrays import Z
+from hframe_post.arrays import TS, Z
 from hframe_post.compensation.stops import StopSolvers
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Stages, continued, parsed, prepared, sampled
+from hframe_post.conversion.pipeline import (
+    Stages,
+    continued,
+    parsed,
+    prepared,
+    sampled,
+    scheduled,
+)
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware
@@ -26,7 +34,7 @@ from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
 from hframe_post.stream.types import Item, Moves, Planned, Samples
-from hframe_post.studies.inputs import Piece, excerpt, useful_feeds
+from hframe_post.studies.inputs import SECONDS, Piece, excerpt, useful_feeds
 from hframe_post.studies.speed.trial import (
     FIRST_LAYERS,
     JUDGED_EVERY,
@@ -46,7 +54,7 @@ CORNER = 4e-3  # s: speed at square corners over acceleration
 MOST_KEPT = 300_000  # moves of a file that are kept between trials; 20 MB
 TRAVEL_SHARE = 4.0  # acceleration of travel over that of the gentlest feature
 
-Lines = Callable[[], Iterable[bytes]]  # opens the file and yields its lines, at each call again
+Source = Callable[[], Iterable[bytes]]  # opens the file and yields its lines, at each call again
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +70,7 @@ class Drive:
     """Trial prints of one file on one printer. measure: the statistic of the errors."""
 
     def __init__(
-        self, lines: Lines, printer: Printer, options: Options, measure: Measure, freedom: Freedom
+        self, lines: Source, printer: Printer, options: Options, measure: Measure, freedom: Freedom
     ) -> None:
         self._lines, self._printer = lines, printer
         self._kept: list[Item] | None = None
@@ -106,29 +114,52 @@ class Drive:
 
     # ------------------------------------------------------------------ trials
 
-    def excerpt(self) -> list[Piece]:
-        return excerpt(self._items(), FIRST_LAYERS)
+    def excerpt(self, seconds: tuple[float, float] = SECONDS) -> list[Piece]:
+        """Return pieces from all over the print. seconds: least and most to keep."""
+        return excerpt(self._items(), FIRST_LAYERS, seconds)
 
     def useful_feeds(self, pieces: Iterable[Piece]) -> dict[str, float]:
         """Return the factor on each feature's feed rates beyond which nothing gets faster."""
         return useful_feeds(pieces, self._printer.limits.velocity, self._freedom.flow)
 
+    def freed(self, freedom: Freedom) -> Drive:
+        """Return trial prints of the same file with another freedom."""
+        other = copy(self)
+        other._freedom = freedom
+        return other
+
     def try_pieces(
         self, pieces: Iterable[Piece], settings: SpeedSettings, plants: tuple[Plant, ...]
     ) -> TrialPrint:
-        printer, options = self.configured(settings)
-        assert options.paces is not None
-        meter = self._meter(settings)
-        stages = Stages(printer, self._options, self._compensator, at_stops=self._at_stops)
-        together, refused = Plants(plants), ""
+        meter, together, refused = self._meter(settings), Plants(plants), ""
+        stages, printed = self.print_pieces(pieces, settings)
         try:
-            for piece in pieces:
-                items = pace(piece.items, options.paces, piece.start)
-                commands = stages.commands(plan(items, printer.limits))
+            for piece, commands in printed:
                 meter.add(commands, Labels(replace(piece.start.place), by_name=False), together)
         except HframeError as error:
             refused = str(error)
         return meter.trial(stages.summary.clamped.samples, refused)
+
+    def print_pieces(
+        self, pieces: Iterable[Piece], settings: SpeedSettings | None
+    ) -> tuple[Stages, Iterator[tuple[Piece, Iterator[Samples]]]]:
+        """Return the stages of a trial, and each piece with its commands.
+
+        settings: None for the file's own speeds. Raises HframeError while commands are taken.
+        """
+        printer, paces = self._printer, None
+        if settings is not None:
+            printer, options = self.configured(settings)
+            paces = options.paces
+        stages = Stages(printer, self._options, self._compensator, at_stops=self._at_stops)
+
+        def printed() -> Iterator[tuple[Piece, Iterator[Samples]]]:
+            for piece in pieces:
+                items = iter(piece.items)
+                items = items if paces is None else pace(items, paces, piece.start)
+                yield piece, stages.commands(scheduled(items, printer, piece.start))
+
+        return stages, printed()
 
     def try_whole(
         self, settings: SpeedSettings, plants: tuple[Plant, ...], may_clamp: bool
@@ -149,13 +180,21 @@ class Drive:
 
     def layer_times(self, settings: SpeedSettings) -> dict[int, float]:
         """Return the seconds of each layer by its number, planned without compensation."""
+        return self.timed(settings).layers
+
+    def timed(self, settings: SpeedSettings) -> TrialPrint:
+        """Return the times of the whole print, planned only: there are no errors."""
         printer, options = self.configured(settings)
-        options = replace(options, retract="standing")
-        items = plan(self._items(options.paces), printer.limits)
-        labels, layers = Labels(by_name=False), dict[int, float]()
-        for chunk in sampled(items, printer, options):
-            add_layer_times(layers, labels.number(chunk)[0])
-        return layers
+        items = scheduled(self._items(options.paces), printer)
+        meter = self._meter(settings)
+        meter.add_time(sampled(items, printer, replace(options, retract="standing")))
+        return meter.trial(0)
+
+    def own_seconds(self) -> float:
+        """Return the duration of the print at the file's own speeds, with the stops of our own."""
+        printer, options = self._printer, replace(self._options, retract="standing")
+        samples = sampled(scheduled(self._items(), printer), printer, options, skip_slow=True)
+        return TS * max((chunk.end for chunk in samples), default=0)
 
     def original(self) -> Original:
         """Return what the file is without this tool, at its own speeds."""
@@ -182,7 +221,7 @@ class Drive:
     def _printed(self, printer: Printer, options: Options) -> tuple[Stages, Iterator[Samples]]:
         """Return the commands of the whole print, and the stages that compute them."""
         stages = Stages(printer, options, self._compensator)
-        spans = Spans(plan(self._items(options.paces), printer.limits))
+        spans = Spans(scheduled(self._items(options.paces), printer))
         return stages, stages.predicted(stages.whole(spans), threads=True)
 
     def _items(self, paces: Paces | None = None) -> Iterator[Item]:
@@ -203,6 +242,7 @@ class Drive:
 
 # ---------------------------------------------------------------------- cooling
 
+FULL = 0.985  # of its least time that a layer is slowed to
 SLOWEST = 0.05  # times the feed rate; a layer that takes too little time even then stays so
 
 
@@ -227,8 +267,13 @@ class LayerTimes:
             share = seconds / (self.least.get(layer) or math.inf)
             factor = factors.get(layer, 1.0)
             if (0.0 < share < 0.98) or (share > 1.01 and factor < 1.0):
-                factors[layer] = min(max(factor * (share / 0.985) ** 1.3, SLOWEST), 1.0)
+                factors[layer] = min(max(factor * (share / FULL) ** 1.3, SLOWEST), 1.0)
         return replace(settings, layer_feed=factors)
+
+    def missing(self, layers: dict[int, float]) -> float:
+        """Return the seconds by which these layers are short of their least time."""
+        short = (FULL * self.least.get(layer, 0.0) - seconds for layer, seconds in layers.items())
+        return sum(seconds for seconds in short if seconds > 0.0)
 
     def planned(self, drive: Drive, settings: SpeedSettings) -> SpeedSettings:
         """Return settings whose plan leaves each layer its time.

@@ -47,6 +47,10 @@ def speed_as_json(found: Fastest) -> dict[str, Any]:
             }
             for name, errors in trial.errors.items()
         },
+        "limits": {
+            "flow": found.printer.limits.flow,
+            "min_layer_time_s": found.printer.limits.min_layer_time,
+        },
         "limited_by_s": limited_by,
     }  # fmt: skip
 
@@ -77,6 +81,11 @@ def speed_as_text(found: Fastest) -> str:
         for cause, seconds in sorted(trial.limited_by.items(), key=lambda item: -item[1])
         if seconds > 0.01 * total
     ]
+    limits = found.printer.limits
+    lines.append(
+        f"limits           flow {limits.flow:g} mm³/s, layers of at least "
+        f"{limits.min_layer_time:g} s (of the profile, and of the filament as the file has it)"
+    )
     lines.append(f"limited by       {', '.join(causes)} of the time")
     return "\n".join(lines)
 

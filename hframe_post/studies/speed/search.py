@@ -15,6 +15,7 @@ The result is a whole print, so its error is a prediction, not an extrapolation.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import cast
 
@@ -22,12 +23,13 @@ import numpy as np
 
 from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError
+from hframe_post.gcode.slicer_settings import slicer_settings
 from hframe_post.model.plant import Plant
 from hframe_post.planner.pacing import NAMES
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.studies.simulation.uncertainty import draws
-from hframe_post.studies.speed.drive import Drive, LayerTimes, Lines, Original
+from hframe_post.studies.speed.drive import Drive, LayerTimes, Original, Source
 from hframe_post.studies.speed.trial import (
     ADJUSTED,
     CAUSES,
@@ -71,12 +73,12 @@ class Fastest:
     original: Original
 
 
-def find_fastest(lines: Lines, printer: Printer, options: Options) -> Fastest:
+def find_fastest(lines: Source, printer: Printer, options: Options) -> Fastest:
     """Return the fastest print within the error that ``options.speed`` allows.
 
     Raises HframeError if no print is within it.
     """
-    speed, limits = options.speed, printer.limits
+    speed, printer = options.speed, with_slicer_limits(printer, lines())
     assert speed is not None
     errors = speed.max_error
     bound = Bound(
@@ -84,19 +86,40 @@ def find_fastest(lines: Lines, printer: Printer, options: Options) -> Fastest:
         {name: error for name, error in errors.items() if name},
         cast(Measure, speed.error_measure),
     )
-    freedom = Freedom(
-        speed.speed_up, limits.filament_velocity, limits.min_layer_time,
-        speed.filament_acceleration or math.inf,
-    )  # fmt: skip
-    near = draws(printer.plant, speed.model_error, 40 if speed.model_error else 0, seed=0)
-    found = search(lines, printer, options, bound, freedom, tuple(near))
+    freedom, near = freedom_of(speed, printer), random_plants(speed, printer)
+    found = search(lines, printer, options, bound, freedom, near)
     release_memory()
     return found
 
 
+def with_slicer_limits(printer: Printer, lines: Iterable[bytes]) -> Printer:
+    """Return the printer with what the slicer knows of the filament in this file.
+
+    The hot end melts no more than the profile says; a layer takes as long as the slicer says.
+    """
+    said, limits = slicer_settings(lines), printer.limits
+    flow = min(limits.flow, max(said.flow or math.inf, 0.1))
+    layer_time = limits.min_layer_time if said.layer_time is None else min(said.layer_time, 600.0)
+    return replace(printer, limits=replace(limits, flow=flow, min_layer_time=layer_time))
+
+
+def freedom_of(speed: Speed, printer: Printer) -> Freedom:
+    """Return what the search may change, by the profile."""
+    limits = printer.limits
+    return Freedom(
+        speed.speed_up, limits.filament_velocity, limits.min_layer_time,
+        speed.filament_acceleration or math.inf,
+    )  # fmt: skip
+
+
+def random_plants(speed: Speed, printer: Printer) -> tuple[Plant, ...]:
+    """Return the plants in addition to the printer's on which bounds must hold."""
+    return tuple(draws(printer.plant, speed.model_error, 40 if speed.model_error else 0, seed=0))
+
+
 @one_blas_thread()
 def search(
-    lines: Lines, printer: Printer, options: Options, bound: Bound,
+    lines: Source, printer: Printer, options: Options, bound: Bound,
     freedom: Freedom | None = None, near: tuple[Plant, ...] = (),
 ) -> Fastest:  # fmt: skip
     """Return the fastest print within the bound, or raise HframeError.
@@ -120,13 +143,13 @@ def _fastest_whole(
     least: LayerTimes, may_clamp: bool,
 ) -> TrialPrint:  # fmt: skip
     """Return the first print of the whole file within the bound, or raise HframeError."""
-    searches = _Searches(bound, drive.max_acceleration)
+    searches = Searches(bound, drive.max_acceleration)
     for limit in (*[LIMIT] * 5, 1.0):
         settings = least.planned(drive, settings)
         trial = drive.try_whole(settings, plants, may_clamp or limit == 1.0)
         shares = bound.shares(trial)
         if trial.refused:
-            settings = _gentler(settings)
+            settings = gentler(settings)
             continue
         short = least.short(settings, trial.layers)
         if max(shares.values(), default=0.0) <= limit and not short:
@@ -147,7 +170,7 @@ def _fastest_pieces(
     drive: Drive, bound: Bound, near: tuple[Plant, ...], speed_up: float
 ) -> tuple[SpeedSettings, tuple[Plant, ...]]:
     """Return settings to begin with, and the plants with the greatest errors."""
-    pieces, searches = drive.excerpt(), _Searches(bound, drive.max_acceleration)
+    pieces, searches = drive.excerpt(), Searches(bound, drive.max_acceleration)
     useful = drive.useful_feeds(pieces)
     feed = {name: max(min(speed_up, useful.get(name, speed_up)), 1.0) for name in ADJUSTED}
 
@@ -159,7 +182,7 @@ def _fastest_pieces(
                 searches.trials.append(trial)
                 worst = (np.argsort(errors)[-2:].tolist() for errors in trial.errors.values())
                 return tuple(plants[k] for k in sorted({0}.union(*worst)))
-            settings = _gentler(settings)
+            settings = gentler(settings)
         raise HframeError(trial.refused)
 
     acceleration = dict.fromkeys(ADJUSTED, min(8e3, drive.max_acceleration))
@@ -174,12 +197,14 @@ def _fastest_pieces(
     return searches.corrected(feed), plants
 
 
-class _Searches:
+class Searches:
     """The searches of all kinds of features. trials: their steps so far."""
 
-    def __init__(self, bound: Bound, max_acceleration: float) -> None:
+    def __init__(
+        self, bound: Bound, max_acceleration: float, trials: Iterable[TrialPrint] = ()
+    ) -> None:
         self._bound, self._max_acceleration = bound, max_acceleration
-        self.trials: list[TrialPrint] = []
+        self.trials = list(trials)
 
     def corrected(self, feed: dict[str, float]) -> SpeedSettings:
         """Return the last settings with accelerations at which features use up their bounds.
@@ -250,6 +275,7 @@ def _root(points: list[tuple[float, float]]) -> float:
     return x - min(max(y / slope, -1.2), 1.2)
 
 
-def _gentler(settings: SpeedSettings) -> SpeedSettings:
+def gentler(settings: SpeedSettings) -> SpeedSettings:
+    """Return settings with accelerations that are lower by 15 %."""
     acceleration = {name: 0.85 * value for name, value in settings.acceleration.items()}
     return replace(settings, acceleration=acceleration)

@@ -95,10 +95,7 @@ class TrialMeter:
         """Judge a stream with the commands of one strategy on each plant."""
         chunks = smaller(commands, 8192)  # since each plant has a motion
         for judgements in judge_each(chunks, plants, JUDGED_EVERY):
-            layer, feature = labels.number(judgements[0].chunk)
-            self._samples += len(layer)
-            add_layer_times(self._layers, layer)
-            self._limited += self._causes(judgements[0].chunk, labels, layer, feature)
+            layer, feature = self._time(judgements[0].chunk, labels)
             for name, here in judged(judgements[0], layer, feature, labels):
                 statistics = self._statistics.setdefault(
                     name, [ErrorStatistics() for _ in judgements]
@@ -106,6 +103,20 @@ class TrialMeter:
                 for judgement, errors in zip(judgements, statistics, strict=True):
                     (contour,) = judgement.contour.values()
                     errors.add(contour[here])
+
+    def add_time(self, samples: Iterable[Samples]) -> None:
+        """Add the time of a whole print, and what limits it; no errors."""
+        labels = Labels(by_name=False)
+        for chunk in samples:
+            self._time(chunk, labels)
+
+    def _time(self, chunk: Samples, labels: Labels) -> tuple[Integers, Integers]:
+        """Add the time of a chunk; return the numbers of layer and feature of its samples."""
+        layer, feature = labels.number(chunk)
+        self._samples += len(layer)
+        add_layer_times(self._layers, layer)
+        self._limited += self._causes(chunk, labels, layer, feature)
+        return layer, feature
 
     def trial(self, clamped: int, refused: str = "") -> TrialPrint:
         """Return the outcome; features of fewer than 50 samples have no error."""
