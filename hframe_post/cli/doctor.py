@@ -24,9 +24,9 @@ from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.version import log_of
 from hframe_post.firmware.registry import firmware
 from hframe_post.printer.choice import VARIABLE, Choice, choose, config_file, presets
-from hframe_post.printer.edit import changed_by_hand
 from hframe_post.printer.profile import load, shipped, text_of
 from hframe_post.printer.settings import Printer
+from hframe_post.printer.update import changed_by_hand
 from hframe_post.version import __version__
 
 OLD = 90  # days, from which a model is to be checked

@@ -28,9 +28,7 @@ PICO = 1e9  # of a mm
 REACH = 250  # samples from which a faster change may come; see ``bounded``
 NEAR = 2  # samples before and after one between which its speed is measured
 MARGIN = 0.98  # of what fits into REACH
-SHARE = (
-    0.8  # of the acceleration; the rest is needed at the ends of a line, where A sets out at once
-)
+SHARE = 0.8  # of the acceleration; the rest is for the ends of a line, where A sets out at once
 
 
 def extruding(path: Array) -> Flags:

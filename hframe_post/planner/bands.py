@@ -45,9 +45,8 @@ class MotorBands:
 
         direction (n, 2): x and y per mm of path. margin: share by which the bands are widened.
         """
-        ratio = np.abs(
-            self.kinematics.belts(*direction.T)
-        ).T  # motors' speeds over that of the path
+        # motors' speeds over that of the path
+        ratio = np.abs(self.kinematics.belts(*direction.T)).T
         with np.errstate(divide="ignore"):
             low, high = (
                 np.concatenate([end * (1.0 + sign * margin) / ratio for end in ends], axis=1)
@@ -78,9 +77,8 @@ class MotorBands:
         low, high = (
             np.clip(ends, slower[:, None], (slower + span)[:, None]) for ends in (low, high)
         )
-        least = np.minimum.accumulate(
-            low, axis=1
-        )  # of the intervals so far: each adds what is below
+        # of the intervals so far: each adds what is below
+        least = np.minimum.accumulate(low, axis=1)
         reached = np.concatenate([np.full((len(low), 1), np.inf), least[:, :-1]], axis=1)
         return np.asarray(np.maximum(np.minimum(high, reached) - low, 0.0).sum(axis=1) / span)
 

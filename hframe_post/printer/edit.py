@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import date
 from typing import Any
 
 import numpy as np
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import Item, Table
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import PrinterError
@@ -29,12 +27,10 @@ from hframe_post.printer.profile import (
     shipped,
     text_of,
 )
-from hframe_post.printer.setup import AS_BEFORE, Known, Tables
 
 Windows = tuple[Window, Window]
 Settings = Mapping[str, dict[str, Any]]  # by the names of their tables
 DIGITS, IN_A_LINE = 4, 10  # after the point of a response's µm or µrad; numbers
-COMMENT = re.compile(r"# *(\[.*?\]|\".*?\"|[^\s(]+) \(")  # the value that `setup` wrote
 
 
 def with_windows(
@@ -292,96 +288,3 @@ def _rows(values: Sequence[float]) -> str:
 def _pairs(roots: Complex) -> str:
     pairs = (f"    [{root.real!r}, {root.imag!r}],\n" for root in (roots + 0.0).tolist())
     return "\n" + "".join(pairs) if len(roots) else ""
-
-
-# ---------------------------------------------------------------------- new values from printer.cfg
-
-
-@dataclass(frozen=True, slots=True)
-class Updated:
-    """A profile's text with newly found settings, and a line for each that it changes or keeps.
-
-    kept: settings that differ from what was found, because their owner changed them.
-    """
-
-    text: str
-    changes: list[str]
-    kept: list[str]
-
-
-def updated(text: str, tables: Tables, source: str = "") -> Updated:
-    """Return a profile's text with newly found settings.
-
-    A value that differs from the one that its comment begins with was changed by its owner, and
-    stays. A table without settings is removed unless its owner changed it. Nothing else changes.
-    Raises PrinterError.
-    """
-    document: Any = tomlkit.parse(text)
-    own = changed_by_hand(text)
-    changes, kept = list[str](), list[str]()
-    for name, table in tables.items():
-        if not table and name in document and not any(key.startswith(f"{name}.") for key in own):
-            document.remove(name)
-            changes.append(f"[{name}]: removed, because the printer has none any more")
-        for key, known in table.items():
-            _update(_table_in(document, name), key, known, f"{name}.{key}", changes, kept)
-    changed: str = document.as_string()
-    parse(changed, "changed", source)  # raises if it cannot be loaded
-    return Updated(changed, changes, kept)
-
-
-def changed_by_hand(text: str) -> list[str]:
-    """Return the settings of a profile that differ from what `setup` found, as "table.key"."""
-    return list(_changed_in(tomlkit.parse(text), ""))
-
-
-def _changed_in(table: Any, prefix: str) -> Iterator[str]:
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _changed_in(value, f"{prefix}{key}.")
-        elif isinstance(value, Item):  # not true and false
-            found = COMMENT.match(value.trivia.comment)
-            if found and tomllib.loads(f"value = {found[1]}")["value"] != value.unwrap():
-                yield f"{prefix}{key}"
-
-
-def _table_in(document: Any, name: str) -> Any:
-    for key, item in document.body:  # [firmware] may stand behind [firmware.klipper]
-        if key and key.key == name and isinstance(item, Table) and not item.is_super_table():
-            return item
-    for part in name.split("."):
-        if part not in document:
-            document.add(part, tomlkit.table())
-        document = document[part]
-    return document
-
-
-def _update(
-    table: Any, key: str, known: Known, name: str, changes: list[str], kept: list[str]
-) -> None:
-    """Set a value unless it was changed by hand; add what is worth saying."""
-    new = tomllib.loads(f"value = {known.as_toml()}")["value"]
-    if key not in table:
-        table.add(key, new)
-        table.value.item(key).comment(known.comment())
-        changes.append(f"{name} = {known.comment()}: added")
-        return
-    item = table.value.item(key)  # table[key] is a plain bool for true and false
-    before = item.unwrap()
-    found = COMMENT.match(item.trivia.comment)
-    written = found[1] if found else None
-    if before != new and (
-        written is None or tomllib.loads(f"value = {written}")["value"] != before
-    ):
-        kept.append(
-            f"{name} = {item.as_string()}: kept, because it was changed by hand; to take the "
-            f"printer's, write {known.comment()}"
-        )
-    elif before != new:
-        table[key] = new
-        item = table.value.item(key)
-        changes.append(f"{name} = {known.comment()}: it was {written}")
-    if known.origin != AS_BEFORE and item.trivia.comment != (comment := f"# {known.comment()}"):
-        space = item.trivia.comment_ws
-        item.comment(comment)
-        item.trivia.comment_ws = space or item.trivia.comment_ws

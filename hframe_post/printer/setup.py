@@ -1,7 +1,7 @@
 """New profiles, from what a firmware says of itself: each number, and where it came from.
 
 A line of such a profile is ``acceleration = 8000    # 8000 (max_accel of [printer])``. The comment
-repeats the value: `edit.updated` sees from it what was changed since.
+repeats the value: `update.updated` sees from it what was changed since.
 """
 
 from __future__ import annotations
