@@ -18,6 +18,7 @@ from hframe_post.identification.recordings.clock_sync import (
     moving_samples,
 )
 from hframe_post.identification.recordings.excitation import read_command
+from hframe_post.identification.recordings.self_alignment import self_aligned
 from hframe_post.identification.recordings.sweep import SweepRun
 from hframe_post.identification.recordings.written_sweep import PAD, played
 from hframe_post.printer.profile import load
@@ -131,6 +132,15 @@ def test_a_clock_that_is_far_off_is_found(drift: float) -> None:
     start, found = clock_from_windows(swept, moving_samples(swept), sensor)
     assert start == pytest.approx(3.0 * (1.0 + drift), abs=0.03)
     assert found == pytest.approx(drift, abs=6e-4)
+
+
+def test_a_clock_that_windows_call_right_is_refined() -> None:
+    """They are 20 ms off over the sweep, and below that none."""
+    command = played(ender(acceleration=500.0), at(1, 110.0, 110.0), 10.0)[0].command
+    soft = replace(MACHINE, y=Axis((Mode(18.8, 0.12),)))
+    chip = replace(SENSORS["lis2dw-394"], lead=3.0, drift=9.3e-4)
+    found = self_aligned(acceleration(command[:, 1]), chip.record(soft, command, 11))
+    near(found.drift, chip.drift, 1e-4, "drift")
 
 
 @pytest.mark.slow

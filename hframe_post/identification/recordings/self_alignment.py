@@ -29,6 +29,8 @@ UNRECORDED = (
 TAIL = 1000  # samples recorded after the command, in which the printer stops ringing
 SEGMENT, HOP = 2000, 500  # samples, of the spectra that are compared over time
 CLOCK_BAND_HZ = (4.0, 100.0)
+# by which the drift may be off: a rough one that is known, one found from windows, a refined one
+KNOWN_DRIFT, FOUND_DRIFT, FINE_DRIFT = 6e-4, 1.5e-3, 4e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +61,15 @@ def self_aligned(
     if not moving.size:
         raise IdentificationError("the command does not move")
     sensor = Resampler(recording.t, recording.a - recording.a.mean(axis=0))
+    reach = KNOWN_DRIFT
     if rough is None:
-        rough = clock_from_windows(command, moving, sensor)
+        rough, reach = clock_from_windows(command, moving, sensor), FOUND_DRIFT
     start, drift = rough
     first, last = start + (1.0 + drift) * TS * moving[[0, -1]]
     sensor.check_covers(first, last, UNRECORDED)
     whole = np.pad(command, (0, TAIL))
-    for reach in (6e-4, 4e-5):
-        drift += _drift(command, sensor.resampled(start, drift, len(command)), reach)
+    for within in (reach, FINE_DRIFT):
+        drift += _drift(command, sensor.resampled(start, drift, len(command)), within)
     acceleration = sensor.resampled(start, drift, len(whole))
     clock = start + (1.0 + drift) * TS * np.arange(len(whole))
     recorded = (clock >= 0.0) & (clock <= sensor.seconds)
