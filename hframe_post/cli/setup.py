@@ -74,9 +74,9 @@ def setup(
     """Make this printer's profile from Klipper's printer.cfg or from Marlin's answer to M503.
 
     Writes printer.toml, the profile, and makes it the default. For Klipper it also writes
-    hframe.cfg, to include in printer.cfg. printer.cfg itself is not changed. For Marlin, save what
-    the printer answers to M503 and M115 in one file; its Configuration.h and Configuration_adv.h
-    may follow. Run setup again after a change: what you changed in the profile stays, as does the
+    hframe.cfg, to include in printer.cfg, which only --moonraker changes. For Marlin, save what the
+    printer answers to M503 and M115 in one file; its Configuration.h and Configuration_adv.h may
+    follow. Run setup again after a change: what you changed in the profile stays, as does the
     measured model.
 
     --moonraker is for the printer's computer. It also links a component into Moonraker, adds a

@@ -25,8 +25,8 @@ AROUND = REACH + NEAR + round(LONGEST_SMOOTHING / TS / 2.0)  # samples on which 
 class Advancing:
     """Adds advance to samples. ``least``, ``most``: s of it, wherever there are samples.
 
-    advance: in force before the first. limits: of an extruder that must be told; None: the
-    firmware adds its own advance, and what is added here is what it does.
+    advance: in force before the first. limits: of an extruder whose E must contain its
+    advance; None: the firmware adds its own, and this is what it does.
     """
 
     def __init__(self, advance: Advance, limits: ExtruderLimits | None) -> None:

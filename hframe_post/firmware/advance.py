@@ -68,7 +68,7 @@ NO_ADVANCE = Advance()
 
 @dataclass(frozen=True, slots=True)
 class ExtruderLimits:
-    """Greatest speed, mm/s, and acceleration, mm/s², of an extruder that is told its advance."""
+    """Limits of an extruder whose E contains its advance: speed, mm/s; acceleration, mm/s²."""
 
     velocity: float
     acceleration: float

@@ -114,7 +114,7 @@ class OuterWalls:
         self.first = np.zeros(0, dtype=bool)
 
     def pass_by(self, item: Item) -> None:
-        """Note the labels of an item that is no motion in x and y."""
+        """Note the labels of an item without motion in x and y."""
         if isinstance(item, Passthrough):
             self._labeller.mark(item.text)
 

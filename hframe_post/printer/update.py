@@ -1,4 +1,4 @@
-"""Profiles whose settings `setup` found anew: what their owner changed by hand stays."""
+"""Profiles with new settings from `setup`: what their owner changed by hand stays."""
 
 from __future__ import annotations
 

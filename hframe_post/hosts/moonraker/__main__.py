@@ -1,6 +1,6 @@
 """Run a duty of the component as a process: ``python THIS_FOLDER DUTY SETTINGS [WORD]...``.
 
-This folder is no package where it is run from, so its modules are imported by the folder's name.
+Here the folder is not part of a package: its modules are imported by its own name.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the section of moonraker.conf says, as processes of the component are told."""
+"""The section of moonraker.conf, as the component passes it to its processes."""
 
 from __future__ import annotations
 

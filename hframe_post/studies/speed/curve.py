@@ -55,7 +55,7 @@ FEED_STEP, MOST_FEEDS = 0.6, 2  # of feed rates above the file's
 BOUNDS = 5  # of the curve, in addition to today's error
 LOOSEST = 2.0  # times today's error
 START = 8e3  # mm/s² at which the plants with the greatest errors are found
-SAME = 0.004  # share of the time that is no gain
+SAME = 0.004  # share of the time; a smaller gain is not shown
 
 
 @dataclass(frozen=True, slots=True)
