@@ -25,8 +25,10 @@ from hframe_post.prediction.statistics import DECIMALS, TRAVEL
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 
-LEVEL = 4  # of compression: a third of the time of 6, for 3 to 20 % more bytes
+LEVEL = 4  # of compression of text: a third of the time of 6, for 3 to 20 % more bytes
+PACKED_LEVEL = 2  # of pieces: two thirds of the time of 4, for 5 % more bytes
 LARGEST_TEXT = 1_650_000  # bytes of compressed G-code that a page carries
+MOST_LINES = LARGEST_TEXT // 4  # a line takes 8 to 12 bytes, so more of them are not tried
 LINES_TOGETHER = 1000
 WORST = 10  # places
 APART = 2.0  # mm between two of them, seen from above
@@ -74,7 +76,8 @@ def page(
         "coarse": picture.finest if picture.coarser else None,
     }
     packed = _packed(pieces, columns)
-    return filled("page", data, SEGMENTS=_coded(packed), TEXT=_coded(_compressed(lines)))
+    text = _compressed(lines) if report.read.lines <= MOST_LINES else b""
+    return filled("page", data, SEGMENTS=_coded(packed), TEXT=_coded(text))
 
 
 def _coded(content: bytes) -> str:
@@ -214,7 +217,7 @@ def _packed(pieces: Pieces, columns: list[int]) -> bytes:
         for column in columns
         for axis in (X, Y)
     )
-    squeeze = zlib.compressobj(LEVEL)
+    squeeze = zlib.compressobj(PACKED_LEVEL)
     parts = (
         *(np.diff(row.astype("<i4"), prepend=np.int32(0)) for row in places),
         np.minimum(pieces.speed, 65535.0).astype("<u2"),

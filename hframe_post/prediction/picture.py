@@ -178,9 +178,10 @@ class Picture:
 
     def _coarsen(self) -> None:
         self.coarser += 1
-        groups = range(0, len(self._tables), MERGED)
-        merged = (np.hstack(self._tables[k : k + MERGED]) for k in groups)
-        self._tables = [self._simplified(table) for table in merged]
+        finer, self._tables = self._tables, []
+        while finer:  # each is freed as soon as its coarser one is made
+            self._tables.append(self._simplified(np.hstack(finer[:MERGED])))
+            del finer[:MERGED]
         self._count = sum(table.shape[1] for table in self._tables)
 
     def _simplified(self, table: Table) -> Table:

@@ -15,7 +15,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # of glibc's malloc.h
 COLLECTED = 50_000  # new objects after which circles among them are sought; 700 by default
 DEPTH = 2  # items that are computed, or being computed, before they are asked for
 
@@ -89,7 +89,8 @@ def one_blas_thread() -> Iterator[None]:
 def keep_memory() -> None:
     """Let the allocator keep what this process frees, up to 64 MB, for the next chunk.
 
-    Otherwise it returns each chunk to the system and gets it back page by page. Garbage is
+    Otherwise it returns each chunk to the system and gets it back page by page. All threads share
+    what is kept: a heap of its own for each would take a quarter more memory. Garbage is
     collected less often: few of the many objects of a conversion refer to each other in a circle.
     """
     gc.freeze()
@@ -98,6 +99,7 @@ def keep_memory() -> None:
     if allocate is not None:
         allocate(M_MMAP_THRESHOLD, 1 << 25)
         allocate(M_TRIM_THRESHOLD, 1 << 26)
+        allocate(M_ARENA_MAX, 1)
 
 
 def release_memory() -> None:

@@ -10,10 +10,13 @@ import re
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import click
 import pytest
 
+from hframe_post.cli.options import progress_bar
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT
 
@@ -122,6 +125,19 @@ def test_verbose_logs_stages_and_their_time() -> None:
     assert stages[:5] == ["read", "plan", "sample", "compensate", "dwell"]
     assert [float(at) for at, *_ in lines] == sorted(float(at) for at, *_ in lines)
     assert run(RECTANGLE, "-n", "-q").stderr == b""
+
+
+def test_verbose_logs_what_a_thread_reads(capfd: pytest.CaptureFixture[str]) -> None:
+    """Threads read a print that never stops; click knows no command in them."""
+    with (
+        click.Context(click.Command("convert")) as context,
+        ThreadPoolExecutor(1) as reader,
+    ):
+        context.meta["hframe_post.verbose"] = True
+        with progress_bar(RECTANGLE, quiet=True) as advance:
+            assert advance is not None
+            reader.submit(advance, RECTANGLE.stat().st_size).result()
+    assert "100 % is read" in capfd.readouterr().err
 
 
 def test_dry_run_writes_nothing(part: Path) -> None:
