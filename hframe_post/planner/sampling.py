@@ -193,12 +193,11 @@ class _Sampler:
     def _slow_parts(self, plan: Plan, motion: Array, last: int) -> deque[tuple[int, int]]:
         """Return the samples, first and last, that can be left out of slow straights."""
         parts = deque[tuple[int, int]]()
-        time, duration, s, v, a, j = motion
-        steady = (v <= SLOW) & (a == 0.0) & (j == 0.0)
-        phases = np.flatnonzero(steady & (duration > (FEWEST + 2 * KEPT) * TS))
-        if not self._skip_slow or self._retraction is not None or not len(phases):
+        if not self._skip_slow or self._retraction is not None:
             return parts
-        for k in phases.tolist():
+        time, duration, s, v, a, j = motion
+        long = np.flatnonzero(duration > (FEWEST + 2 * KEPT) * TS)
+        for k in long[(v[long] <= SLOW) & (a[long] == 0.0) & (j[long] == 0.0)].tolist():
             end = s[k] + v[k] * duration[k]
             inside = plan.s[(plan.s > s[k]) & (plan.s < end)]
             passed = time[k] + (np.concatenate([[s[k]], inside, [end]]) - s[k]) / v[k]
