@@ -133,10 +133,6 @@ def search(
     freedom: by default, feed rates are not raised. near: plants in addition to the printer's on
     which the bound must hold. convert: see ``find_fastest``; by default nothing is written.
     """
-
-    def unwritten(printer: Printer, options: Options) -> Report:
-        return files.convert(lines(), None, printer, options)
-
     freedom = freedom or Freedom()
     drive = Drive(lines, printer, options, bound.measure, freedom)
     original = drive.original()
@@ -144,11 +140,21 @@ def search(
         {k: min(seconds, freedom.min_layer_time) for k, seconds in original.layers.items() if k}
     )
     settings, plants = _fastest_pieces(drive, bound, (printer.plant, *near), freedom.speed_up)
-    trial, report = _fastest_whole(drive, bound, settings, plants, least, convert or unwritten)
+    convert = convert or unwritten(lines)
+    trial, report = fastest_whole(drive, bound, settings, plants, least, convert)
     return Fastest(*drive.configured(trial.settings), bound, trial, original, report)
 
 
-def _fastest_whole(
+def unwritten(lines: Source) -> Convert:
+    """Return the conversion of a file whose output nobody needs."""
+
+    def convert(printer: Printer, options: Options) -> Report:
+        return files.convert(lines(), None, printer, options)
+
+    return convert
+
+
+def fastest_whole(
     drive: Drive, bound: Bound, settings: SpeedSettings, plants: tuple[Plant, ...],
     least: LayerTimes, convert: Convert,
 ) -> tuple[TrialPrint, Report]:  # fmt: skip
