@@ -87,6 +87,11 @@ def klipper_advance(text: bytes) -> AdvanceChange:
     )
 
 
+def klipper_seconds(text: bytes) -> AdvanceChange:
+    """Return what SET_PRESSURE_ADVANCE sets where the stream restores its own averaging."""
+    return klipper_advance(text)._replace(smooth_time=None)
+
+
 def marlin_advance(text: bytes) -> AdvanceChange:
     """Return what M900 sets for the first extruder."""
     if (match := _MARLIN.match(text)) is None:

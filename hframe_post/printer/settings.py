@@ -32,6 +32,7 @@ DRIFT_IN_A_DAY, DRIFT_GROWTH = 0.03, 0.2
 MOST_DRIFT = 0.2
 LONGEST_ADVANCE, LONGEST_SMOOTHING = 10.0, 0.2  # s
 SMOOTH_TIME = 0.04  # s, Klipper's default
+STREAM_SMOOTH_TIME = 0.02  # s; below it, lines get no more even
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,11 +228,13 @@ class Retraction:
 class Extruder:
     """How late the flow follows the extruder, s, and the time over which advance is averaged.
 
-    advance: Klipper's pressure_advance, Marlin's K.
+    advance: Klipper's pressure_advance, Marlin's K. stream_smooth_time: Klipper averages over this
+    time while the stream runs, if it is shorter.
     """
 
     advance: float = not_negative(0.0, most=LONGEST_ADVANCE)
     smooth_time: float = within(1e-3, LONGEST_SMOOTHING, default=SMOOTH_TIME)
+    stream_smooth_time: float = within(1e-3, LONGEST_SMOOTHING, default=STREAM_SMOOTH_TIME)
 
 
 @dataclass(frozen=True, slots=True)
