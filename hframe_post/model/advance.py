@@ -31,6 +31,11 @@ MARGIN = 0.98  # of what fits into REACH
 SHARE = 0.8  # of the acceleration; the rest is for the ends of a line, where A sets out at once
 
 
+def steepest(velocity: float, acceleration: float, half: Integers | int) -> Array:
+    """Return how fast A may change, mm/s, for its mean to stay within an acceleration, mm/s²."""
+    return np.asarray(np.minimum(velocity, SHARE * acceleration * half * TS))
+
+
 def extruding(path: Array) -> Flags:
     """Return which steps (n − 1,) of a path (n, 4) are part of a line."""
     dx, dy, _, fed = np.diff(path, axis=0).T
@@ -68,10 +73,10 @@ def bounded(path: Array, K: Array, velocity: float, acceleration: float, half: i
     speed = np.zeros(len(path))
     speed[NEAR:-NEAR] = (path[2 * NEAR :, E] - path[: -2 * NEAR, E]) / (2 * NEAR * TS)
     speed = np.where(inside, np.maximum(speed, 0.0), 0.0)
-    steepest = np.minimum(velocity, SHARE * acceleration * reach * TS)  # mm/s
-    wanted = np.minimum(K * speed, MARGIN * steepest * TS * (REACH - reach))
+    most = steepest(velocity, acceleration, reach)
+    wanted = np.minimum(K * speed, MARGIN * most * TS * (REACH - reach))
     room = np.minimum(np.minimum(before, after) / reach, 1.0)  # sets out gently
-    room = np.minimum(steepest * room, np.maximum(velocity - speed, 0.0))
+    room = np.minimum(most * room, np.maximum(velocity - speed, 0.0))
     slope = np.rint(PICO * TS * np.minimum(room[:-1], room[1:])).astype(np.int64)
     way = np.append(0, np.cumsum(slope))
     rising = np.minimum.accumulate(np.rint(PICO * wanted).astype(np.int64) - way) + way
