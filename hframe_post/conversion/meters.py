@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -76,6 +76,20 @@ class InputMeter:
 # ---------------------------------------------------------------------- the commands
 
 
+class Meters(Protocol):
+    """Makes a meter of a study for each span of a print; ``place`` is where the span begins."""
+
+    def begun(self, place: Place) -> Meter: ...
+
+
+class Meter(Protocol):
+    """Measures commands. sums: what it saw, with a method that joins those of the next span."""
+
+    sums: Any
+
+    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]: ...
+
+
 @dataclass(frozen=True, slots=True)
 class PrintTime:
     """Duration of the print, s: as the firmware plays the sliced file, and as converted."""
@@ -89,8 +103,8 @@ class MotionSummary:
     """What the stages saw of one span or of several.
 
     fed: most filament in one stretch, mm. seconds: processor time by stage. picture: if one was
-    asked for. advance: pressure advance. in_bands: outer walls, and what of
-    them a motor spends in a band that it avoids.
+    asked for. advance: pressure advance. in_bands: outer walls, and what of them a motor spends in
+    a band that it avoids. metered: sums of the options' meters.
     """
 
     samples: int = 0
@@ -103,6 +117,7 @@ class MotionSummary:
     picture: Picture | None = None
     advance: AdvanceSummary = field(default_factory=AdvanceSummary)
     in_bands: TimeInBands = field(default_factory=TimeInBands)
+    metered: Any = None
 
     @property
     def duration(self) -> float:
@@ -132,6 +147,10 @@ class MotionSummary:
             self.picture = later.picture
         elif later.picture is not None:
             self.picture.join(later.picture)
+        if self.metered is None:
+            self.metered = later.metered
+        elif later.metered is not None:
+            self.metered.join(later.metered)
 
 
 class Clock:

@@ -38,9 +38,13 @@ from tests.conftest import SAMPLES
 MODEL_ERROR = 0.05
 
 
+def whole_cube() -> list[bytes]:
+    return (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
+
+
 def cube() -> list[bytes]:
     """The first and two later layers; extrusion is relative."""
-    lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
+    lines = whole_cube()
     second, fifth, seventh = (lines.index(b";LAYER:%d\n" % number) for number in (1, 4, 6))
     return [*lines[:second], *lines[fifth:seventh]]
 
@@ -119,6 +123,20 @@ def test_no_layer_is_too_short_and_what_limits_the_speed_is_reported(
 def test_an_impossible_bound_is_an_error(paper: Printer) -> None:
     with pytest.raises(HframeError, match="allow more"):
         search(cube, paper, Options("racking"), Bound(1e-4))
+
+
+def test_layers_whose_feed_changes_take_as_long_as_in_a_plan_of_the_whole_print(
+    paper: Printer,
+) -> None:
+    drive = Drive(lambda: whole_cube()[:4000], paper, Options("racking"), "p95", Freedom())
+    before = SpeedSettings(dict.fromkeys(ADJUSTED, 5e3), dict.fromkeys(ADJUSTED, 1.0))
+    after = replace(before, layer_feed={4: 0.7, 5: 0.6, 9: 0.8})
+    times = drive.layer_times(before)
+    again = drive.layer_times_again(after, before, times)
+    assert again == pytest.approx(drive.layer_times(after), abs=1e-9)
+    assert again[5] > 1.3 * times[5]
+    known = {**times, 20: 100.0}  # not what a plan gives, so it shows what is planned again
+    assert drive.layer_times_again(after, before, known)[20] == 100.0
 
 
 def test_kept_kinds_are_not_judged(loose: Fastest) -> None:
