@@ -52,7 +52,8 @@ class Advancing:
         self.summary = AdvanceSummary()
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
-        """Yield the chunks with their advance."""
+        """Yield the chunks with their advance, those of another stream from sample 0 on again."""
+        self._since = [(0, self._since[-1][1])]
         for stretch in stretches(self._noted(chunks)):
             for before, chunk, after in neighbours(stretch, AROUND, AROUND):
                 yield self._advanced(before, chunk, after) if len(chunk) else chunk

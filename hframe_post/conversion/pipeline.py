@@ -167,13 +167,17 @@ class Stages:
             commands = self._clamp.limit(commands, strategy)
         return self.times.timed("guard", self._guard.check(commands, strategy))
 
+    def advanced(self, commands: Iterable[Samples]) -> Iterator[Samples]:
+        """Add pressure advance to a stream that begins at sample 0."""
+        return self.times.timed("advance", self._advancing.samples(commands))
+
     def predicted(self, commands: Iterable[Samples], threads: bool) -> Iterator[Samples]:
         """Add advance; measure contour error and print time, on the way to the output.
 
         threads: compute the commands in one thread and the prediction in another, both ahead of
         the caller.
         """
-        commands = self.times.timed("advance", self._advancing.samples(commands))
+        commands = self.advanced(commands)
         if threads:
             commands = prefetch(commands)
         if self._options.predict:
