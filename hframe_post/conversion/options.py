@@ -53,11 +53,11 @@ def error_bounds(text: str) -> dict[str, float]:
 
 
 def width_bound(text: str) -> float:
-    """Read ``5%`` as a share; ``off`` is 0."""
+    """Read ``5%`` or ``0.05`` as a share; ``off`` is 0."""
     if text == "off":
         return 0.0
-    match = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)\s*%", text.strip())
-    share = float(match[1]) / 100.0 if match else 0.0
+    match = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)\s*(%?)", text.strip())
+    share = float(match[1]) / (100.0 if match[2] else 1.0) if match else 0.0
     if not 1e-3 <= share <= 1.0:
         raise ArgumentError(f"{text!r} is neither 'off' nor from 0.1% to 100%, such as 5%")
     return share
@@ -122,7 +122,7 @@ class Options:
     error is reported; None: ``none`` and the chosen one. clamp: compensate less where a command
     would exceed a limit, instead of raising LimitError. tolerance: how far, in mm, a written
     segment may be off the samples; None or 0 writes every sample. max_error: in mm by feature, ''
-    for all others; empty: the file's speeds.
+    for all others; empty: the file's speeds. max_width_error: a share of the lines' width; 0: any.
 
     The last fields are for the stages: ``resolved`` sets speed, the search for it paces. picture:
     collect the path with its predicted errors; shaping: with those of this input shaper, too.
