@@ -90,12 +90,15 @@ def scheduled(
     return plan(avoid_bands(items, printer, start), printer.limits)
 
 
-def following(printer: Printer) -> FollowedAdvance | None:
-    """Return what lowers accelerations for the extruder; None: the firmware adds its advance."""
+def following(printer: Printer, advance: Advance | None = None) -> FollowedAdvance | None:
+    """Return what lowers accelerations for the extruder; None: the firmware adds its advance.
+
+    advance: at the beginning; the profile's by default.
+    """
     own = firmware(printer)
     if (limits := own.motion(printer, None).extruder) is None:
         return None
-    return FollowedAdvance(own.advance(printer), limits, printer.limits.acceleration)
+    return FollowedAdvance(advance or own.advance(printer), limits, printer.limits.acceleration)
 
 
 def sampled(
@@ -167,9 +170,14 @@ class Stages:
             commands = self._clamp.limit(commands, strategy)
         return self.times.timed("guard", self._guard.check(commands, strategy))
 
-    def advanced(self, commands: Iterable[Samples]) -> Iterator[Samples]:
-        """Add pressure advance to a stream that begins at sample 0."""
-        return self.times.timed("advance", self._advancing.samples(commands))
+    def advanced(
+        self, commands: Iterable[Samples], advance: Advance | None = None
+    ) -> Iterator[Samples]:
+        """Add pressure advance.
+
+        advance: at the beginning of another stream, whose first sample is number 0 again.
+        """
+        return self.times.timed("advance", self._advancing.samples(commands, advance))
 
     def predicted(self, commands: Iterable[Samples], threads: bool) -> Iterator[Samples]:
         """Add advance; measure contour error and print time, on the way to the output.

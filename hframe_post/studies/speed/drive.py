@@ -17,6 +17,7 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import (
     Stages,
     continued,
+    following,
     parsed,
     prepared,
     sampled,
@@ -125,7 +126,8 @@ class Drive:
 
     def excerpt(self, seconds: tuple[float, float] = SECONDS) -> list[Piece]:
         """Return pieces from all over the print. seconds: least and most to keep."""
-        return excerpt(self._items(), FIRST_LAYERS, seconds)
+        advance = firmware(self._printer).advance(self._printer)
+        return excerpt(self._items(), FIRST_LAYERS, seconds, advance)
 
     def useful_feeds(self, pieces: Iterable[Piece]) -> dict[str, float]:
         """Return the factor on each feature's feed rates beyond which nothing gets faster."""
@@ -147,7 +149,7 @@ class Drive:
                 meter = TrialMeter(
                     sums, plants, self._options.strategy, piece.start.place, self._width
                 )
-                for _ in meter.samples(stages.advanced(commands)):
+                for _ in meter.samples(stages.advanced(commands, piece.advance)):
                     pass
         except HframeError as error:
             refused = str(error)
@@ -170,7 +172,8 @@ class Drive:
             for piece in pieces:
                 items = iter(piece.items)
                 items = items if paces is None else pace(items, paces, piece.start)
-                yield piece, stages.commands(scheduled(items, printer, piece.start))
+                followed = following(printer, piece.advance)
+                yield piece, stages.commands(scheduled(items, printer, piece.start, followed))
 
         return stages, printed()
 

@@ -293,9 +293,11 @@ class Searches:
 def _root(points: list[tuple[float, float]]) -> float:
     """Return where y is 0 on the line through the two points nearest to that; y = x + c for one.
 
-    A point that is near enough is returned itself.
+    A point that is near enough is returned itself. Where y is too great at all of them, the least x
+    is the nearest: the width of a line may grow a little on the way down.
     """
-    (x, y), *others = sorted(points, key=lambda point: abs(point[1]))
+    gentle = min(points) if min(y for _, y in points) > math.log(LIMIT / AIM) else None
+    (x, y), *others = sorted(points, key=lambda point: (point != gentle, abs(point[1])))
     if math.log(NEAR / AIM) <= y <= math.log(LIMIT / AIM):
         return x
     slopes = [(y - v) / (x - u) for u, v in others if abs(x - u) > 0.01]
