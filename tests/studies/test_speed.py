@@ -17,6 +17,7 @@ from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError
 from hframe_post.library import convert, load_printer
 from hframe_post.model.plant import Plant
+from hframe_post.planner.pacing import NAMES
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Extruder, Printer
@@ -24,7 +25,7 @@ from hframe_post.stream.features import kind
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.speed.drive import Drive
 from hframe_post.studies.speed.report import speed_as_text
-from hframe_post.studies.speed.search import Bound, Fastest, search
+from hframe_post.studies.speed.search import LIMIT, NEAR, Bound, Fastest, Searches, search
 from hframe_post.studies.speed.trial import (
     ADJUSTED,
     FIRST_LAYERS,
@@ -32,6 +33,7 @@ from hframe_post.studies.speed.trial import (
     UNCHANGED,
     Freedom,
     SpeedSettings,
+    TrialPrint,
 )
 from tests.command_line import run
 from tests.conftest import SAMPLES
@@ -275,3 +277,36 @@ def test_a_profile_bounds_acceleration_and_corners_of_the_path(paper: Printer) -
     assert fastest(4000.0) <= (4000.0, owners)
     assert fastest(20.0 * 1e3)[1] == owners
     assert fastest(0.0) > (2e4 - 1.0, owners)
+
+
+@pytest.mark.parametrize("slope", [0.15, 0.4, 1.0, 3.0])
+@pytest.mark.parametrize("start", [(8e3,), (500.0, 20e3), (20e3, 500.0)])
+def test_accelerations_reach_the_bound_in_few_trials(
+    slope: float, start: tuple[float, ...]
+) -> None:
+    """Also where the error hardly depends on the acceleration, so that a step changes little."""
+    bound, used = Bound(0.1), 0.0
+
+    def tried(acceleration: float) -> TrialPrint:
+        error = 0.1 * (acceleration / 4e3) ** slope
+        settings = SpeedSettings({"skin": acceleration}, {"skin": 1.0})
+        return TrialPrint(settings, {"skin": [error]}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
+
+    searches = Searches(bound, 1e6, [tried(acceleration) for acceleration in start])
+    for _ in range(5):
+        used = bound.shares(searches.trials[-1])["skin"]
+        if NEAR <= used <= LIMIT:
+            break
+        searches.trials.append(tried(searches.corrected({"skin": 1.0}).acceleration["skin"]))
+    assert NEAR <= used <= LIMIT
+
+
+def test_of_two_trials_at_one_acceleration_the_later_counts() -> None:
+    """The error of a feature also depends on what else changed: the earlier one is within it."""
+    settings = SpeedSettings({"skin": 4e3}, {"skin": 1.0})
+    trials = [
+        TrialPrint(settings, {"skin": [error]}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
+        for error in (0.094, 0.096)
+    ]
+    searches = Searches(Bound(0.1), 1e6, trials)
+    assert searches.corrected({"skin": 1.0}).acceleration["skin"] < 3.99e3

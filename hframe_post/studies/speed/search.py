@@ -291,15 +291,23 @@ class Searches:
 
 
 def _root(points: list[tuple[float, float]]) -> float:
-    """Return where y is 0 on the line through the two points nearest to that; y = x + c for one.
+    """Return where y, which rises with x, is 0 by these points; y = x + c for one.
 
-    A point that is near enough is returned itself. Where y is too great at all of them, the least x
-    is the nearest: the width of a line may grow a little on the way down.
+    A point that is near enough is returned itself. Between points on both sides it is on the line
+    through the nearest two. Beyond points on one side it lies beyond them all, so that each step
+    leads on even where y hardly rises. Of two points with the same x the later one counts: y also
+    depends on what else changed.
     """
-    gentle = min(points) if min(y for _, y in points) > math.log(LIMIT / AIM) else None
-    (x, y), *others = sorted(points, key=lambda point: (point != gentle, abs(point[1])))
-    if math.log(NEAR / AIM) <= y <= math.log(LIMIT / AIM):
-        return x
+    points = list(dict(points).items())
+    nearest = min(points, key=lambda point: abs(point[1]))
+    if math.log(NEAR / AIM) <= nearest[1] <= math.log(LIMIT / AIM):
+        return nearest[0]
+    above = sorted((point for point in points if point[1] > 0.0), key=lambda point: point[0])
+    below = sorted((point for point in points if point[1] <= 0.0), key=lambda point: -point[0])
+    if above and below and below[0][0] < above[0][0]:
+        (u, v), (x, y) = below[0], above[0]
+        return x - (x - u) * y / (y - v)
+    (x, y), *others = above or below  # if neither is true of all, the limit counts
     slopes = [(y - v) / (x - u) for u, v in others if abs(x - u) > 0.01]
     slope = min(max(slopes[0], 0.4), 1.5) if slopes else 1.0
     return x - min(max(y / slope, -1.2), 1.2)
