@@ -290,7 +290,7 @@ def test_accelerations_reach_the_bound_in_few_trials(
     def tried(acceleration: float) -> TrialPrint:
         error = 0.1 * (acceleration / 4e3) ** slope
         settings = SpeedSettings({"skin": acceleration}, {"skin": 1.0})
-        return TrialPrint(settings, {"skin": [error]}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
+        return TrialPrint(settings, {"skin": [error]}, {}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
 
     searches = Searches(bound, 1e6, [tried(acceleration) for acceleration in start])
     for _ in range(5):
@@ -305,7 +305,7 @@ def test_of_two_trials_at_one_acceleration_the_later_counts() -> None:
     """The error of a feature also depends on what else changed: the earlier one is within it."""
     settings = SpeedSettings({"skin": 4e3}, {"skin": 1.0})
     trials = [
-        TrialPrint(settings, {"skin": [error]}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
+        TrialPrint(settings, {"skin": [error]}, {}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
         for error in (0.094, 0.096)
     ]
     searches = Searches(Bound(0.1), 1e6, trials)
