@@ -320,7 +320,7 @@ class _Tracer:
         labels, lines = Labels(replace(piece.start.place), by_name=False), Lines()
         for judgement in judge(commands, self._plant, JUDGED_EVERY):
             layer, feature = labels.number(judgement.chunk)
-            for name, here in judged(judgement, layer, feature, labels):
+            for name, here in judged(judgement.at, layer, feature, labels):
                 for strategy, contour in judgement.contour.items():
                     errors[strategy].setdefault(name, ErrorStatistics()).add(contour[here])
             for strategy, (_, shares) in lines.pieces(judgement).items():
