@@ -21,6 +21,7 @@ from hframe_post.hosts.moonraker.upload import KEPT, Upload
 from tests.command_line import RECTANGLE
 from tests.conftest import SAMPLES
 from tests.hosts.moonraker import Printer, processes, until
+from tests.page.pages import data_of
 
 PYTHON = os.environ.get("MOONRAKER_PYTHON", "")
 pytestmark = [
@@ -70,6 +71,8 @@ def test_an_upload_is_converted_described_printed_and_cancelled(printer: Printer
     assert described["filament_total"] == pytest.approx(1301.66)  # as the slicer has it
     assert described["file_processors"] == ["hframe_post"]
     assert described["size"] == len(converted)
+    page = printer.request("GET", "/server/hframe_post/page", decoded=False)
+    assert "cube.gcode, " in data_of(page)["sections"][-1]["rows"][0][1]
     assert [thumbnail["size"] for thumbnail in described["thumbnails"]] == [4]
     shown = [line for line in printer.console() if "hframe-post: cube.gcode" in line]
     assert len(shown) >= 1
@@ -218,9 +221,9 @@ def attempted(printer: Printer, name: str, content: bytes, **form: str) -> Any:
 
 
 def left_over(printer: Printer) -> list[str]:
-    """Return what is in the component's folder but sliced files of converted ones."""
+    """Return what is in the component's folder but its history and sliced files."""
     names = os.listdir(printer.gcodes / ".hframe_post")
-    return [name for name in names if not name.endswith(".original")]
+    return [name for name in names if not name.endswith(".original") and name != "history"]
 
 
 def test_files_of_an_older_model_are_converted_again_whatever_comes_between(

@@ -41,7 +41,7 @@ def part(tmp_path: Path) -> Path:
 
 
 def kept(part: Path) -> list[str]:
-    return os.listdir(part.parents[1] / FOLDER)
+    return [name for name in os.listdir(part.parents[1] / FOLDER) if name != "history"]
 
 
 def started(part: Path, *command: str) -> subprocess.Popen[bytes]:

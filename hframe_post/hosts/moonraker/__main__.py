@@ -10,7 +10,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-DUTIES = ("upload", "again", "stale", "tidy", "prepare", "conclude")
+DUTIES = ("upload", "again", "stale", "tidy", "prepare", "conclude", "page")
 
 
 def main(duty: str, settings: str, *words: str) -> int:

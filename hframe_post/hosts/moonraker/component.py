@@ -15,7 +15,7 @@ from typing import Any
 
 from .disk import FOLDER, NAME
 from .freshness import FRESH, STALE, Freshness
-from .interface import ENDPOINT
+from .interface import ENDPOINT, PAGE
 from .measuring import Measuring
 from .originals import STAMP
 from .settings import Settings
@@ -46,7 +46,7 @@ class HframePost:
         self.checked = gcodes / FOLDER / "check"  # changed by each check
         self._words = settings.as_json()
         self._processes: dict[asyncio.subprocess.Process, str] = {}  # with their duties
-        self._tidying = False
+        self._tidying, self._one_page = False, asyncio.Lock()
         self.measuring = Measuring(self.server, self.run, self.say)
         self._freshness = Freshness(
             self,
@@ -73,6 +73,10 @@ class HframePost:
         server.register_endpoint(CONVERT, kinds.POST, self._convert_requested)
         server.register_endpoint(CANCEL, kinds.POST, self._cancel_requested)
         server.register_endpoint(STATUS, kinds.GET, self._status_requested)
+        server.register_endpoint(
+            PAGE, kinds.GET, self._page_requested, ["http"], wrap_result=False,
+            content_type="text/html; charset=UTF-8",
+        )  # fmt: skip
         server.register_remote_method("hframe_calibrate", self._calibrate)
         server.register_remote_method("hframe_check", self._check)
         server.register_remote_method("hframe_convert", self._convert_typed)
@@ -191,6 +195,14 @@ class HframePost:
         status, output = await self.run("stale")
         stale = json.loads(output)["kept"] if status == 0 else []
         return {"measuring": self.measuring.busy, "stale": stale, "profile_usable": status == 0}
+
+    async def _page_requested(self, _: Any) -> str:
+        """Return the page of the printer's state, as of now. Raises Moonraker's error."""
+        async with self._one_page:
+            status, page = await self.run("page")
+        if status != 0:
+            raise self.server.error("the console says why there is no page", 500)
+        return page
 
     async def _to_convert(self, name: str) -> list[str]:
         """Return a file's name if Moonraker knows it, or without one those of all stale files.

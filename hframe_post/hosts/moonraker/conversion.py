@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from .disk import NAME, FailureError, GoneError
 from .interface import Interface
@@ -21,13 +23,35 @@ WATCH = 0.3  # s between two looks whether the user has deleted the file
 def converted(
     source: Path, target: Path, name: str, command: Sequence[str], interface: Interface,
     is_gone: Callable[[], bool],
-) -> tuple[str, bool]:  # fmt: skip
-    """Convert a file, and return the summary and whether there was anything to convert.
+) -> tuple[str, Mapping[str, Any] | None]:  # fmt: skip
+    """Convert a file; return the summary as text and as JSON, None if nothing was to be converted.
 
-    name: of the source for people. is_gone: whether the user has deleted the file meanwhile. Raises
-    FailureError with the reason, GoneError.
+    name: of the source for people. is_gone: whether the user has deleted the file meanwhile. The
+    JSON is empty if the command writes its own. Raises FailureError with the reason, GoneError.
     """
-    process = started([*command, "-v", "-o", str(target), str(source)])
+    summary = target.with_suffix(".json.new")  # which tidying removes if this is killed
+    written = [] if "--json" in command else ["--json", str(summary)]
+    process = started([*command, *written, "-v", "-o", str(target), str(source)])
+    try:
+        shown, status = _followed(process, interface, is_gone)
+        found = json.loads(summary.read_text("utf-8")) if summary.exists() else {}
+    finally:
+        summary.unlink(missing_ok=True)
+    shown = [line.replace(str(source), name) for line in shown]
+    if is_gone():
+        raise GoneError
+    if status != 0:
+        raise FailureError(" ".join(shown[-1:]) or f"hframe-post ended with status {status}")
+    ours = f"{name}: "
+    if shown and shown[0].startswith(ours):
+        return shown[0].removeprefix(ours), None
+    return "\n".join(["converted", *shown]), found
+
+
+def _followed(
+    process: subprocess.Popen[str], interface: Interface, is_gone: Callable[[], bool]
+) -> tuple[list[str], int]:
+    """Report the progress of a conversion; return what else it printed and its exit status."""
     shown = []
     with process:
         assert process.stdout is not None
@@ -35,18 +59,10 @@ def converted(
         for line in process.stdout:
             logged = LOG.match(line)
             if logged is None:
-                shown.append(line.rstrip().replace(str(source), name))
+                shown.append(line.rstrip())
             elif PERCENT.match(logged["text"]):
                 interface.progress(logged["text"])
-        status = process.wait()
-    if is_gone():
-        raise GoneError
-    if status != 0:
-        raise FailureError(" ".join(shown[-1:]) or f"hframe-post ended with status {status}")
-    ours = f"{name}: "
-    if shown and shown[0].startswith(ours):
-        return shown[0].removeprefix(ours), False
-    return "\n".join(["converted", *shown]), True
+        return shown, process.wait()
 
 
 def said(command: Sequence[str], seconds: float) -> list[str]:

@@ -6,6 +6,7 @@ one axis stay until it is recorded again, so that the sensor may be moved in bet
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -18,7 +19,8 @@ from typing import Any
 
 from .conversion import said
 from .disk import FOLDER, FailureError, cause
-from .interface import Interface
+from .history import Event, add
+from .interface import PAGE, Interface
 from .settings import Settings
 
 WRITING = {  # a command's words before the file of G-code
@@ -87,12 +89,30 @@ def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
         found = json.loads(summary.read_text("utf-8"))
     except (FailureError, OSError, ValueError) as error:
         interface.report(f"the model stays as it was: {cause(error)}", failed=True)
+        _remember(settings, Event(kind, reason=f"the model stays as it was: {cause(error)}"))
         return 1
+    _remember(settings, Event(kind, hz=_resonances(found)))
     told = {"calibration": _identified, "check": _checked}[kind](found)
     plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
-    for line in (*told, f"the model is written into {profile}{plots}"):
+    # Mainsail and Fluidd make it a link
+    shown = f'how the printer does: <a href="{PAGE}" target="_blank">{PAGE}</a>'
+    for line in (*told, f"the model is written into {profile}{plots}", shown):
         interface.report(line)
     return 0
+
+
+def _remember(settings: Settings, event: Event) -> None:
+    with contextlib.suppress(OSError):  # of a full disk: the console has said it
+        add(settings.history, event)
+
+
+def _resonances(found: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
+    """Return the main resonance of each axis that identify found, or check before and after."""
+    return {
+        AXES[name]: tuple(one["resonance"]["hz"] if "resonance" in one else [one["modes"][0]["hz"]])
+        for name, one in found["functions"].items()
+        if name in AXES and ("resonance" in one or one["modes"])
+    }
 
 
 def _is_written(folder: Path, profile: Path) -> bool:
