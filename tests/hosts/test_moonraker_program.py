@@ -18,16 +18,19 @@ from typing import Any
 import pytest
 
 from hframe_post.hosts import moonraker
-from hframe_post.hosts.moonraker.disk import FOLDER, FailureError, alone, cause
+from hframe_post.hosts.moonraker import conversion
+from hframe_post.hosts.moonraker.disk import FOLDER, BeyondError, FailureError, alone, cause
+from hframe_post.hosts.moonraker.interface import Interface
 from hframe_post.hosts.moonraker.originals import Originals
 from hframe_post.hosts.moonraker.settings import Settings
 from hframe_post.hosts.moonraker.upload import CONVERTING, REFUSAL, Upload, refuse
 from tests.command_line import RECTANGLE, run
-from tests.conftest import ROOT
-from tests.hosts.moonraker import WAIT, until
+from tests.conftest import ROOT, SAMPLES
+from tests.hosts.moonraker import WAIT, until, waiting_for
 
 COMMAND = (sys.executable, "-m", "hframe_post", "-p", str(ROOT / "tests/measured.toml"))
 PART = RECTANGLE.read_bytes()
+CUBE = (SAMPLES / "cube.gcode").read_bytes()
 OUTSIDE = PART + b'G1 X9000 Y10 F6000 ; "far" away\n'
 
 
@@ -134,6 +137,50 @@ def test_a_file_that_fails_begins_with_its_reason_until_it_can_be_converted(
     part.write_bytes(part.read_bytes().replace(OUTSIDE, PART))
     assert processed(part) == 0
     assert part.read_bytes().startswith(b"; processed by hframe-post")
+
+
+# hframe-post in a process that has taken its memory up to some 50 MB
+LITTLE = """
+import mmap
+import os
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+from hframe_post.cli import convert, main
+from hframe_post.conversion import files
+taken = []
+try:
+    while len(taken) < 200:
+        taken.append(mmap.mmap(-1, 10_000_000, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS))
+except OSError:
+    del taken[-5:]
+main.run()
+"""
+
+
+@pytest.mark.parametrize("wrapped", [(sys.executable, "-c", LITTLE), ("sh", "-c", "kill -9 $$")])
+def test_a_conversion_that_takes_too_much_leaves_the_file_printable(
+    part: Path, reports: list[Any], wrapped: tuple[str, ...]
+) -> None:
+    part.write_bytes(CUBE)
+    assert processed(part, *wrapped, *COMMAND[3:], "--jobs", "1") == 1
+    assert part.read_bytes() == CUBE
+    assert kept(part) == []
+    (report,) = reports
+    assert report["failed"]
+    assert report["text"].startswith("hframe-post: part.gcode: left as sliced: its conversion ")
+    assert "memory" in report["text"]
+    assert report["text"].endswith(conversion.ELSEWHERE)
+
+
+def test_a_conversion_that_takes_too_long_is_ended(
+    part: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = tmp_path / "gate"
+    gate.touch()
+    monkeypatch.setattr(conversion, "LONGEST", 0.5 / 3600.0)
+    words, target = [*waiting_for(gate), *COMMAND], tmp_path / "target"
+    with pytest.raises(BeyondError, match="takes more than"):
+        conversion.converted(part, target, part.name, words, Interface("nowhere"), lambda: False)
+    assert not target.exists()
 
 
 OTHER = ("--tolerance", "0.008")  # an option that changes the output, as another profile does

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from .conversion import converted, said
-from .disk import FailureError, GoneError, alone, cause, settle, stamp
+from .disk import BeyondError, FailureError, GoneError, alone, cause, settle, stamp
 from .history import BROKEN, Event, add
 from .interface import Interface
 from .originals import settings_of
@@ -28,7 +28,7 @@ OF_THE_FILE = re.compile(r"line \d+: ")  # how the reasons begin that a line of 
 
 
 def upload(settings: Settings, path: str) -> int:
-    """Convert a new file. If it fails, it cannot be printed, unless the profile is the cause."""
+    """Convert a new file. If its own lines are the cause of a failure, it cannot be printed."""
     with alone(settings.folder):
         settings.originals.make_room()
         while stamp(Path(path)):  # otherwise it was deleted while it waited
@@ -53,9 +53,9 @@ def _uploaded(settings: Settings, path: Path) -> int | None:
             return None
         if fate != "failed":
             interface.report(f"its conversion was stopped, because it was {fate}")
-        elif one.work.exists() and (unusable := _unusable(settings, error)):
+        elif one.work.exists() and (harmless := _harmless(settings, error)):
             one.give_back(None, settings.originals)
-            interface.report(f"left as sliced: {unusable}", failed=True)
+            interface.report(f"left as sliced: {harmless}", failed=True)
         else:
             reason = f"not converted: {cause(error)}"
             interface.report(reason, failed=True)
@@ -68,8 +68,13 @@ def _uploaded(settings: Settings, path: Path) -> int | None:
     return 0
 
 
-def _unusable(settings: Settings, error: Exception) -> str:
-    """Return why no file at all can be converted with the profile; empty: the file is the cause."""
+def _harmless(settings: Settings, error: Exception) -> str:
+    """Return why a file was not converted that may print as sliced; empty: it must not print.
+
+    It may if no file at all can be converted with the profile, or if it takes too much here.
+    """
+    if isinstance(error, BeyondError):
+        return cause(error)
     if not isinstance(error, FailureError) or OF_THE_FILE.match(cause(error)):
         return ""
     try:
