@@ -11,16 +11,18 @@ import re
 import shutil
 import subprocess
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from hframe_post.hosts.moonraker.answering import PATIENCE
 from hframe_post.hosts.moonraker.upload import KEPT, Upload
 from tests.command_line import RECTANGLE
 from tests.conftest import SAMPLES
-from tests.hosts.moonraker import Printer, processes, until
+from tests.hosts.moonraker import Printer, Server, processes, until
 from tests.page.pages import data_of
 
 PYTHON = os.environ.get("MOONRAKER_PYTHON", "")
@@ -203,6 +205,21 @@ def test_the_reason_of_a_limit_that_a_worker_finds_is_shown(printer: Printer) ->
     assert re.search(rf"not converted: {LIMIT_EXCEEDED}", refusal)
     told = re.compile(rf"!! hframe-post: weak.gcode: not converted: {LIMIT_EXCEEDED}")
     assert any(told.match(line) for line in printer.console())
+
+
+def test_an_upload_is_answered_before_a_proxy_gives_up_and_goes_on(printer: Printer) -> None:
+    printer.gate.touch()
+    began = time.monotonic()
+    answer = Server.upload(printer, "part.gcode", PART, print="true")
+    assert PATIENCE <= time.monotonic() - began < 50.0  # nginx's limit is 60 s
+    assert answer["item"]["path"] == "part.gcode"
+    assert answer["action"] == "create_file"
+    assert not answer["print_started"]
+    assert any("part.gcode is still being converted" in line for line in printer.console())
+    printer.gate.unlink()
+    until(lambda: printer.print_stats()["state"] == "complete")
+    assert printer.print_stats()["filename"] == "part.gcode"
+    assert (printer.gcodes / "part.gcode").read_bytes() == printer.converted(PART)
 
 
 def started(printer: Printer, name: str, content: bytes, **form: str) -> threading.Thread:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import lzma
 import os
 import re
 import socket
@@ -20,10 +21,12 @@ import pytest
 from hframe_post.hosts import moonraker
 from hframe_post.hosts.moonraker import conversion
 from hframe_post.hosts.moonraker.disk import FOLDER, BeyondError, FailureError, alone, cause
+from hframe_post.hosts.moonraker.found import offer
 from hframe_post.hosts.moonraker.interface import Interface
 from hframe_post.hosts.moonraker.originals import Originals
 from hframe_post.hosts.moonraker.settings import Settings
 from hframe_post.hosts.moonraker.upload import CONVERTING, REFUSAL, Upload, refuse
+from hframe_post.printer.profile import load
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT, SAMPLES
 from tests.hosts.moonraker import WAIT, until, waiting_for
@@ -31,6 +34,24 @@ from tests.hosts.moonraker import WAIT, until, waiting_for
 COMMAND = (sys.executable, "-m", "hframe_post", "-p", str(ROOT / "tests/measured.toml"))
 PART = RECTANGLE.read_bytes()
 CUBE = (SAMPLES / "cube.gcode").read_bytes()
+RECORDED = ROOT / "tests/identification/data/raw_data_y_20250601_120000.csv.xz"  # of a Sovol SV08
+CONFIG = """
+[printer]
+kinematics: corexy
+max_velocity: 500
+max_accel: 20000
+[stepper_x]
+position_max: 350
+[stepper_y]
+position_max: 360
+[extruder]
+nozzle_diameter: 0.4
+[adxl345]
+[resonance_tester]
+accel_chip: adxl345
+probe_points: 175, 175, 30
+accel_per_hz: 90
+"""
 OUTSIDE = PART + b'G1 X9000 Y10 F6000 ; "far" away\n'
 
 
@@ -447,6 +468,33 @@ def test_where_the_bed_moves_the_sensor_is_moved_in_between(part: Path, reports:
     assert reports[-1]["failed"]
     assert "the model stays as it was: " in reports[-1]["text"]
     assert profile.read_text() == 'extends = "example-cartesian"\n'
+
+
+@pytest.mark.slow
+def test_recordings_that_the_owner_has_made_are_offered_and_used(
+    part: Path, reports: list[Any]
+) -> None:
+    config, folder = part.with_name("printer.cfg"), part.with_name("ShakeTune_results")
+    config.write_text(CONFIG)
+    home = str(part.parent)
+    assert run("setup", config, "-o", home, HOME=home, XDG_CONFIG_HOME=home).returncode == 0
+    profile = part.with_name("printer.toml")
+    told = settings(part.parents[1], *COMMAND[:-1], str(profile), recordings=str(part.parent))
+    assert begun("reuse", told).wait() == 1
+    assert "no raw_data_….csv in" in reports[-1]["text"]
+    assert not offer(told, profile)
+    recording = part.with_name(RECORDED.stem)
+    recording.write_bytes(lzma.decompress(RECORDED.read_bytes()))
+    (folder / "input_shaper").mkdir(parents=True)
+    old = folder / "input_shaper/shaper_y.csv"  # of another year: it says nothing of today
+    old.write_text("#time,accel_x,accel_y,accel_z\n")
+    os.utime(old, (1e9, 1e9))
+    prepared(told)
+    assert "recordings by Klipper or Shake&Tune found: 1, " in reports[-1]["text"]
+    assert begun("reuse", told).wait() == 0, reports
+    assert any("y rings at " in report["text"] for report in reports)
+    assert not load(str(profile)).invented
+    assert not offer(told, profile)  # it has been used
 
 
 def recorded(told: Settings, job: str) -> None:

@@ -13,6 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from .answering import Answering
 from .disk import FOLDER, NAME
 from .freshness import FRESH, STALE, Freshness
 from .interface import ENDPOINT, PAGE
@@ -66,6 +67,7 @@ class HframePost:
         }
         self._storage.register_gcode_processor(NAME, processor)
         self._delete_file, self._files.delete_file = self._files.delete_file, self._stop_and_delete
+        Answering(self._files, self._gcodes, self.say)
         klippy, server = self.server.lookup_component("klippy_apis"), self.server
         self._start_print, klippy.start_print = klippy.start_print, self._start_fresh
         kinds = import_module("moonraker.common").RequestType
@@ -232,10 +234,16 @@ class HframePost:
 
     # ------------------------------------------------------------------ for Klipper's macros
 
-    async def _calibrate(self, axis: str = "") -> None:
+    async def _calibrate(self, axis: str = "", recordings: str = "") -> None:
+        """Measure the printer, or with recordings = FOUND use those that its owner has made."""
         if axis not in ("", "X", "Y"):
             self.say(f"AXIS is X or Y, not {axis}", True)
-        elif await self.measuring.measure("calibration", axis):
+            return
+        if recordings not in ("", "FOUND"):
+            self.say(f"RECORDINGS is found, not {recordings}: no other files are read", True)
+            return
+        measuring = self.measuring
+        if await (measuring.reuse() if recordings else measuring.measure("calibration", axis)):
             stale = (await self._status_requested(None))["stale"]
             if stale:
                 when = "HFRAME_CONVERT converts them now"

@@ -18,11 +18,11 @@ from .disk import BeyondError, FailureError, GoneError, alone, cause, settle, st
 from .history import BROKEN, Event, add
 from .interface import Interface
 from .originals import settings_of
-from .recordings import conclude, prepare
+from .recordings import conclude, prepare, reuse
 from .settings import START, Settings
 from .upload import Upload, refuse
 
-__all__ = ["Settings", "again", "conclude", "page", "prepare", "stale", "tidy", "upload"]
+__all__ = ["Settings", "again", "conclude", "page", "prepare", "reuse", "stale", "tidy", "upload"]
 
 OF_THE_FILE = re.compile(r"line \d+: ")  # how the reasons begin that a line of the file gives
 
