@@ -136,7 +136,7 @@ def page(settings: Settings) -> int:
     os.chdir(settings.folder)  # where doctor tries to write
     settings.history.mkdir(exist_ok=True)
     reason = ""
-    with tempfile.TemporaryDirectory(dir=settings.history) as folder:
+    with tempfile.TemporaryDirectory() as folder:
         made = Path(folder, "page.html")
         try:
             program, profile = settings.program_and_profile()
