@@ -177,6 +177,7 @@ main.run()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrapped", [(sys.executable, "-c", LITTLE), ("sh", "-c", "kill -9 $$")])
 def test_a_conversion_that_takes_too_much_leaves_the_file_printable(
     part: Path, reports: list[Any], wrapped: tuple[str, ...]
