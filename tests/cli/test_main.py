@@ -10,13 +10,10 @@ import re
 import shutil
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import click
 import pytest
 
-from hframe_post.cli.options import progress_bar
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT
 
@@ -127,17 +124,14 @@ def test_verbose_logs_stages_and_their_time() -> None:
     assert run(RECTANGLE, "-n", "-q").stderr == b""
 
 
-def test_verbose_logs_what_a_thread_reads(capfd: pytest.CaptureFixture[str]) -> None:
-    """Threads read a print that never stops; click knows no command in them."""
-    with (
-        click.Context(click.Command("convert")) as context,
-        ThreadPoolExecutor(1) as reader,
-    ):
-        context.meta["hframe_post.verbose"] = True
-        with progress_bar(RECTANGLE, quiet=True) as advance:
-            assert advance is not None
-            reader.submit(advance, RECTANGLE.stat().st_size).result()
-    assert "100 % is read" in capfd.readouterr().err
+@pytest.mark.slow
+def test_verbose_logs_the_progress_of_a_print_that_never_stops(part: Path) -> None:
+    """Threads read and compute it, while others are read before processes compute them."""
+    moves = (f"G1 X{60 + k % 2} E0.01 ;{'-' * 200}\n" for k in range(9000))
+    part.write_text("G28\nG1 Z0.3 F600\nM83\nG1 X60 Y60 F6000\nG1 F114\n" + "".join(moves))
+    done = run(part, "-n", "-v", "-q", "--predict", "off")
+    assert done.returncode == 0, done.stderr
+    assert re.findall(r"(\d+) % is read", done.stderr.decode())[-1] == "100"
 
 
 def test_dry_run_writes_nothing(part: Path) -> None:
