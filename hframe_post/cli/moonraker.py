@@ -35,7 +35,10 @@ SECTIONS = re.compile(
 )
 INCLUDE = f"# added by hframe-post setup --moonraker\n[include {FILE}]\n"
 INCLUDED = re.compile(r"(?:\r?\n)?" + re.escape(INCLUDE).replace("\\\n", "\r?\n"))
-RESTART = "Restart both, while nothing is printed: sudo systemctl restart klipper moonraker"
+RESTART = (
+    "Restart Klipper and Moonraker, while nothing is printed: in the power menu of Mainsail or "
+    "Fluidd, or by sudo systemctl restart klipper moonraker"
+)
 
 
 class Change(NamedTuple):
@@ -109,15 +112,18 @@ class Moonraker:
     def link(self, create: bool) -> str:
         """Link the component into Moonraker, or remove the link; return what was done."""
         link, former = self._check_link()
-        for old in (link, former):
-            old.unlink(missing_ok=True)
-        if not create:
-            return f"{link}: removed"
         component = Path(moonraker.__file__)
-        if not component.is_file():
+        if create and not component.is_file():
             raise HframeError("the single-file program has no component: install with pipx")
-        link.symlink_to(component.parent, target_is_directory=True)
-        return f"{link}: linked"
+        try:
+            for old in (link, former):
+                old.unlink(missing_ok=True)
+            if create:
+                link.symlink_to(component.parent, target_is_directory=True)
+        except OSError as error:
+            cause = f"{link}: {error.strerror}. Run this as the user who installed Moonraker"
+            raise HframeError(cause) from None
+        return f"{link}: {'linked' if create else 'removed'}"
 
     def _check_link(self) -> tuple[Path, Path]:
         """Return the link's place, and that in earlier versions. Raises HframeError."""
@@ -134,8 +140,13 @@ def find_printer_cfg() -> Path:
     found = sorted(path for name in INSTANCES for path in Path.home().glob(name))
     if len(found) == 1:
         return found[0]
-    several = f"there are several: {', '.join(map(str, found))}" if found else "none was found"
-    raise HframeError(f"{several}. Name it: hframe-post setup PRINTER.CFG --moonraker")
+    several = f"there are several printer.cfg: {', '.join(map(str, found))}"
+    none = (
+        f"no printer.cfg was found as {' or '.join(INSTANCES)} in {Path.home()}. Run this on the "
+        "printer's computer, as the user who runs Klipper, without sudo"
+    )
+    which = "Name it: hframe-post setup PRINTER.CFG --moonraker"
+    raise HframeError(f"{several if found else none}. {which}")
 
 
 def agreed(changes: Sequence[Change]) -> bool:

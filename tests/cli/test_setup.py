@@ -580,7 +580,7 @@ def test_the_printers_files_are_found_and_a_question_is_answered_once(
     config: Path, moonraker: Path
 ) -> None:
     done = run("setup", "--moonraker")
-    assert b"none was found. Name it: hframe-post setup PRINTER.CFG" in done.stderr
+    assert b"Name it: hframe-post setup PRINTER.CFG" in done.stderr
     folder = config.parent / "printer_data/config"
     folder.mkdir(parents=True)
     for name in ("printer.cfg", "moonraker.conf"):
@@ -595,7 +595,7 @@ def test_the_printers_files_are_found_and_a_question_is_answered_once(
     assert (folder / "printer.toml").is_file()
     assert (moonraker / "hframe_post").is_symlink()
     shutil.copytree(folder, config.parent / "second_data/config")
-    assert b"there are several: " in run("setup", "--moonraker").stderr
+    assert b"there are several printer.cfg: " in run("setup", "--moonraker").stderr
 
 
 def at_a_terminal(typed: bytes, *arguments: str) -> tuple[bytes, int]:

@@ -37,8 +37,8 @@ _HEAD = f"""\
 _BUILTIN = "\n[pause_resume]\n"
 _FORGET = "SET_GCODE_VARIABLE MACRO=_HFRAME_LEAVE VARIABLE=stream VALUE=None"
 _ASKED = (
-    "hframe-post writes the motion to record. If nothing follows, connect it to Moonraker: "
-    "hframe-post setup --moonraker"
+    "hframe-post writes the motion to record. If nothing follows, Moonraker has not started with "
+    "it: run hframe-post setup --moonraker on the printer's computer, then restart Moonraker"
 )
 _LIMITS = f"""
 [gcode_macro {BEGIN}]

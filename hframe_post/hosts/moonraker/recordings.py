@@ -78,6 +78,7 @@ def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
             for axis in _missing(folder):
                 interface.report(f"recorded. {OTHER_PLACE[axis]}")
                 return 1
+        interface.report("recorded. The model is computed, which may take some minutes")
         inputs = [str(path) for path in sorted(folder.glob("*.csv")) if _is_wanted(folder, path)]
         summary = folder / "summary.json"
         page = profile.with_suffix(".html")
