@@ -50,7 +50,7 @@ def test_setup_writes_profile_and_macros_and_makes_the_profile_the_default(confi
     before = config.read_text()
     printed = set_up(config)
     profile = load(str(config.parent / "printer.toml"))
-    assert "[gcode_macro HFRAME_END]" in (config.parent / "hframe.cfg").read_text()
+    assert "[gcode_macro _HFRAME_END]" in (config.parent / "hframe.cfg").read_text()
     assert "[include hframe.cfg]" in printed
     assert config.read_text() == before
     assert profile.invented
@@ -220,7 +220,7 @@ def test_includes_that_were_not_downloaded_are_named_wherever_they_matter(
     own = config.parent / "printer.toml"
     klipper = load(str(own)).firmware.klipper
     assert klipper is not None
-    assert (klipper.shaper_freq_x, klipper.end_macro) == (51.5, "HFRAME_END")
+    assert (klipper.shaper_freq_x, klipper.end_macro) == (51.5, "_HFRAME_END")
     checked = run("doctor", "-p", own, "--printer-cfg", config, HFRAME_PRINTER=str(own))
     assert f"note     {missing}" in checked.stdout.decode()
     assert b"but the include that finds no file was not checked" in checked.stdout

@@ -18,7 +18,7 @@ from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS, RECORDED, UNUSED, USUAL_CHIP
 from hframe_post.printer.settings import Printer
 
-FILE, BEGIN, END = MACROS, "HFRAME_BEGIN", END_MACRO
+FILE, BEGIN, END = MACROS, "_HFRAME_BEGIN", END_MACRO
 WRAPPERS = {name: name[0].lower() + name[1:] for name in ("PAUSE", "RESUME", "CANCEL_PRINT")}
 """Klipper's command, and the spelling of the section that is called before it."""
 
