@@ -14,7 +14,7 @@ from .disk import NAME, FailureError, GoneError
 from .interface import Interface
 
 LOG = re.compile(r"\s*\d+\.\d{3} s  (?P<text>.*)")  # of hframe-post -v
-PERCENT = re.compile(r"\d+ % is read")
+PERCENT = re.compile(r"(?P<percent>\d+ %) is read")
 WATCH = 0.3  # s between two looks whether the user has deleted the file
 
 
@@ -36,8 +36,8 @@ def converted(
             logged = LOG.match(line)
             if logged is None:
                 shown.append(line.rstrip().replace(str(source), name))
-            elif PERCENT.match(logged["text"]):
-                interface.progress(logged["text"])
+            elif done := PERCENT.match(logged["text"]):
+                interface.progress(f"being converted, {done['percent']} done")
         status = process.wait()
     if is_gone():
         raise GoneError

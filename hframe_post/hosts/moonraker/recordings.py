@@ -91,8 +91,8 @@ def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
         return 1
     told = {"calibration": _identified, "check": _checked}[kind](found)
     plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
-    for line in (*told, f"the model is written into {profile}{plots}"):
-        interface.report(line)
+    lines = (*told, f"the model is written into {profile}{plots}")
+    interface.report("\n".join(lines))  # at once: some consoles show the newest message first
     return 0
 
 
