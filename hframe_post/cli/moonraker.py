@@ -8,6 +8,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from importlib import metadata
@@ -32,6 +33,9 @@ UPDATES = f"update_manager {NAME}"
 # a header and the lines below it, as far as the next empty line
 SECTIONS = re.compile(
     r"(?:\n*^\[(?:update_manager )?hframe_post\].*(?:\n(?!\[)[^\r\n]+)*\n?)+", re.MULTILINE
+)
+COMMAND = re.compile(  # in our section: what is before it, the program, and its first word
+    rf"^(\[{NAME}\]\n(?:(?!\[).*\n)*?command: )((\S+).*?)(?= -p )", re.MULTILINE
 )
 INCLUDE = f"# added by hframe-post setup --moonraker\n[include {FILE}]\n"
 INCLUDED = re.compile(r"(?:\r?\n)?" + re.escape(INCLUDE).replace("\\\n", "\r?\n"))
@@ -77,11 +81,15 @@ class Moonraker:
         if not files.is_file() or "register_gcode_processor" not in files.read_text("utf-8"):
             raise HframeError("this Moonraker is older than February 2025: update it first")
         self._check_link()
-        command = f"{program()} -p {shlex.quote(str(profile.absolute()))}"
+        ours = program()
+        command = f"{ours} -p {shlex.quote(str(profile.absolute()))}"
         installed = metadata.distribution("hframe-post")
         wanted = {NAME: f"command: {command}\n", UPDATES: update_lines(installed)}
         text, known = _text(self._config), "\n".join(_with_includes(self._config))
         new, added = text, []
+        if (gone := COMMAND.search(text)) and not shutil.which(gone[3]):
+            new = f"{text[: gone.start(2)]}{ours}{text[gone.end(2) :]}"
+            added.append(f"command corrected, because {gone[3]} is gone")
         for name, lines in wanted.items():
             if lines and not re.search(rf"^\[{name}\]", known, re.MULTILINE):
                 new = f"{new.rstrip()}\n\n[{name}]\n{lines}"

@@ -532,6 +532,10 @@ def test_moonraker_is_connected_and_disconnected_without_a_trace(
     set_up(config, "--moonraker")
     assert conf.read_text().count("\n[hframe_post]\n") == 1
     assert "--limits printer" in conf.read_text()  # what was changed by hand stays
+    moved, gone = conf.read_text(), "/gone/bin/hframe-post"
+    conf.write_text(moved.replace(f"command: {program()}", f"command: {gone}"))
+    assert f"command corrected, because {gone} is gone" in set_up(config, "--moonraker")
+    assert conf.read_text() == moved
     conf.write_text(conf.read_text() + "\n[timelapse]\n")
     set_up(config, "--no-moonraker")
     assert conf.read_text() == before + "\n[timelapse]\n"

@@ -204,8 +204,8 @@ class Printer(Server):
 
 def _template(kinematics: str) -> str:
     """Return a printer.cfg whose motors move the nozzle in this way."""
-    both = "kinematics: corexy"  # also for an H-bot
-    return TEMPLATE.read_text().replace(both, both.replace("corexy", kinematics.replace("hbot", "corexy")))
+    in_klipper = {"hbot": "corexy"}.get(kinematics, kinematics)
+    return TEMPLATE.read_text().replace("kinematics: corexy", f"kinematics: {in_klipper}")
 
 
 def waiting_for(gate: Path) -> list[str]:

@@ -141,7 +141,9 @@ class HframePost:
         for process in again:
             process.kill()  # hframe-post ends with it
         self.say(
-            "cancelled; files stay as they are" if again else "no file is converted again. To "
+            "cancelled; files stay as they are"
+            if again
+            else "no file is converted again. To "
             "stop the conversion of an upload, refresh the list of files and delete it there"
         )
 
