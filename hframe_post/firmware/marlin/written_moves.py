@@ -9,7 +9,7 @@ import numpy as np
 from hframe_post.arrays import Array, Integers
 from hframe_post.firmware.code import plain
 from hframe_post.firmware.marlin.code import TRAPEZOIDS, MarlinCode
-from hframe_post.firmware.written_moves import Ramps, WrittenMoves
+from hframe_post.firmware.written_moves import WrittenMoves
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.blocks import Blocks
 from hframe_post.native.whole_steps import most_steps, motor_steps
@@ -62,8 +62,8 @@ class MarlinMoves(WrittenMoves):
         """
         return (round(v / self.step) - 0.4) * self.step
 
-    def ramps(self, cells: Integers, v: Array, turns: Array, acceleration: float) -> Ramps:
+    def motion(self, cells: Integers, v: Array, turns: Array, acceleration: float) -> Array:
         n = most_steps(motor_steps(cells, self.kinematics.matrix)).astype(np.float64)
-        d = np.abs(np.diff(cells, axis=0)).sum(axis=1) * self.step
+        d, at = self._along(cells)
         blocks = Blocks(n, d, np.floor(acceleration * n / d))
-        return Ramps(*self.code.planner.stroke(blocks, turns, v))
+        return np.interp(self.code.planner.travelled(blocks, turns, v), *at)
