@@ -56,7 +56,7 @@ HEAD = """\
 class _Moves:
     """Moves one after the other: whole steps (k,) with their sign, speeds (k,) in mm/s.
 
-    reversal: speed of the moves at both sides of a turn and at both ends, if they are not at rest.
+    reversal: speed of the moves at both sides of a turn and at the start, if they are not at rest.
     """
 
     steps: Integers
@@ -67,7 +67,9 @@ class _Moves:
     def turns(self) -> Array:
         """Return the most speed (k + 1,) at the ends, where the axis turns or rests, too."""
         v, sign = np.pad(self.v, 1), np.sign(np.pad(self.steps, 1))
-        return np.where(sign[:-1] == sign[1:], np.minimum(v[:-1], v[1:]), self.reversal)
+        passed = np.where(sign[:-1] == sign[1:], np.minimum(v[:-1], v[1:]), self.reversal)
+        passed[-1] = 0.0
+        return np.asarray(passed)
 
 
 def played(printer: Printer, run: SweepRun, z: float) -> tuple[SweepRun, list[str]]:
