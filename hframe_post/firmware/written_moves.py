@@ -51,6 +51,10 @@ class WrittenMoves:
         """
         return self.code.set_limits(fastest, acceleration, 0.0)
 
+    def ahead(self, z: float) -> list[str]:
+        """Return lines that make the firmware plan ahead of the first move. z: height, mm."""
+        return []
+
     def speed(self, v: float) -> float:
         """Return the feed rate, mm/s, that the firmware turns into the speed v."""
         return v

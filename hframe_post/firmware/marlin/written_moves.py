@@ -55,6 +55,9 @@ class MarlinMoves(WrittenMoves):
             f"M205 B0 S0 T0 {corners}",
         ]  # fmt: skip
 
+    def ahead(self, z: float) -> list[str]:
+        return self.code.filling_lines(z)
+
     def speed(self, v: float) -> float:
         """Return a feed rate: Marlin rounds steps a second up, or where moves meet to the nearest.
 

@@ -174,6 +174,7 @@ def _gcode(
         *play.begin, "G90", f"G1 Z{height} F{plain(LIFT * 60.0, 1)}",
         f"G1 X{x} Y{y} F{plain(APPROACH * 60.0, 1)}",
         *play.limits(float(v.max()) + 1.0, a), f"G4 P{BEFORE * 1000}",
+        *play.ahead(z),
     ]  # fmt: skip
     feeds = (plain(speed * 60.0, 1) for speed in v.tolist())
     places = (plain(place, 4) for place in at.tolist())
