@@ -12,6 +12,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.code import KlipperCode
 from hframe_post.firmware.klipper.macros import WRAPPERS, macros
 from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Extruder
 
 DOCS = Path(__file__).parents[2] / "docs" / "klipper.md"
 
@@ -21,6 +22,14 @@ def test_the_beginning_sets_what_the_stream_would_set() -> None:
     begin = macros(paper).split("[gcode_macro HFRAME_BEGIN]")[1].split("\n\n")[0]
     for line in KlipperCode.from_printer(paper).limits_of_stream:
         assert f"    {line}\n" in f"{begin}\n"
+
+
+def test_they_set_and_restore_the_averaging_of_pressure_advance() -> None:
+    text = macros(replace(load("paper"), extruder=Extruder(0.05)))
+    begin, end = (text.split(f"[gcode_macro {name}]")[1] for name in ("HFRAME_BEGIN", "HFRAME_END"))
+    assert "SMOOTH_TIME=0.02\n" in begin.split("\n\n")[0]
+    own = "SMOOTH_TIME={own.extruder.pressure_advance_smooth_time}\n"
+    assert own in end.split("\n\n")[0]
 
 
 def test_another_printer_has_other_limits() -> None:

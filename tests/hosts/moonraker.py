@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from hframe_post.hosts.moonraker.upload import CONVERTING
 from tests.command_line import run
 from tests.conftest import ROOT
 from tests.klipper.batch import dictionary
@@ -176,6 +177,12 @@ class Printer(Server):
                 os.kill(left, signal.SIGKILL)
 
     # ------------------------------------------------------------------ requests
+
+    def upload(self, name: str, content: bytes, *path: str, **form: str) -> Any:
+        """Upload a file, and wait until it is converted, also where that takes long."""
+        answer, there = super().upload(name, content, *path, **form), self.gcodes / name
+        until(lambda: not there.exists() or CONVERTING.encode() not in there.read_bytes()[:200])
+        return answer
 
     def get(self, path: str) -> Any:
         return self.request("GET", path)["result"]

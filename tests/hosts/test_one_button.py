@@ -13,11 +13,13 @@ from pathlib import Path
 
 import pytest
 
+from hframe_post.hosts.moonraker.interface import PAGE
 from hframe_post.hosts.moonraker.originals import SETTINGS, settings_of
 from hframe_post.printer.profile import load
 from tests.command_line import RECTANGLE, run
 from tests.hosts.accelerometer import machine_of
 from tests.hosts.moonraker import Printer, until
+from tests.page.pages import data_of
 from tests.quantities import below
 from tests.random_printers import judged, with_plant
 
@@ -99,6 +101,13 @@ def test_one_macro_and_one_upload(printer: Printer) -> None:
     assert settings_of(path) == present(printer)
     assert path.read_bytes() == printer.converted(PART)
     below(error(printer), 1.2 * exact, "error after the drift, µm RMS")
+    # the page that the console links shows both
+    assert said(printer, f'<a href="{PAGE}"')
+    data = data_of(printer.request("GET", PAGE, decoded=False))
+    cards = {card["what"]: card["value"] for card in data["cards"]}
+    assert cards["Last check"] == "today"
+    assert cards["Drift of x"] in ("−4.9", "−5.0", "−5.1")
+    assert "part.gcode, " in data["sections"][1]["rows"][0][1]
     # without an answer of the sensor the print goes on with the old model
     (printer.data / "machine.json").unlink()
     profile = printer.profile.read_bytes()
