@@ -204,10 +204,10 @@ def test_shaper_is_restored_where_the_user_has_one() -> None:
 
 
 def test_a_macro_replaces_the_stream_s_limits_and_another_follows_the_restored_ones() -> None:
-    firmware = replace(RESTORE, begin_macro="HFRAME_BEGIN", end_macro="HFRAME_END A=1")
+    firmware = replace(RESTORE, begin_macro="_HFRAME_BEGIN", end_macro="_HFRAME_END A=1")
     assert KlipperCode(firmware, STREAM).begin((0.0, 0.0, 0.0), AT) == [
         b"G4 P0",
-        b"HFRAME_BEGIN",
+        b"_HFRAME_BEGIN",
         b"G90",
         b"M83",
     ]
@@ -215,7 +215,7 @@ def test_a_macro_replaces_the_stream_s_limits_and_another_follows_the_restored_o
         b"G4 P0",
         b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=3000 SQUARE_CORNER_VELOCITY=5 "
         b"MINIMUM_CRUISE_RATIO=0.5",  # holds where printer.cfg has no such macro
-        b"HFRAME_END A=1",
+        b"_HFRAME_END A=1",
         b"G1 F6000",
     ]
 

@@ -20,7 +20,7 @@ from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS, RECORDED, UNUSED, USUAL_CHIP
 from hframe_post.printer.settings import Printer
 
-FILE, BEGIN, END = MACROS, "HFRAME_BEGIN", END_MACRO
+FILE, BEGIN, END = MACROS, "_HFRAME_BEGIN", END_MACRO
 WRAPPERS = {name: name[0].lower() + name[1:] for name in ("PAUSE", "RESUME", "CANCEL_PRINT")}
 """Klipper's command, and the spelling of the section that is called before it."""
 
@@ -39,8 +39,8 @@ _HEAD = f"""\
 _BUILTIN = "\n[pause_resume]\n"
 _FORGET = "SET_GCODE_VARIABLE MACRO=_HFRAME_LEAVE VARIABLE=stream VALUE=None"
 _ASKED = (
-    "hframe-post writes the motion to record. If nothing follows, connect it to Moonraker: "
-    "hframe-post setup --moonraker"
+    "hframe-post writes the motion to record. If nothing follows, Moonraker has not started with "
+    "it: run hframe-post setup --moonraker on the printer's computer, then restart Moonraker"
 )
 _LIMITS = f"""
 [gcode_macro {BEGIN}]

@@ -146,7 +146,12 @@ class HframePost:
         again = [process for process, duty in self._processes.items() if duty == "again"]
         for process in again:
             process.kill()  # hframe-post ends with it
-        self.say("cancelled; files stay as they are" if again else "no file is converted again")
+        self.say(
+            "cancelled; files stay as they are"
+            if again
+            else "no file is converted again. To "
+            "stop the conversion of an upload, refresh the list of files and delete it there"
+        )
 
     # ------------------------------------------------------------------ for Moonraker
 

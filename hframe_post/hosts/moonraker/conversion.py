@@ -16,7 +16,7 @@ from .disk import NAME, BeyondError, FailureError, GoneError
 from .interface import Interface
 
 LOG = re.compile(r"\s*\d+\.\d{3} s  (?P<text>.*)")  # of hframe-post -v
-PERCENT = re.compile(r"\d+ % is read")
+PERCENT = re.compile(r"(?P<percent>\d+ %) is read")
 SHORT = re.compile(  # also for the stack of a thread
     r"(not enough|lack of|cannot allocate) memory|memory allocation|start new thread", re.IGNORECASE
 )
@@ -76,8 +76,8 @@ def _followed(
             logged = LOG.match(line)
             if logged is None:
                 shown.append(line.rstrip())
-            elif PERCENT.match(logged["text"]):
-                interface.progress(logged["text"])
+            elif done := PERCENT.match(logged["text"]):
+                interface.progress(f"being converted, {done['percent']} done")
         return shown, process.wait()
 
 

@@ -25,6 +25,7 @@ from .upload import Upload, refuse
 __all__ = ["Settings", "again", "conclude", "page", "prepare", "reuse", "stale", "tidy", "upload"]
 
 OF_THE_FILE = re.compile(r"line \d+: ")  # how the reasons begin that a line of the file gives
+NOT_MEASURED = "plant.invented: "  # in the reason why a profile is not used before it is measured
 
 
 def upload(settings: Settings, path: str) -> int:
@@ -80,6 +81,8 @@ def _harmless(settings: Settings, error: Exception) -> str:
     try:
         settings.present()
     except FailureError as of_profile:
+        if NOT_MEASURED in cause(of_profile):
+            return "this printer is not measured yet. To measure it, type HFRAME_CALIBRATE"
         return cause(of_profile) if shutil.which(settings.command[0]) else ""
     return ""
 

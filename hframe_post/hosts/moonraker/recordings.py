@@ -83,6 +83,7 @@ def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
             for axis in _missing(folder):
                 interface.report(f"recorded. {OTHER_PLACE[axis]}")
                 return 1
+        interface.report("recorded. The model is computed, which may take some minutes")
         inputs = [path for path in sorted(folder.glob("*.csv")) if _is_wanted(folder, path)]
     except (FailureError, OSError, ValueError) as error:
         return _refused(settings, kind, error)
@@ -134,8 +135,8 @@ def _updated(
     plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
     # Mainsail and Fluidd make it a link
     shown = f'how the printer does: <a href="{PAGE}" target="_blank">{PAGE}</a>'
-    for line in (*told, f"the model is written into {profile}{plots}", shown):
-        interface.report(line)
+    lines = (*told, f"the model is written into {profile}{plots}", shown)
+    interface.report("\n".join(lines))  # at once: some consoles show the newest message first
     return 0
 
 
