@@ -64,7 +64,7 @@ INSIDE double block_seconds(double n, double a, double begin, double rate, doubl
     int development = s->development != 0.0, s_curve = s->s_curve != 0.0;
     begin = rounded(begin, rate, s), end = rounded(end, rate, s);
     double rise = (rate * rate - begin * begin) / (2.0 * a);
-    double fall = (rate * rate - end * end) / (2.0 * a), meet = (n + rise - fall) / 2.0;
+    double fall = (rate * rate - end * end) / (2.0 * a), meet = (n + (rise - fall)) / 2.0;
     double up = ceil(rise), down = development ? ceil(fall) : floor(fall);
     if (up + down > n) {
         up = between(development ? floor(meet + 0.5) : ceil(meet), 0.0, n);

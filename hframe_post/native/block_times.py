@@ -24,10 +24,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from hframe_post.arrays import Array
+from hframe_post.arrays import Array, Integers
 from hframe_post.native import kernel
 from hframe_post.native.blocks import Blocks
 from hframe_post.native.ramps import ends
@@ -111,10 +112,36 @@ def block_times(blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: 
     return found(blocks, begin, rate, end, stepper)
 
 
+class _Interrupts(NamedTuple):
+    """Ticks of the interrupts of all blocks (m,); the index of each block's first, and past it."""
+
+    ticks: Array
+    first: Integers
+    past: Integers
+
+
+def step_times(blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper) -> Array:
+    """Return when each step of all blocks is made, (m,), in seconds from the start of the first.
+
+    The arguments are those of ``block_times``.
+    """
+    timer = stepper.timer
+    shares = timer.interrupts(rate)
+    own = (blocks.n * shares).astype(np.int64)
+    past = np.cumsum(own)
+    made = _Interrupts(np.repeat(timer.ticks(rate * shares), own), past - own, past)
+    found = _development_times if stepper.development else _released_times
+    found(blocks, begin, rate, end, stepper, made)
+    whole = np.cumsum(np.repeat(shares, blocks.n.astype(np.int64))).astype(np.int64) - 1
+    total = np.cumsum(made.ticks + float(timer.extra_tick))
+    return np.asarray(total[whole] / timer.hz)
+
+
 def _released_times(
-    blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper
-) -> Array:
-    """Return block times of 2.0 and 2.1."""
+    blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper,
+    made: _Interrupts | None = None,
+) -> Array:  # fmt: skip
+    """Return block times of 2.0 and 2.1, and write the ramps' interrupts to ``made``."""
     n, _, a, _ = blocks
     timer, s_curve = stepper.timer, stepper.s_curve
     begin, end = (np.minimum(np.maximum(np.ceil(w - 1e-6), SLOWEST), rate) for w in (begin, end))
@@ -130,15 +157,17 @@ def _released_times(
     if s_curve:  # a curve must know where it will end
         met = np.minimum(np.sqrt(begin**2 + 2.0 * a * up), rate)
         reach = np.where(n - up - down > 0.0, rate, met)
-    climb, top = _ramp(begin, reach, a, rising, stepper.ahead * first, shares, stepper)
+    up_to, down_to = _places(made, first, falling)
+    climb, top = _ramp(begin, reach, a, rising, stepper.ahead * first, shares, stepper, up_to)
     top = np.maximum(reach if s_curve else top, end)
-    drop, _ = _ramp(top, end, a, falling, np.zeros(len(n)), shares, stepper)
+    drop, _ = _ramp(top, end, a, falling, np.zeros(len(n)), shares, stepper, down_to)
     return np.asarray(timer.seconds(first) + climb + cruising * timer.seconds(cruise) + drop)
 
 
 def _development_times(
-    blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper
-) -> Array:
+    blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper,
+    made: _Interrupts | None = None,
+) -> Array:  # fmt: skip
     """Return block times of 2.1-dev, whose ramps are ahead by half an interval.
 
     They are an interval shorter at the top than before, and an interval longer at the foot.
@@ -155,12 +184,26 @@ def _development_times(
     falling = _between(down * shares, after_first - rising)
     cruising = after_first - rising - falling
     first, cruise = timer.ticks(begin * shares), timer.ticks(rate * shares)
-    climb, top = _ramp(begin, rate, a, rising, ahead * first, shares, stepper)
+    up_to, down_to = _places(made, first, falling)
+    climb, top = _ramp(begin, rate, a, rising, ahead * first, shares, stepper, up_to)
     lead = np.where(rising > 0, 0.0, ahead * first)
     lead = np.where(cruising > 0, ahead * cruise, lead)
     top = np.maximum(np.where(cruising > 0, rate, top), end)
-    drop, _ = _ramp(top, end, a, falling, lead, shares, stepper)
+    drop, _ = _ramp(top, end, a, falling, lead, shares, stepper, down_to)
     return np.asarray(timer.seconds(first) + climb + cruising * timer.seconds(cruise) + drop)
+
+
+def _places(
+    made: _Interrupts | None, first: Array, falling: Array
+) -> tuple[_Interrupts | None, _Interrupts | None]:
+    """Write the first ticks (k,) of blocks; return where both ramps write theirs."""
+    if made is None:
+        return None, None
+    made.ticks[made.first] = first
+    return (
+        made._replace(first=made.first + 1),
+        made._replace(first=made.past - falling.astype(np.int64)),
+    )
 
 
 def _ramp_lengths(
@@ -168,7 +211,7 @@ def _ramp_lengths(
 ) -> tuple[Array, Array, Array]:
     """Return steps (k,) of the rising and the falling ramp, and where two too long ones meet."""
     rise, fall = ((rate**2 - w**2) / (2.0 * a) for w in (begin, end))
-    return rise, fall, (n + rise - fall) / 2.0
+    return rise, fall, (n + (rise - fall)) / 2.0  # exactly the middle if they are alike
 
 
 def _fitting(n: Array, up: Array, down: Array, meet: Array) -> tuple[Array, Array]:
@@ -184,18 +227,20 @@ def _between(x: Array, most: Array) -> Array:
 
 def _ramp(
     start: Array, end: Array, a: Array, interrupts: Array, ahead: Array, shares: Array,
-    stepper: Stepper,
+    stepper: Stepper, made: _Interrupts | None = None,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Return the seconds (k,) of ramps from start to end rates, and the rates that they reach.
 
     interrupts (k,): how many each ramp has; ahead (k,): ticks by which it is ahead; shares (k,):
     interrupts a step.
     """
-    timer, few = stepper.timer, 0 if stepper.s_curve else FEW
+    timer, few = stepper.timer, 0 if stepper.s_curve or made else FEW
     taken, t, now, done = np.zeros(len(start)), ahead / timer.hz, start.copy(), 0
     while np.count_nonzero(ramping := interrupts > done) > few:
         now = np.where(ramping, _rate_at(t, start, end, a, stepper.s_curve), now)
         ticks = timer.ticks(now * shares)
+        if made is not None:
+            made.ticks[made.first[ramping] + done] = ticks[ramping]
         taken = np.where(ramping, taken + timer.seconds(ticks), taken)
         t = t + ticks / timer.hz
         done += 1

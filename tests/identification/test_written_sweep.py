@@ -28,7 +28,7 @@ from tests.conftest import few
 from tests.marlin.planner import Build, xy
 from tests.marlin.planner import Machine as Board
 from tests.printers import M503
-from tests.quantities import near
+from tests.quantities import below, near
 from tests.resonance_recordings import SENSORS
 from tests.simulator import Axis, Chip, Machine, Mode
 
@@ -55,12 +55,12 @@ def at(axis: int, *place: float) -> SweepRun:
 
 
 def motion(text: bytes, planner: str = "2.1", jerk: bool = False) -> Array:
-    """Return x and y (m, 2), mean of each millisecond, as a board of 80 steps/mm plays a file."""
+    """Return x and y (m, 2), mean of the ms around each, as a board of 80 steps/mm plays a file."""
     build = Build(1 / 80, 1 / 400, 1 / 93, planner=planner, cartesian=True, classic_jerk=jerk)
     board = Board(build)
     longest = max(board.read(text), key=lambda one: one.duration)
     assert not board.merged
-    t = np.arange(round(longest.duration / TS) * FINE) * TS / FINE
+    t = (np.arange(round(longest.duration / TS) * FINE) + 0.5) * TS / FINE - TS / 2.0
     return np.asarray(xy(longest.cells(t), board.build).reshape(-1, FINE, 2).mean(axis=1))
 
 
@@ -73,14 +73,16 @@ def motion(text: bytes, planner: str = "2.1", jerk: bool = False) -> Array:
 )  # fmt: skip
 @pytest.mark.parametrize("acceleration", few([1500.0, 500.0, 5000.0], 1))
 def test_a_board_plays_the_command(planner: str, jerk: bool, acceleration: float) -> None:
-    """It ends within 20 ms after half a minute; the sensor's clock differs by more."""
+    """What a sweep is compared to is within a step of 12.5 µm, from start to end."""
     one, lines = played(ender(planner, acceleration, jerk), at(0, 110.0, 110.0), 10.0)
-    made = motion("\n".join(lines).encode(), planner, jerk)
+    # strokes of z fill the real board's queue first; this one always plans ahead
+    text = "\n".join(line for line in lines if " Z" not in line)
+    made = motion(text.encode(), planner, jerk)
     command = one.command[PAD:-PAD]
-    assert len(made) == pytest.approx(len(command), abs=20)
-    n, begun = min(len(made), len(command)), 200 if jerk else 0  # its first block sets out at once
-    assert np.abs(made[begun:n] - command[begun:n]).max() < 0.6  # mm; 20 ms at 30 mm/s
-    assert np.abs(made[:5000] - command[:5000]).mean() < 0.05
+    assert len(made) == pytest.approx(len(command), abs=2)
+    n = min(len(made), len(command))
+    off = np.linalg.norm(made[:n] - command[:n], axis=1)
+    below(float(off.max()), 0.01, "distance, mm")
 
 
 def test_the_file_stays_near_its_place_and_restores_the_settings() -> None:
@@ -96,6 +98,16 @@ def test_the_file_stays_near_its_place_and_restores_the_settings() -> None:
     assert not any("ACCELEROMETER" in line for line in lines)
     with pytest.raises(LimitError, match="room to either side"):
         played(ender(), at(1, 110.0, 218.0), 12.0)
+
+
+def test_fixed_time_motion_is_busy_before_the_first_move() -> None:
+    """It would stop at the end of each line that comes before the next is planned."""
+    lines = played(ender("ft-motion"), at(0, 110.0, 110.0), 12.0)[1]
+    wait = lines.index("G4 P5000")
+    up, back = (line.split() for line in lines[wait + 2 : wait + 4])
+    assert float(up[1].removeprefix("Z")) > 12.0
+    assert back[1] == "Z12"
+    assert lines[wait + 5].startswith("G1 X")
 
 
 def record(folder: Path, name: str, kind: str, seed: int) -> None:

@@ -98,9 +98,9 @@ class MarlinCode(Code):
             f"M204 P{a} T{a}{self._retract(False)}", f"M205 B0 S0 T0 {self.corners(False)}",
         ]  # fmt: skip
         start += ["G90", "M83", *coordinates(offset, at)]
-        return [line.encode() for line in [*start, *self._filling_lines(float(at[Z]))]]
+        return [line.encode() for line in [*start, *self.filling_lines(float(at[Z]))]]
 
-    def _filling_lines(self, z: float) -> list[str]:
+    def filling_lines(self, z: float) -> list[str]:
         """Return moves of z, up and down again, while which fixed-time motion fills its queue.
 
         It plans 128 ms ahead. With an empty queue it would plan to stop at the end of each line. A

@@ -10,7 +10,8 @@ from functools import cache
 
 import numpy as np
 
-from hframe_post.arrays import Array
+from hframe_post.arrays import TS, Array
+from hframe_post.firmware.written_moves import travelled
 from hframe_post.native import ramps
 from hframe_post.native.block_times import (
     FASTEST,
@@ -22,6 +23,7 @@ from hframe_post.native.block_times import (
     feed_rates,
     joined_times,
     least_entry,
+    step_times,
 )
 from hframe_post.native.blocks import Blocks
 
@@ -71,10 +73,31 @@ class SteppedPlanner:
 
         v (k,): speeds asked for inside them; joint (k + 1,): at their ends, both in mm/s.
         """
+        v_s, v_e, rates = self._played(blocks, joint, v)
+        return v_s, v_e, block_times(blocks, *rates, self.stepper)
+
+    def travelled(self, blocks: Blocks, joint: Array, v: Array) -> Array:
+        """Return mm of path (m,) every 1 ms: the mean of the steps made in the ms around it.
+
+        The arguments are those of ``stroke``.
+        """
+        t = step_times(blocks, *self._played(blocks, joint, v)[2], self.stepper)
+        s = np.concatenate([[0.0], np.cumsum(np.repeat(blocks.d / blocks.n, blocks.n.astype(int)))])
+        m = int(np.ceil(t[-1] / TS)) + 1
+        t = np.concatenate([[-TS, 0.0], t, [(m + 1) * TS]])
+        area = np.concatenate([[0.0, 0.0], np.cumsum(s * np.diff(t[1:]))])
+        between = (np.arange(m + 1) - 0.5) * TS
+        return np.asarray(np.diff(np.interp(between, t, area)) / TS)
+
+    def _played(
+        self, blocks: Blocks, joint: Array, v: Array
+    ) -> tuple[Array, Array, tuple[Array, Array, Array]]:
+        """Return speeds at both ends of blocks (k,), and rates there and inside."""
         n, d, *_ = blocks
         v_s, v_e = _reachable(blocks, joint, v, self._least_entry(blocks))
-        rates = v_s * n / d, np.ceil(v * n / d), v_e * n / d
-        return v_s, v_e, block_times(blocks, *rates, self.stepper)
+        rate = np.ceil(v * n / d)
+        per_mm = n / d if self.stepper.development else rate / v
+        return v_s, v_e, (v_s * per_mm, rate, v_e * per_mm)
 
     def entry(self, blocks: Blocks, v: Array, before: float) -> Array:
         """Return the speeds (k,), mm/s, at which blocks begin.
@@ -119,6 +142,11 @@ class FixedTimePlanner:
         v_s, v_e = _reachable(blocks, joint, v, _development_entry(blocks))
         v = np.minimum(v, np.sqrt(a * d + (v_s**2 + v_e**2) / 2.0))
         return v_s, v_e, (d + ((v - v_s) ** 2 + (v - v_e) ** 2) / (2.0 * a)) / v
+
+    def travelled(self, blocks: Blocks, joint: Array, v: Array) -> Array:
+        """Return mm of path (m,) at every 1 ms, where it looks up its place."""
+        v_s, v_e = _reachable(blocks, joint, v, _development_entry(blocks))
+        return travelled(blocks.d, v, v_s, v_e, blocks.a * blocks.d / blocks.n)
 
 
 Planner = SteppedPlanner | FixedTimePlanner

@@ -9,7 +9,7 @@ import numpy as np
 from hframe_post.arrays import Array, Integers
 from hframe_post.firmware.code import plain
 from hframe_post.firmware.marlin.code import TRAPEZOIDS, MarlinCode
-from hframe_post.firmware.written_moves import Ramps, WrittenMoves
+from hframe_post.firmware.written_moves import WrittenMoves
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.blocks import Blocks
 from hframe_post.native.whole_steps import most_steps, motor_steps
@@ -55,6 +55,9 @@ class MarlinMoves(WrittenMoves):
             f"M205 B0 S0 T0 {corners}",
         ]  # fmt: skip
 
+    def ahead(self, z: float) -> list[str]:
+        return self.code.filling_lines(z)
+
     def speed(self, v: float) -> float:
         """Return a feed rate: Marlin rounds steps a second up, or where moves meet to the nearest.
 
@@ -62,8 +65,8 @@ class MarlinMoves(WrittenMoves):
         """
         return (round(v / self.step) - 0.4) * self.step
 
-    def ramps(self, cells: Integers, v: Array, turns: Array, acceleration: float) -> Ramps:
+    def motion(self, cells: Integers, v: Array, turns: Array, acceleration: float) -> Array:
         n = most_steps(motor_steps(cells, self.kinematics.matrix)).astype(np.float64)
-        d = np.abs(np.diff(cells, axis=0)).sum(axis=1) * self.step
+        d, at = self._along(cells)
         blocks = Blocks(n, d, np.floor(acceleration * n / d))
-        return Ramps(*self.code.planner.stroke(blocks, turns, v))
+        return np.interp(self.code.planner.travelled(blocks, turns, v), *at)

@@ -8,7 +8,7 @@ The axis travels to and fro around its place, and while it travels its speed pul
 
 So the acceleration is +a, 0, −a, 0 … at a frequency that grows. The axis stops only where it
 turns, so friction, and the first step from rest, which Marlin delays, hardly count. The command is
-what the firmware makes of the moves (``firmware.written_moves``).
+what the firmware makes of the moves, of Marlin each step (``firmware.written_moves``).
 
 Any program may record it: start and clock are found from the motion (``self_alignment``).
 """
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Integers
+from hframe_post.arrays import Array, Integers
 from hframe_post.errors import LimitError
 from hframe_post.firmware.code import plain
 from hframe_post.firmware.motion import SPARED
@@ -56,7 +56,7 @@ HEAD = """\
 class _Moves:
     """Moves one after the other: whole steps (k,) with their sign, speeds (k,) in mm/s.
 
-    reversal: speed of the moves at both sides of a turn and at both ends, if they are not at rest.
+    reversal: speed of the moves at both sides of a turn and at the start, if they are not at rest.
     """
 
     steps: Integers
@@ -67,7 +67,9 @@ class _Moves:
     def turns(self) -> Array:
         """Return the most speed (k + 1,) at the ends, where the axis turns or rests, too."""
         v, sign = np.pad(self.v, 1), np.sign(np.pad(self.steps, 1))
-        return np.where(sign[:-1] == sign[1:], np.minimum(v[:-1], v[1:]), self.reversal)
+        passed = np.where(sign[:-1] == sign[1:], np.minimum(v[:-1], v[1:]), self.reversal)
+        passed[-1] = 0.0
+        return np.asarray(passed)
 
 
 def played(printer: Printer, run: SweepRun, z: float) -> tuple[SweepRun, list[str]]:
@@ -90,10 +92,10 @@ def played(printer: Printer, run: SweepRun, z: float) -> tuple[SweepRun, list[st
     end_hz = min(sweep.end_hz, SPARED * lines_per_second / 2.0)  # two lines a period
     pulses = _pulses(play, a, min(RISE, velocity - SLOW), reach, end_hz, sweep.rate_hz_per_s)
     steps, v = (np.array(column) for column in zip(*pulses, strict=True))
-    moves = _Moves(steps, v, play.reversal)
+    moves = _Moves(steps, np.round(60.0 * v, 1) / 60.0, play.reversal)  # as F has it
     cells = np.zeros((len(moves.v) + 1, 2), dtype=np.int64)
     cells[1:, run.axis] = np.cumsum(moves.steps)
-    along = _motion(play, moves, cells, a)
+    along = np.pad(play.motion(cells, moves.v, moves.turns, a), PAD, mode="edge")
     command = np.tile(np.array([x, y]), (len(along), 1))
     command[:, run.axis] += along
     done = SweepRun(run.name, run.axis, (x, y), frozen(command))
@@ -132,6 +134,7 @@ def _pulses(
         slow = max(least, round(SLOW * (period - 2.0 * ramp - hold) / step))
         fast = (SLOW * (2.0 * ramp + hold) + rise * (ramp + hold)) / step
         fast = max(least, 2 * round(fast / 2.0))  # even: both ramps have as many steps
+        top = _safe_speed(play, a, SLOW + rise, fast)
         travel = (slow + fast) * step
         if travel > reach:
             continue  # too slow for the room that there is
@@ -139,29 +142,21 @@ def _pulses(
             yield from ((side * n, v) for side in (way, -way) for n, v in turn)
             way = -way
         at += way * travel
-        for n, v in ((slow, SLOW), (fast, SLOW + rise)):
+        for n, v in ((slow, SLOW), (fast, top)):
             yield way * n, play.speed(v)
     yield from ((way * n, v) for n, v in turn)
 
 
-def _motion(play: WrittenMoves, moves: _Moves, cells: Integers, a: float) -> Array:
-    """Return the displacement (m,) in mm every 1 ms, at rest at both ends."""
-    d = np.abs(moves.steps) * play.step
-    v_s, v_e, seconds = play.ramps(cells, moves.v, moves.turns, a)
-    top = np.minimum(moves.v, np.sqrt(a * d + (v_s**2 + v_e**2) / 2.0))
-    up, down = (top - v_s) / a, (top - v_e) / a
-    cruise = np.maximum(d - (v_s + top) / 2.0 * up - (v_e + top) / 2.0 * down, 0.0) / top
-    ends = np.cumsum(seconds)
-    t = np.arange(int(np.ceil(ends[-1] / TS)) + 1) * TS
-    k = np.minimum(np.searchsorted(ends, t, side="right"), len(d) - 1)
-    share = np.clip((t - (ends - seconds)[k]) / seconds[k], 0.0, 1.0)
-    tau = share * (up + cruise + down)[k]  # as if the ramps were exact
-    rising, falling = np.minimum(tau, up[k]), np.maximum(tau - (up + cruise)[k], 0.0)
-    s = v_s[k] * rising + a * rising**2 / 2.0 + top[k] * np.maximum(tau - up[k], 0.0)
-    s -= a * falling**2 / 2.0
-    made = np.cumsum(moves.steps) - moves.steps
-    way = made[k] * play.step + np.sign(moves.steps)[k] * np.minimum(s, d[k])
-    return np.pad(way, PAD, mode="edge")
+def _safe_speed(play: WrittenMoves, a: float, most: float, steps: int) -> float:
+    """Return the top speed, mm/s, of a move between slow ones, with ramps of k + 1/2 steps.
+
+    A firmware that counts steps rounds them to k or k + 1, and both ramps leave room for that.
+    With whole steps, or with ramps that meet, the last digit of its numbers would decide on k, and
+    with it on half a millisecond.
+    """
+    base, per_step = SLOW**2, 2.0 * a * play.step
+    k = min(steps // 2 - 1, int((most**2 - base) / per_step - 0.5))
+    return float(np.sqrt(base + per_step * (k + 0.5)))
 
 
 def _gcode(
@@ -179,6 +174,7 @@ def _gcode(
         *play.begin, "G90", f"G1 Z{height} F{plain(LIFT * 60.0, 1)}",
         f"G1 X{x} Y{y} F{plain(APPROACH * 60.0, 1)}",
         *play.limits(float(v.max()) + 1.0, a), f"G4 P{BEFORE * 1000}",
+        *play.ahead(z),
     ]  # fmt: skip
     feeds = (plain(speed * 60.0, 1) for speed in v.tolist())
     places = (plain(place, 4) for place in at.tolist())
