@@ -148,7 +148,6 @@ def convert(
     options = files.with_format(options.resolved(printer), printer, output, given.path)
     if given.once:
         _check_read_once(page, options)
-    fastest = None
     with ExitStack() as opened:
         opened.enter_context(_comparing_stamps(printer, options, given))
         if outputs is None:
@@ -158,17 +157,21 @@ def convert(
         page_file = outputs.open(Path(page)) if page is not None else None
         if page is not None:
             options = _pictured(options, given, printer, printer.plant)
+        written = files.Target(outputs, output, given.path) if target is not None else None
         if options.speed is not None:
+            from hframe_post.studies.speed.report import with_speed
             from hframe_post.studies.speed.search import find_fastest
 
-            fastest = find_fastest(given.again, printer, options)
-            printer, options = fastest.printer, fastest.options
-        written = files.Target(outputs, output, given.path) if target is not None else None
-        report = files.convert(given.lines(progress), written, printer, options)
-        if fastest is not None:
-            from hframe_post.studies.speed.report import with_speed
+            def converted(printer: Printer, options: Options) -> Report:
+                nonlocal progress
+                lines, progress = given.lines(progress), None  # once, if there are several trials
+                return files.convert(lines, written, printer, options)
 
-            report = with_speed(report, fastest)
+            fastest = find_fastest(given.again, printer, options, converted)
+            printer, options = fastest.printer, fastest.options
+            report = with_speed(fastest)
+        else:
+            report = files.convert(given.lines(progress), written, printer, options)
         if page_file is not None:
             from hframe_post.page.build import page as print_page
 

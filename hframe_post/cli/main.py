@@ -35,6 +35,7 @@ COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of
     "identify": ("identify.identify", "Compute a profile from the measurement."),
     "calibrate-print": ("calibrate_print.calibrate_print", "Measure a printer without a sensor."),
     "check": ("check.check", "Measure in 20 s what drifted since identify."),
+    "bands": ("bands.bands", "Find the motor speeds that outer walls should avoid."),
     "verify": ("verify.verify", "Measure whether a profile helps on the printer."),
     "klipper-macros": ("integrations.klipper_macros", "Print macros for Klipper's printer.cfg."),
     "calibrate-marlin": ("integrations.calibrate_marlin", "Find out a Marlin board's planner."),

@@ -6,7 +6,7 @@ To add a format, write a conversion in ``conversions`` and a row of ``FORMATS`` 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -39,9 +39,24 @@ class Target:
     outputs: Outputs
     path: Path | None
     instead_of: Path | None = None
+    _files: dict[str, IO[bytes]] = field(default_factory=dict)
 
     def open(self) -> IO[bytes]:
-        return self.outputs.open(self.path, self.instead_of)
+        """Return the empty file. What an earlier conversion wrote to it is dropped."""
+        return self._emptied("", self.path, self.instead_of)
+
+    def open_next_to(self, suffix: str) -> IO[bytes]:
+        """Return an empty file whose name has a suffix more; there must be a path."""
+        assert self.path is not None
+        return self._emptied(suffix, self.path.with_name(self.path.name + suffix))
+
+    def _emptied(self, key: str, path: Path | None, instead_of: Path | None = None) -> IO[bytes]:
+        if key not in self._files:
+            self._files[key] = self.outputs.open(path, instead_of)
+        file = self._files[key]
+        file.seek(0)
+        file.truncate()
+        return file
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +180,7 @@ def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
     if target.path is None:
         out.writelines(inlined(conversion))
         return
-    events = target.outputs.open(target.path.with_name(target.path.name + ".events"))
+    events = target.open_next_to(".events")
     events.write(EVENTS_HEADER)
     with compressing(out, _suffixes(target.path)[1]) as packed:
         for piece in conversion:

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -76,6 +76,20 @@ class InputMeter:
 # ---------------------------------------------------------------------- the commands
 
 
+class Meters(Protocol):
+    """Makes a meter of a study for each span of a print; ``place`` is where the span begins."""
+
+    def begun(self, place: Place) -> Meter: ...
+
+
+class Meter(Protocol):
+    """Measures commands. sums: what it saw, with a method that joins those of the next span."""
+
+    sums: Any
+
+    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]: ...
+
+
 @dataclass(frozen=True, slots=True)
 class PrintTime:
     """Duration of the print, s: as the firmware plays the sliced file, and as converted."""
@@ -90,7 +104,7 @@ class MotionSummary:
 
     fed: most filament in one stretch, mm. seconds: processor time by stage. picture: if one was
     asked for. advance: least and most s of pressure advance. in_bands: outer walls, and what of
-    them a motor spends in a band that it avoids.
+    them a motor spends in a band that it avoids. metered: sums of the options' meters.
     """
 
     samples: int = 0
@@ -103,6 +117,7 @@ class MotionSummary:
     picture: Picture | None = None
     advance: tuple[float, float] = (math.inf, 0.0)
     in_bands: TimeInBands = field(default_factory=TimeInBands)
+    metered: Any = None
 
     @property
     def duration(self) -> float:
@@ -133,6 +148,10 @@ class MotionSummary:
             self.picture = later.picture
         elif later.picture is not None:
             self.picture.join(later.picture)
+        if self.metered is None:
+            self.metered = later.metered
+        elif later.metered is not None:
+            self.metered.join(later.metered)
 
 
 class Clock:

@@ -22,6 +22,7 @@ from hframe_post.process import processor_count
 from hframe_post.stream.features import KINDS
 
 if TYPE_CHECKING:
+    from hframe_post.conversion.meters import Meters
     from hframe_post.model.shapers import Shaping
     from hframe_post.planner.pacing import Paces
 
@@ -114,6 +115,7 @@ class Options:
 
     The last fields are for the stages: ``resolved`` sets speed, the search for it paces. picture:
     collect the path with its predicted errors; shaping: with those of this input shaper, too.
+    meters: measure the commands on their way to the output.
 
     Raises OptionError for values that make no sense.
     """
@@ -192,6 +194,7 @@ class Options:
     paces: Paces | None = None
     picture: bool = field(default=False, repr=False)
     shaping: Shaping | None = field(default=None, repr=False)
+    meters: Meters | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("limits", "extrusion", "retract", "format"):

@@ -124,6 +124,7 @@ class Stages:
         self._advancing = Advancing(advance or own.advance(printer), limits)
         self._errors = ErrorMeter(printer.plant, doubts=doubts, picture=picture)
         self._walls = BandMeter(printer, self._options.strategy, printing or Place())
+        self._meter = options.meters.begun(printing or Place()) if options.meters else None
         self.times = StageTimes()
 
     def commands(self, items: Iterable[Planned]) -> Iterator[Samples]:
@@ -168,6 +169,8 @@ class Stages:
                 commands = shape(commands, {SHAPER: self._options.shaping})
             commands = self.times.timed("predict", self._errors.samples(commands))
             commands = prefetch(commands) if threads else commands
+        if self._meter is not None:
+            commands = self.times.timed("measure", self._meter.samples(commands))
         return self._clock.samples(self._walls.samples(commands))
 
     @property
@@ -177,6 +180,7 @@ class Stages:
             self._clock.end, self._clock.fed, self._guard.peaks,
             self._clamp.clamped, self._errors.contour, self._errors.width, self.times.seconds,
             self._errors.picture, (self._advancing.least, self._advancing.most), self._walls.time,
+            self._meter.sums if self._meter is not None else None,
         )  # fmt: skip
 
 
@@ -227,7 +231,7 @@ class PlannedFile:
             notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
-            bands=self._bands(motion.in_bands),
+            bands=self._bands(motion.in_bands), metered=motion.metered,
         )  # fmt: skip
 
     def _bands(self, after: TimeInBands) -> BandReport | None:

@@ -112,12 +112,12 @@ class Report:
 
     lines_written, filament_after: None if nothing is written. busiest_second: the most lines of
     motion in a second, compared with the firmware's lines_per_second; approximation: what the lines
-    are off the command (RMS) where that bounds them. seconds: processor time by
-    stage, not compared. speed, speed_text: how accuracy was traded for speed. picture: the path
-    with its errors, if one was asked for. notices: warnings of the printer's profile. plastic: of
-    a bed that moves. other_tools: commands after which the plant is not that of the tool that
-    prints; None if the profile does not say. advance: pressure advance, if there is any. bands: of
-    motor speed, if the profile avoids any.
+    are off the command (RMS) where that bounds them. seconds: processor time by stage, not
+    compared. speed, speed_text: how accuracy was traded for speed. picture: the path with its
+    errors, if one was asked for. metered: sums of the options' meters. notices: warnings of the
+    printer's profile. plastic: of a bed that moves. other_tools: commands after which the plant is
+    not that of the tool that prints; None if the profile does not say. advance: pressure advance,
+    if there is any. bands: of motor speed, if the profile avoids any.
     """
 
     strategy: str
@@ -138,6 +138,7 @@ class Report:
     speed: dict[str, Any] | None = None
     speed_text: str = ""
     picture: Picture | None = field(default=None, compare=False, repr=False)
+    metered: Any = field(default=None, compare=False, repr=False)
     notices: tuple[str, ...] = ()
     plastic: Plastic | None = None
     other_tools: tuple[str, ...] | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import find_peaks
 
 from hframe_post.arrays import TS, Array, Complex, X, Y
 from hframe_post.identification.diagnosis.coupling import MeasuredCoupling
@@ -21,6 +22,7 @@ TITLES = {
     "Gxtheta": "Racking: from x to the rotation of the gantry (Gxθ)",
 }
 LEAST_SHOWN = 1e-3  # of |G|
+PROMINENT, MOST_NAMED = 2.0, 4  # dB; peaks of a response
 RELIABLE = 0.5  # coherence below which the phase of a response is noise
 
 
@@ -123,11 +125,20 @@ def _charts(name: str, measured: Measured, found: Fit, held: Linear | None) -> l
     unit = "dB (rad/mm)" if name == "Gxtheta" else "dB (mm/mm)"
     frequency = "frequency, Hz"
     return [
-        Chart("Magnitude", frequency, unit, magnitudes, (True, False)),
+        Chart(
+            "Magnitude", frequency, unit, magnitudes, (True, False), _peaks(hz, decibel(model(hz)))
+        ),
         Chart("Phase, where the coherence is above 0.5", frequency, "°", phases, (True, False)),
         Chart("Coherence", frequency, "", [coherence], (True, False)),
         Chart("Residual of the model", frequency, "relative", [residual], (True, True)),
     ]
+
+
+def _peaks(hz: Array, magnitude: Array) -> list[tuple[float, str]]:
+    """Return the highest peaks of a response in dB, by frequency, with their names."""
+    at, found = find_peaks(magnitude, prominence=PROMINENT)
+    highest = np.sort(at[np.argsort(-found["prominences"])][:MOST_NAMED])
+    return [(float(hz[k]), f"{hz[k]:.1f} Hz") for k in highest]
 
 
 def uncertain(G: ImpulseResponse, hz: Array) -> Array:

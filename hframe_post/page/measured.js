@@ -75,6 +75,7 @@ function draw(figure, chart) {
     if (line.at.length === 1 && line.y[0] !== null) addSvg(svg, "circle", { cx: x(line.at[0]), cy: y(line.y[0]), r: 5 }).style.fill = colour(chart, line);
     if (line.dashed) shown.setAttribute("stroke-dasharray", "6 4");
   }
+  addMarks(svg, chart.marks.filter((mark) => mark.at >= xs[0] && mark.at <= xs[1]), x, bottom);
   const cursor = addSvg(svg, "line", { y1: EDGE.top, y2: bottom, class: "cursor", visibility: "hidden" });
   const read = (event) => {
     const at = event.clientX - svg.getBoundingClientRect().left;
@@ -86,6 +87,17 @@ function draw(figure, chart) {
   svg.addEventListener("pointermove", read);
   svg.addEventListener("pointerdown", read);
   svg.addEventListener("pointerleave", () => { cursor.setAttribute("visibility", "hidden"); legend(figure, chart, null); });
+}
+function addMarks(svg, marks, x, bottom) {  // in rows, where names would overlap
+  const ends = [];
+  for (const mark of marks) {
+    const text = addSvg(svg, "text", { y: 0, "text-anchor": "middle", class: "mark" }, mark.text), half = text.getComputedTextLength() / 2 + 4;
+    const at = Math.min(Math.max(x(mark.at), EDGE.left + half), svg.clientWidth - half);
+    const free = ends.findIndex((end) => at - half > end), row = free < 0 ? ends.length : free;
+    ends[row] = at + half;
+    text.setAttribute("x", at); text.setAttribute("y", EDGE.top + 11 + 13 * row);
+    addSvg(svg, "line", { x1: x(mark.at), x2: x(mark.at), y1: EDGE.top + 15 + 13 * row, y2: bottom, class: "mark" });
+  }
 }
 const colour = (chart, line) => line.colour || COLOURS[chart.lines.filter((each) => !each.colour).indexOf(line) % COLOURS.length];
 function legend(figure, chart, place) {  // names, and values where the pointer is

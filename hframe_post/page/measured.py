@@ -33,13 +33,17 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """Lines over common axes. x, y: labels of the axes; log: whether each is logarithmic."""
+    """Lines over common axes. x, y: labels of the axes; log: whether each is logarithmic.
+
+    marks: places on the x axis, and what to write there.
+    """
 
     title: str
     x: str
     y: str
     lines: Sequence[Curve]
     log: tuple[bool, bool] = (False, False)
+    marks: Sequence[tuple[float, str]] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +96,11 @@ def _chart(chart: Chart) -> dict[str, Any]:
         | _points(line, chart.log)
         for line in chart.lines
     ]
-    return {"title": chart.title, "x": chart.x, "y": chart.y, "log": chart.log, "lines": lines}
+    marks = [{"at": float(f"{at:.5g}"), "text": text} for at, text in chart.marks]
+    return {
+        "title": chart.title, "x": chart.x, "y": chart.y, "log": chart.log, "lines": lines,
+        "marks": marks,
+    }  # fmt: skip
 
 
 def _points(line: Curve, log: tuple[bool, bool]) -> dict[str, Any]:

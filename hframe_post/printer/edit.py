@@ -52,6 +52,14 @@ def with_advance(name_or_path: str, seconds: float) -> str:
     return _changed(name_or_path, {"extruder": {"advance": seconds}})
 
 
+def with_bands(name_or_path: str, avoid: Sequence[tuple[int, int]]) -> str:
+    """Return a profile's text with bands of motor speed that outer walls avoid, mm/s.
+
+    Raises PrinterError if the text cannot be changed safely.
+    """
+    return _changed(name_or_path, {"speed": {"avoid": [list(band) for band in avoid]}})
+
+
 def with_plant(
     name_or_path: str, plant: Plant, windows: Windows, notes: Sequence[str],
     uncertainty: float | None = None, text: str | None = None, measured: date | None = None,

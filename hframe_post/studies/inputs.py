@@ -18,7 +18,7 @@ from hframe_post.arrays import Array, E
 from hframe_post.planner.pacing import NAMES, Labeller, PieceStart
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
-from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough
+from hframe_post.stream.types import Handling, Item, Mark, MoveAtRest, Moves, Passthrough
 
 PIECE = 3.0  # s at the file's feed rates
 SECONDS = 40.0, 100.0  # least and most to keep of a print
@@ -59,6 +59,39 @@ def excerpt(
             for left in pieces:
                 _add(kept, left.seconds)
     return pieces
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Items between two stops. layers: the numbers of all that are printed in them, in order."""
+
+    start: PieceStart
+    items: tuple[Item, ...]
+    layers: tuple[int, ...]
+
+
+def sections(items: Iterable[Item], first_layers: int = 1) -> Iterator[Section]:
+    """Yield the whole print in sections; each ends at the first stop after the layer changes."""
+    labeller = Labeller(PieceStart())
+    start, collected = labeller.start, list[Item]()
+    for item in items:
+        rests = not isinstance(item, Moves) and (
+            isinstance(item, MoveAtRest) or item.handling is not Handling.CARRY
+        )
+        now = labeller.start
+        if rests and collected and now.place.layer != start.place.layer:
+            yield Section(start, tuple(collected), _layers(start, now))
+            start, collected = now, []
+        if isinstance(item, Moves):
+            labeller.classify(item, first_layers)
+        elif isinstance(item, Passthrough):
+            labeller.mark(item.text)
+        collected.append(item)
+    yield Section(start, tuple(collected), _layers(start, labeller.start))
+
+
+def _layers(start: PieceStart, end: PieceStart) -> tuple[int, ...]:
+    return tuple(range(start.place.layer, end.place.layer + 1))
 
 
 def useful_feeds(pieces: Iterable[Piece], velocity: float, flow: float) -> dict[str, float]:

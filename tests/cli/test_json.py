@@ -56,6 +56,7 @@ WITHOUT_INPUT: dict[str, list[str]] = {
     "compare": ["none.gcode", "none.gcode"], "simulate": ["none.gcode"], "speed": ["none.gcode"],
     "tune": ["none.gcode"],
     "identify": ["empty", "-o", "my.toml"], "check": ["empty"], "verify": ["empty"],
+    "bands": ["empty"],
 }  # fmt: skip
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion.conversions import GcodeConversion
+from hframe_post.conversion.files import Target, convert, with_format
 from hframe_post.conversion.options import Kind, Options
 from hframe_post.conversion.tables import SampleConversion, StepConversion
 from hframe_post.errors import LimitError, PrinterError
@@ -21,6 +22,7 @@ from hframe_post.printer.profile import load, parse, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 from hframe_post.writers import step_file, steps
+from hframe_post.writers.files import Outputs
 from hframe_post.writers.samples import COLUMNS, as_csv
 from hframe_post.writers.step_file import MOTORS, inlined
 from tests.command_line import run
@@ -244,6 +246,22 @@ def test_failure_leaves_every_file_as_it_was(tmp_path: Path, name: str) -> None:
     assert done.returncode == 1
     assert b"G55" in done.stderr
     assert files(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", ["out.gcode", "out.csv"])
+def test_a_conversion_to_the_same_target_replaces_what_an_earlier_one_wrote(
+    tmp_path: Path, paper: Printer, name: str
+) -> None:
+    options = with_format(Options("racking", force=True), paper, tmp_path / name, None)
+    for folder, sources in (("once", [TURN]), ("again", [cube(1), TURN])):
+        (tmp_path / folder).mkdir()
+        out = tmp_path / folder / name
+        with Outputs() as outputs:
+            target = Target(outputs, out)
+            for lines in sources:
+                convert(lines, target, paper, options.resolved(paper))
+    for file in sorted((tmp_path / "once").iterdir()):
+        assert (tmp_path / "again" / file.name).read_bytes() == file.read_bytes()
 
 
 def test_dry_run_tells_of_every_format_and_writes_nothing(tmp_path: Path) -> None:

@@ -19,7 +19,14 @@ def built(name: str = "my printer") -> bytes:
     resonance = Curve("x = 80 mm", HZ, 1.0 / np.abs(1.0 - (HZ / 30.0) ** 2 + 0.1j * HZ / 30.0))
     gap = Curve(name, np.arange(4.0), np.array([1.0, np.nan, 3.0, 4.0]), "var(--ink)", strong=True)
     charts = [
-        Chart("Magnitude", "frequency, Hz", "1", [resonance], (True, True)),
+        Chart(
+            "Magnitude",
+            "frequency, Hz",
+            "1",
+            [resonance],
+            (True, True),
+            [(29.0, "29 Hz"), (30.0, name), (200.0, "not shown")],
+        ),
         Chart(name, "time, s", "mm", [gap], (False, False)),
     ]
     cards = [Card("off by", "3", "%", "order 4", "bad")]
@@ -51,6 +58,10 @@ def test_charts_show_values_at_the_pointer_and_text_is_never_markup(
         check_readable(browser, width)
         assert browser.value("document.getElementById('warnings').textContent") == EVIL
     assert browser.value("window.evil") is None
+    marks = "[...document.querySelectorAll('text.mark')].map((mark) => mark.%s)"
+    assert browser.value(marks % "textContent") == ["29 Hz", EVIL]
+    rows = browser.value(marks % "getAttribute('y')")
+    assert rows[0] != rows[1]  # they would overlap
     gap = "document.querySelectorAll('.plot svg path')[1].getAttribute('d').match(/M/g).length"
     assert browser.value(gap) == 2
     key = "document.querySelector('.key').textContent"

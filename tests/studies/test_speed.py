@@ -16,6 +16,7 @@ from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError
 from hframe_post.library import convert, load_printer
 from hframe_post.model.plant import Plant
+from hframe_post.planner.pacing import NAMES
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer
@@ -23,7 +24,7 @@ from hframe_post.stream.features import kind
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.speed.drive import Drive
 from hframe_post.studies.speed.report import speed_as_text
-from hframe_post.studies.speed.search import Bound, Fastest, search
+from hframe_post.studies.speed.search import LIMIT, NEAR, Bound, Fastest, Searches, search
 from hframe_post.studies.speed.trial import (
     ADJUSTED,
     FIRST_LAYERS,
@@ -31,6 +32,7 @@ from hframe_post.studies.speed.trial import (
     UNCHANGED,
     Freedom,
     SpeedSettings,
+    TrialPrint,
 )
 from tests.command_line import run
 from tests.conftest import SAMPLES
@@ -38,9 +40,13 @@ from tests.conftest import SAMPLES
 MODEL_ERROR = 0.05
 
 
+def whole_cube() -> list[bytes]:
+    return (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
+
+
 def cube() -> list[bytes]:
     """The first and two later layers; extrusion is relative."""
-    lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
+    lines = whole_cube()
     second, fifth, seventh = (lines.index(b";LAYER:%d\n" % number) for number in (1, 4, 6))
     return [*lines[:second], *lines[fifth:seventh]]
 
@@ -119,6 +125,20 @@ def test_no_layer_is_too_short_and_what_limits_the_speed_is_reported(
 def test_an_impossible_bound_is_an_error(paper: Printer) -> None:
     with pytest.raises(HframeError, match="allow more"):
         search(cube, paper, Options("racking"), Bound(1e-4))
+
+
+def test_layers_whose_feed_changes_take_as_long_as_in_a_plan_of_the_whole_print(
+    paper: Printer,
+) -> None:
+    drive = Drive(lambda: whole_cube()[:4000], paper, Options("racking"), "p95", Freedom())
+    before = SpeedSettings(dict.fromkeys(ADJUSTED, 5e3), dict.fromkeys(ADJUSTED, 1.0))
+    after = replace(before, layer_feed={4: 0.7, 5: 0.6, 9: 0.8})
+    times = drive.layer_times(before)
+    again = drive.layer_times_again(after, before, times)
+    assert again == pytest.approx(drive.layer_times(after), abs=1e-9)
+    assert again[5] > 1.3 * times[5]
+    known = {**times, 20: 100.0}  # not what a plan gives, so it shows what is planned again
+    assert drive.layer_times_again(after, before, known)[20] == 100.0
 
 
 def test_kept_kinds_are_not_judged(loose: Fastest) -> None:
@@ -233,3 +253,36 @@ def test_a_profile_bounds_acceleration_and_corners_of_the_path(paper: Printer) -
     assert fastest(4000.0) <= (4000.0, owners)
     assert fastest(20.0 * 1e3)[1] == owners
     assert fastest(0.0) > (2e4 - 1.0, owners)
+
+
+@pytest.mark.parametrize("slope", [0.15, 0.4, 1.0, 3.0])
+@pytest.mark.parametrize("start", [(8e3,), (500.0, 20e3), (20e3, 500.0)])
+def test_accelerations_reach_the_bound_in_few_trials(
+    slope: float, start: tuple[float, ...]
+) -> None:
+    """Also where the error hardly depends on the acceleration, so that a step changes little."""
+    bound, used = Bound(0.1), 0.0
+
+    def tried(acceleration: float) -> TrialPrint:
+        error = 0.1 * (acceleration / 4e3) ** slope
+        settings = SpeedSettings({"skin": acceleration}, {"skin": 1.0})
+        return TrialPrint(settings, {"skin": [error]}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
+
+    searches = Searches(bound, 1e6, [tried(acceleration) for acceleration in start])
+    for _ in range(5):
+        used = bound.shares(searches.trials[-1])["skin"]
+        if NEAR <= used <= LIMIT:
+            break
+        searches.trials.append(tried(searches.corrected({"skin": 1.0}).acceleration["skin"]))
+    assert NEAR <= used <= LIMIT
+
+
+def test_of_two_trials_at_one_acceleration_the_later_counts() -> None:
+    """The error of a feature also depends on what else changed: the earlier one is within it."""
+    settings = SpeedSettings({"skin": 4e3}, {"skin": 1.0})
+    trials = [
+        TrialPrint(settings, {"skin": [error]}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
+        for error in (0.094, 0.096)
+    ]
+    searches = Searches(Bound(0.1), 1e6, trials)
+    assert searches.corrected({"skin": 1.0}).acceleration["skin"] < 3.99e3

@@ -29,7 +29,8 @@ from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import Piece
 from hframe_post.studies.shapers.search import good, paths
-from hframe_post.studies.speed.drive import Drive, LayerTimes, Original, Source
+from hframe_post.studies.speed.cooling import LayerTimes
+from hframe_post.studies.speed.drive import Drive, Original, Source
 from hframe_post.studies.speed.search import (
     LIMIT,
     NEAR,

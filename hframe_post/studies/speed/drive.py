@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from hframe_post.arrays import TS, Z
 from hframe_post.compensation.stops import StopSolvers
@@ -21,20 +22,21 @@ from hframe_post.conversion.pipeline import (
     sampled,
     scheduled,
 )
+from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Spans
-from hframe_post.errors import HframeError
+from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.responses import Plants
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.pacing import Pace, Paces, pace
+from hframe_post.planner.pacing import Pace, Paces, PieceStart, pace
 from hframe_post.planner.sliced import SlicedTime
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
 from hframe_post.stream.types import Item, Moves, Planned, Samples
-from hframe_post.studies.inputs import SECONDS, Piece, excerpt, useful_feeds
+from hframe_post.studies.inputs import SECONDS, Piece, Section, excerpt, sections, useful_feeds
 from hframe_post.studies.speed.trial import (
     FIRST_LAYERS,
     JUDGED_EVERY,
@@ -42,7 +44,9 @@ from hframe_post.studies.speed.trial import (
     Measure,
     SpeedSettings,
     TrialMeter,
+    TrialMeters,
     TrialPrint,
+    TrialSums,
     add_layer_times,
     judged,
     measured,
@@ -52,9 +56,11 @@ from hframe_post.studies.speed.trial import (
 JERK = 1e7  # mm/s³
 CORNER = 4e-3  # s: speed at square corners over acceleration
 MOST_KEPT = 300_000  # moves of a file that are kept between trials; 20 MB
+FEW = 0.3  # share of the time of layers that are planned again on their own
 TRAVEL_SHARE = 4.0  # acceleration of travel over that of the gentlest feature
 
 Source = Callable[[], Iterable[bytes]]  # opens the file and yields its lines, at each call again
+Convert = Callable[[Printer, Options], Report]  # converts the file
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,14 +137,16 @@ class Drive:
     def try_pieces(
         self, pieces: Iterable[Piece], settings: SpeedSettings, plants: tuple[Plant, ...]
     ) -> TrialPrint:
-        meter, together, refused = self._meter(settings), Plants(plants), ""
+        sums, together, refused = self._sums(settings), Plants(plants), ""
         stages, printed = self.print_pieces(pieces, settings)
         try:
             for piece, commands in printed:
-                meter.add(commands, Labels(replace(piece.start.place), by_name=False), together)
+                meter = TrialMeter(sums, together, self._options.strategy, piece.start.place)
+                for _ in meter.samples(commands):
+                    pass
         except HframeError as error:
             refused = str(error)
-        return meter.trial(stages.summary.clamped.samples, refused)
+        return sums.trial(stages.summary.clamped.samples, refused)
 
     def print_pieces(
         self, pieces: Iterable[Piece], settings: SpeedSettings | None
@@ -162,33 +170,75 @@ class Drive:
         return stages, printed()
 
     def try_whole(
-        self, settings: SpeedSettings, plants: tuple[Plant, ...], may_clamp: bool
-    ) -> TrialPrint:
-        """Print the whole file; refuse settings that need a clamp if there may be none."""
-        printer, options = self.configured(settings)
-        options = replace(self._options, paces=options.paces, clamp=may_clamp)
-        stages, commands = self._printed(printer, options)
-        meter = self._meter(settings)
-        try:
-            meter.add(commands, Labels(by_name=False), Plants(plants))
-        except HframeError as error:  # not from the file, which was read to its end before
-            return meter.trial(0, str(error))
-        return meter.trial(stages.summary.clamped.samples)
+        self, settings: SpeedSettings, plants: tuple[Plant, ...], convert: Convert
+    ) -> tuple[TrialPrint, Report | None]:
+        """Convert the whole file; return what it is on each plant, and its report.
 
-    def _meter(self, settings: SpeedSettings) -> TrialMeter:
-        return TrialMeter(settings, self._freedom, self._measure, self.max_acceleration)
+        There is no report if the print is refused. Raises PrinterError.
+        """
+        printer, options = self.configured(settings)
+        sums = self._sums(settings)
+        meters = TrialMeters(sums, plants, options.strategy)
+        try:
+            report = convert(printer, replace(options, meters=meters))
+        except PrinterError:
+            raise
+        except HframeError as error:  # not from the file, which was read to its end before
+            return sums.trial(0, str(error)), None
+        return report.metered.trial(report.clamped.samples), report
+
+    def _sums(self, settings: SpeedSettings) -> TrialSums:
+        return TrialSums(settings, self._freedom, self._measure, self.max_acceleration)
 
     def layer_times(self, settings: SpeedSettings) -> dict[int, float]:
         """Return the seconds of each layer by its number, planned without compensation."""
-        return self.timed(settings).layers
+        return self._layer_times(self._items(), settings, PieceStart())
+
+    def layer_times_again(
+        self, settings: SpeedSettings, before: SpeedSettings, layers: dict[int, float]
+    ) -> dict[int, float]:
+        """Return the seconds of each layer where only the feed rates of some layers changed.
+
+        layers: seconds of each before. Only sections with layers that changed are planned again, at
+        both settings, so that what their ends cost does not count.
+        """
+        feeds, old = settings.layer_feed, before.layer_feed
+        changed = {k for k in feeds | old if feeds.get(k, 1.0) != old.get(k, 1.0)}
+        share = sum(layers.get(k, 0.0) for k in changed) / (sum(layers.values()) or 1.0)
+        if self._kept is None or share > FEW:
+            return self.layer_times(settings)
+        layers = dict(layers)
+        for section in self._sections:
+            if changed.isdisjoint(section.layers):
+                continue
+            for sign, each in ((1.0, settings), (-1.0, before)):
+                times = self._layer_times(section.items, each, section.start)
+                for layer, seconds in times.items():
+                    layers[layer] = layers.get(layer, 0.0) + sign * seconds
+        return layers
+
+    @cached_property
+    def _sections(self) -> list[Section]:
+        return list(sections(self._items(), FIRST_LAYERS))
+
+    def _layer_times(
+        self, items: Iterable[Item], settings: SpeedSettings, start: PieceStart
+    ) -> dict[int, float]:
+        printer, options = self.configured(settings)
+        assert options.paces is not None
+        planned = scheduled(pace(items, options.paces, start), printer, start)
+        labels, layers = Labels(replace(start.place), by_name=False), dict[int, float]()
+        for chunk in sampled(planned, printer, replace(options, retract="standing")):
+            add_layer_times(layers, labels.number(chunk)[0])
+        return layers
 
     def timed(self, settings: SpeedSettings) -> TrialPrint:
         """Return the times of the whole print, planned only: there are no errors."""
         printer, options = self.configured(settings)
         items = scheduled(self._items(options.paces), printer)
-        meter = self._meter(settings)
-        meter.add_time(sampled(items, printer, replace(options, retract="standing")))
-        return meter.trial(0)
+        sums = self._sums(settings)
+        sums.add_time(sampled(items, printer, replace(options, retract="standing")))
+        return sums.trial(0)
 
     def own_seconds(self) -> float:
         """Return the duration of the print at the file's own speeds, with the stops of our own."""
@@ -218,12 +268,6 @@ class Drive:
         found = {name: measured(errors, self._measure) for name, errors in statistics.items()}
         return Original(sliced.seconds, layers, found)
 
-    def _printed(self, printer: Printer, options: Options) -> tuple[Stages, Iterator[Samples]]:
-        """Return the commands of the whole print, and the stages that compute them."""
-        stages = Stages(printer, options, self._compensator)
-        spans = Spans(scheduled(self._items(options.paces), printer))
-        return stages, stages.predicted(stages.whole(spans), threads=True)
-
     def _items(self, paces: Paces | None = None) -> Iterator[Item]:
         """Yield the items of the file, which is read once if they take little memory."""
         items = self._read() if self._kept is None else iter(self._kept)
@@ -238,52 +282,3 @@ class Drive:
             yield item
         if moves <= MOST_KEPT:
             self._kept = kept
-
-
-# ---------------------------------------------------------------------- cooling
-
-FULL = 0.985  # of its least time that a layer is slowed to
-SLOWEST = 0.05  # times the feed rate; a layer that takes too little time even then stays so
-
-
-@dataclass(frozen=True, slots=True)
-class LayerTimes:
-    """The least time of each layer by its number, s. No layer is slowed below the file's speed."""
-
-    least: dict[int, float]
-
-    def short(self, settings: SpeedSettings, layers: dict[int, float]) -> bool:
-        """Return whether these layers take too little time, and can be slowed."""
-        present, slowed = settings.layer_feed, self.slowed(settings, layers).layer_feed
-        return any(factor < present.get(layer, 1.0) for layer, factor in slowed.items())
-
-    def slowed(self, settings: SpeedSettings, layers: dict[int, float]) -> SpeedSettings:
-        """Return settings with other feed rates in layers not at 98 … 101 % of their least time.
-
-        The exponent makes up for the part of a layer's time that does not depend on the feed rate.
-        """
-        factors = dict(settings.layer_feed)
-        for layer, seconds in layers.items():
-            share = seconds / (self.least.get(layer) or math.inf)
-            factor = factors.get(layer, 1.0)
-            if (0.0 < share < 0.98) or (share > 1.01 and factor < 1.0):
-                factors[layer] = min(max(factor * (share / FULL) ** 1.3, SLOWEST), 1.0)
-        return replace(settings, layer_feed=factors)
-
-    def missing(self, layers: dict[int, float]) -> float:
-        """Return the seconds by which these layers are short of their least time."""
-        short = (FULL * self.least.get(layer, 0.0) - seconds for layer, seconds in layers.items())
-        return sum(seconds for seconds in short if seconds > 0.0)
-
-    def planned(self, drive: Drive, settings: SpeedSettings) -> SpeedSettings:
-        """Return settings whose plan leaves each layer its time.
-
-        Planning the layers takes a tenth of the time of a whole trial, and is repeated six times
-        at most.
-        """
-        for _ in range(6):
-            slowed = self.slowed(settings, drive.layer_times(settings))
-            if slowed == settings:
-                break
-            settings = slowed
-        return settings

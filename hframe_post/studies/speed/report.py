@@ -23,9 +23,9 @@ CAUSES = {
 VISIBLE = ("outer-wall", "inner-wall", "skin", "infill", "support", "other")  # the most first
 
 
-def with_speed(report: Report, found: Fastest) -> Report:
-    """Return the report of a conversion with what the search found."""
-    return replace(report, speed=speed_as_json(found), speed_text=speed_as_text(found))
+def with_speed(found: Fastest) -> Report:
+    """Return the report of the conversion that was found, with what the search found."""
+    return replace(found.report, speed=speed_as_json(found), speed_text=speed_as_text(found))
 
 
 def speed_as_json(found: Fastest) -> dict[str, Any]:

@@ -7,9 +7,10 @@ all. The bound holds for the model and for random printers near it. So the searc
  1. prints pieces from all over the file and finds which plants have the greatest error, and at
     which of a few feed rates each kind of feature takes the least time within its bound;
  2. plans the whole print and slows layers that need time to cool;
- 3. prints the whole file on those plants, with further steps until it is within its bounds.
+ 3. converts the whole file and judges it on those plants, with further steps until it is within
+    its bounds.
 
-The result is a whole print, so its error is a prediction, not an extrapolation.
+The result is the last conversion, so its error is a prediction, not an extrapolation.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from typing import cast
 
 import numpy as np
 
+from hframe_post.conversion import files
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError
 from hframe_post.gcode.slicer_settings import slicer_settings
 from hframe_post.model.plant import Plant
@@ -29,7 +32,8 @@ from hframe_post.planner.pacing import NAMES
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.studies.simulation.uncertainty import draws
-from hframe_post.studies.speed.drive import Drive, LayerTimes, Original, Source
+from hframe_post.studies.speed.cooling import LayerTimes
+from hframe_post.studies.speed.drive import Convert, Drive, Original, Source
 from hframe_post.studies.speed.trial import (
     ADJUSTED,
     CAUSES,
@@ -64,19 +68,21 @@ class Bound:
 
 @dataclass(frozen=True, slots=True)
 class Fastest:
-    """Printer and options that make the print fast, and the trial of the whole print."""
+    """Printer and options that make the print fast; the conversion, as a trial and as a report."""
 
     printer: Printer
     options: Options
     bound: Bound
     trial: TrialPrint
     original: Original
+    report: Report
 
 
-def find_fastest(lines: Source, printer: Printer, options: Options) -> Fastest:
+def find_fastest(lines: Source, printer: Printer, options: Options, convert: Convert) -> Fastest:
     """Return the fastest print within the error that ``options.speed`` allows.
 
-    Raises HframeError if no print is within it.
+    convert: writes the print; what it wrote last is the print that is found. Raises HframeError if
+    no print is within the error.
     """
     speed, printer = options.speed, with_slicer_limits(printer, lines())
     assert speed is not None
@@ -87,7 +93,7 @@ def find_fastest(lines: Source, printer: Printer, options: Options) -> Fastest:
         cast(Measure, speed.error_measure),
     )
     freedom, near = freedom_of(speed, printer), random_plants(speed, printer)
-    found = search(lines, printer, options, bound, freedom, near)
+    found = search(lines, printer, options, bound, freedom, near, convert)
     release_memory()
     return found
 
@@ -120,13 +126,17 @@ def random_plants(speed: Speed, printer: Printer) -> tuple[Plant, ...]:
 @one_blas_thread()
 def search(
     lines: Source, printer: Printer, options: Options, bound: Bound,
-    freedom: Freedom | None = None, near: tuple[Plant, ...] = (),
+    freedom: Freedom | None = None, near: tuple[Plant, ...] = (), convert: Convert | None = None,
 ) -> Fastest:  # fmt: skip
     """Return the fastest print within the bound, or raise HframeError.
 
     freedom: by default, feed rates are not raised. near: plants in addition to the printer's on
-    which the bound must hold.
+    which the bound must hold. convert: see ``find_fastest``; by default nothing is written.
     """
+
+    def unwritten(printer: Printer, options: Options) -> Report:
+        return files.convert(lines(), None, printer, options)
+
     freedom = freedom or Freedom()
     drive = Drive(lines, printer, options, bound.measure, freedom)
     original = drive.original()
@@ -134,26 +144,26 @@ def search(
         {k: min(seconds, freedom.min_layer_time) for k, seconds in original.layers.items() if k}
     )
     settings, plants = _fastest_pieces(drive, bound, (printer.plant, *near), freedom.speed_up)
-    trial = _fastest_whole(drive, bound, settings, plants, least, options.clamp)
-    return Fastest(*drive.configured(trial.settings), bound, trial, original)
+    trial, report = _fastest_whole(drive, bound, settings, plants, least, convert or unwritten)
+    return Fastest(*drive.configured(trial.settings), bound, trial, original, report)
 
 
 def _fastest_whole(
     drive: Drive, bound: Bound, settings: SpeedSettings, plants: tuple[Plant, ...],
-    least: LayerTimes, may_clamp: bool,
-) -> TrialPrint:  # fmt: skip
-    """Return the first print of the whole file within the bound, or raise HframeError."""
+    least: LayerTimes, convert: Convert,
+) -> tuple[TrialPrint, Report]:  # fmt: skip
+    """Return the first conversion of the file within the bound, or raise HframeError."""
     searches = Searches(bound, drive.max_acceleration)
     for limit in (*[LIMIT] * 5, 1.0):
         settings = least.planned(drive, settings)
-        trial = drive.try_whole(settings, plants, may_clamp or limit == 1.0)
+        trial, report = drive.try_whole(settings, plants, convert)
         shares = bound.shares(trial)
-        if trial.refused:
+        if report is None:
             settings = gentler(settings)
             continue
         short = least.short(settings, trial.layers)
         if max(shares.values(), default=0.0) <= limit and not short:
-            return trial
+            return trial, report
         searches.trials.append(trial)
         settings = least.slowed(searches.corrected(settings.feed), trial.layers)
     if trial.refused:
@@ -263,13 +273,23 @@ class Searches:
 
 
 def _root(points: list[tuple[float, float]]) -> float:
-    """Return where y is 0 on the line through the two points nearest to that; y = x + c for one.
+    """Return where y, which rises with x, is 0 by these points; y = x + c for one.
 
-    A point that is near enough is returned itself.
+    A point that is near enough is returned itself. Between points on both sides it is on the line
+    through the nearest two. Beyond points on one side it lies beyond them all, so that each step
+    leads on even where y hardly rises. Of two points with the same x the later one counts: y also
+    depends on what else changed.
     """
-    (x, y), *others = sorted(points, key=lambda point: abs(point[1]))
-    if math.log(NEAR / AIM) <= y <= math.log(LIMIT / AIM):
-        return x
+    points = list(dict(points).items())
+    nearest = min(points, key=lambda point: abs(point[1]))
+    if math.log(NEAR / AIM) <= nearest[1] <= math.log(LIMIT / AIM):
+        return nearest[0]
+    above = sorted((point for point in points if point[1] > 0.0), key=lambda point: point[0])
+    below = sorted((point for point in points if point[1] <= 0.0), key=lambda point: -point[0])
+    if above and below and below[0][0] < above[0][0]:
+        (u, v), (x, y) = below[0], above[0]
+        return x - (x - u) * y / (y - v)
+    (x, y), *others = above or below  # if neither is true of all, the limit counts
     slopes = [(y - v) / (x - u) for u, v in others if abs(x - u) > 0.01]
     slope = min(max(slopes[0], 0.4), 1.5) if slopes else 1.0
     return x - min(max(y / slope, -1.2), 1.2)

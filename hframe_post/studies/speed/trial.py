@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers
+from hframe_post.model.plant import Plant
 from hframe_post.model.responses import Plants
 from hframe_post.planner.pacing import NAMES
 from hframe_post.prediction.predict import Judgement, judge_each
 from hframe_post.prediction.statistics import TRAVEL as NOT_EXTRUDED
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.stream.chunks import smaller
-from hframe_post.stream.features import KINDS, OTHER, TRAVEL, kind
+from hframe_post.stream.features import KINDS, OTHER, TRAVEL, Place, kind
 from hframe_post.stream.types import Samples
 
 Measure = Literal["rms", "p95", "peak"]
@@ -78,8 +81,8 @@ class TrialPrint:
         return dict(zip(CAUSES, self.limited.sum(axis=0).tolist(), strict=True))
 
 
-class TrialMeter:
-    """Statistics of a trial print, or of pieces of one, over several plants at once."""
+class TrialSums:
+    """Statistics of a trial print, or of parts of one, over several plants at once."""
 
     def __init__(
         self, settings: SpeedSettings, freedom: Freedom, measure: Measure, max_acceleration: float
@@ -91,18 +94,35 @@ class TrialMeter:
         self._layers: dict[int, float] = {}
         self._limited = np.zeros((len(NAMES), len(CAUSES)))
 
-    def add(self, commands: Iterable[Samples], labels: Labels, plants: Plants) -> None:
-        """Judge a stream with the commands of one strategy on each plant."""
-        chunks = smaller(commands, 8192)  # since each plant has a motion
-        for judgements in judge_each(chunks, plants, JUDGED_EVERY):
-            layer, feature = self._time(judgements[0].chunk, labels)
-            for name, here in judged(judgements[0], layer, feature, labels):
-                statistics = self._statistics.setdefault(
-                    name, [ErrorStatistics() for _ in judgements]
-                )
-                for judgement, errors in zip(judgements, statistics, strict=True):
-                    (contour,) = judgement.contour.values()
-                    errors.add(contour[here])
+    def add(self, judgements: list[Judgement], labels: Labels, skipped: int) -> None:
+        """Add what each plant makes of a chunk. skipped: samples left out before it."""
+        if skipped:
+            now = labels.place.layer
+            self._samples += skipped
+            self._layers[now] = self._layers.get(now, 0.0) + TS * skipped
+            self._limited[NAMES.index(TRAVEL), CAUSES.index("travel")] += TS * skipped
+        layer, feature = self._time(judgements[0].chunk, labels)
+        for name, here in judged(judgements[0], layer, feature, labels):
+            for judgement, errors in zip(
+                judgements, self._errors(name, len(judgements)), strict=True
+            ):
+                (contour,) = judgement.contour.values()
+                errors.add(contour[here])
+
+    def join(self, later: TrialSums) -> None:
+        """Add the sums of what is printed next."""
+        for name, statistics in later._statistics.items():
+            own = self._errors(name, len(statistics))
+            for errors, others in zip(own, statistics, strict=True):
+                errors.join(others)
+        self._samples += later._samples
+        for layer, seconds in later._layers.items():
+            self._layers[layer] = self._layers.get(layer, 0.0) + seconds
+        self._limited += later._limited
+
+    def _errors(self, name: str, plants: int) -> list[ErrorStatistics]:
+        """Return the statistics of a feature, one for each plant."""
+        return self._statistics.setdefault(name, [ErrorStatistics() for _ in range(plants)])
 
     def add_time(self, samples: Iterable[Samples]) -> None:
         """Add the time of a whole print, and what limits it; no errors."""
@@ -154,6 +174,44 @@ class TrialMeter:
         shape = len(NAMES), len(CAUSES)
         count = np.bincount(kinds * len(CAUSES) + cause, minlength=len(NAMES) * len(CAUSES))
         return np.asarray(TS * count.reshape(shape))
+
+
+class TrialMeter:
+    """Judges commands on several plants, on their way to the output.
+
+    sums: to which it adds. strategy: whose commands count. place: where in the print they begin.
+    """
+
+    def __init__(self, sums: TrialSums, plants: Plants, strategy: str, place: Place) -> None:
+        self.sums, self._plants, self._strategy = sums, plants, strategy
+        self._labels = Labels(replace(place), by_name=False)
+
+    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
+        waiting, end = deque[Samples](), 0
+
+        def chosen() -> Iterator[Samples]:
+            for chunk in smaller(chunks, 8192):  # since each plant has a motion
+                waiting.append(chunk)
+                own = {n: xy for n, xy in chunk.commands.items() if n == self._strategy}
+                yield replace(chunk, commands=own)
+
+        for judgements in judge_each(chosen(), self._plants, JUDGED_EVERY):
+            chunk = waiting.popleft()
+            self.sums.add(judgements, self._labels, chunk.first - end)
+            end = chunk.end
+            yield chunk
+
+
+@dataclass(frozen=True, slots=True)
+class TrialMeters:
+    """A meter for each span of a conversion. sums: of none yet."""
+
+    sums: TrialSums
+    plants: tuple[Plant, ...]
+    strategy: str
+
+    def begun(self, place: Place) -> TrialMeter:
+        return TrialMeter(deepcopy(self.sums), Plants(self.plants), self.strategy, place)
 
 
 def add_layer_times(seconds: dict[int, float], layer: Integers) -> None:
