@@ -13,7 +13,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import quoted
+from hframe_post.cli.options import files_read, quoted
 from hframe_post.cli.setup import PROFILE
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
@@ -23,13 +23,15 @@ from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.version import log_of
 from hframe_post.firmware.registry import firmware
+from hframe_post.hosts.moonraker.history import events
+from hframe_post.page.history import OLD, history_page
 from hframe_post.printer.choice import VARIABLE, Choice, choose, config_file, presets
 from hframe_post.printer.profile import load, shipped, text_of
 from hframe_post.printer.settings import Printer
 from hframe_post.printer.update import changed_by_hand
 from hframe_post.version import __version__
+from hframe_post.writers.files import Outputs
 
-OLD = 90  # days, from which a model is to be checked
 PACKAGES = (
     "click",
     "numpy",
@@ -44,20 +46,27 @@ EXTRAS = ("matplotlib", "watchfiles", "distributed")
 
 
 class _Findings:
-    """Prints findings, and counts the problems among them. unchecked: a file that was not given."""
+    """Prints findings and keeps them, with their labels. unchecked: a file that was not given."""
 
     def __init__(self, unchecked: str) -> None:
-        self.problems, self.unchecked = 0, unchecked
+        self.all, self.unchecked = list[tuple[str, str]](), unchecked
+
+    @property
+    def problems(self) -> int:
+        return sum(label == "PROBLEM" for label, _ in self.all)
 
     def ok(self, text: str) -> None:
-        click.echo(f"ok       {text}")
+        self._add("ok", text)
 
     def note(self, text: str) -> None:
-        click.echo(f"note     {text}")
+        self._add("note", text)
 
     def problem(self, text: str) -> None:
-        self.problems += 1
-        click.echo(f"PROBLEM  {text}")
+        self._add("PROBLEM", text)
+
+    def _add(self, label: str, text: str) -> None:
+        self.all.append((label, text))
+        click.echo(f"{label:9s}{text}")
 
 
 @click.command()
@@ -74,12 +83,22 @@ class _Findings:
     metavar="FILE", help="Klipper's log, which shows its version. Default: klippy.log next to "
     "printer.cfg, or in the folder logs next to that of printer.cfg.",
 )  # fmt: skip
+@click.option(
+    "--report", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.html",
+    help="Write what was found as a page for a browser.",
+)  # fmt: skip
+@click.option(
+    "--history", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="FOLDER",
+    help="Show in the report what Moonraker's component has measured and converted.",
+)  # fmt: skip
 @click.pass_context
 def doctor(
     context: click.Context,
     requested: str | None,
     config: Path | None,
     log: Path | None,
+    report: Path | None,
+    history: Path | None,
 ) -> None:
     """Check the installation, the profile, printer.cfg, and what the slicers use.
 
@@ -89,7 +108,10 @@ def doctor(
     Example:
       hframe-post doctor -p my.toml --printer-cfg printer.cfg
     """
+    if history is not None and report is None:
+        raise click.UsageError("--history needs --report, which shows it")
     findings = _Findings("printer.cfg" if config is None else "")
+    profile = None
     _check_installation(findings)
     _check_folders(findings)
     try:
@@ -97,11 +119,23 @@ def doctor(
     except HframeError as error:
         (findings.note if config is None else findings.problem)(str(error))
     else:
-        _check_profile(findings, choice, config, log)
+        profile = _check_profile(findings, choice, config, log)
+    if report is not None:
+        _write_report(report, findings, profile, history)
     n = findings.problems
     unchecked = f", but {findings.unchecked} was not checked" if findings.unchecked else ""
     click.echo(f"{n} problem{'s' * (n > 1)}" if n else f"no problems found{unchecked}")
     context.exit(1 if n else 0)
+
+
+def _write_report(
+    path: Path, findings: _Findings, profile: Printer | None, history: Path | None
+) -> None:
+    found = [] if history is None else [*events(history)]
+    name = "Printer" if profile is None else Path(profile.name).stem
+    with Outputs(files_read(profile.name) if profile else []) as outputs:
+        made = history_page(name, profile, findings.all, found, datetime.now(UTC))
+        outputs.open(path).write(made)
 
 
 def _check_installation(findings: _Findings) -> None:
@@ -138,7 +172,8 @@ def _check_folders(findings: _Findings) -> None:
 
 def _check_profile(
     findings: _Findings, choice: Choice, config: Path | None, log: Path | None
-) -> None:
+) -> Printer | None:
+    """Check a profile and what goes with it; return it if it can be used."""
     printer = choice.profile
     try:
         profile = load(printer)
@@ -150,7 +185,7 @@ def _check_profile(
                 f"hframe-post {__version__} does not know that key. If a newer version wrote the "
                 "profile, install that version; if an older one did, see CHANGELOG.md"
             )
-        return
+        return None
     findings.ok(f"profile {printer} ({choice.why}): {profile.description or 'no description'}")
     if profile.invented:
         findings.note(
@@ -167,13 +202,14 @@ def _check_profile(
             f"{printer} comes with hframe-post and is not your printer: run 'hframe-post setup "
             f"{source}'"
         )
-        return
+        return profile
     _check_age(findings, Path(printer), profile)
     _check_hooks(findings, printer)
     if config is None:
         findings.note(own.unchecked)
-        return
-    _check_config(findings, config, log or log_of(config), profile, printer)
+    else:
+        _check_config(findings, config, log or log_of(config), profile, printer)
+    return profile
 
 
 def _check_config(

@@ -8,6 +8,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from importlib import metadata
@@ -33,9 +34,15 @@ UPDATES = f"update_manager {NAME}"
 SECTIONS = re.compile(
     r"(?:\n*^\[(?:update_manager )?hframe_post\].*(?:\n(?!\[)[^\r\n]+)*\n?)+", re.MULTILINE
 )
+COMMAND = re.compile(  # in our section: what is before it, the program, and its first word
+    rf"^(\[{NAME}\]\n(?:(?!\[).*\n)*?command: )((\S+).*?)(?= -p )", re.MULTILINE
+)
 INCLUDE = f"# added by hframe-post setup --moonraker\n[include {FILE}]\n"
 INCLUDED = re.compile(r"(?:\r?\n)?" + re.escape(INCLUDE).replace("\\\n", "\r?\n"))
-RESTART = "Restart both, while nothing is printed: sudo systemctl restart klipper moonraker"
+RESTART = (
+    "Restart Klipper and Moonraker, while nothing is printed: in the power menu of Mainsail or "
+    "Fluidd, or by sudo systemctl restart klipper moonraker"
+)
 
 
 class Change(NamedTuple):
@@ -74,11 +81,15 @@ class Moonraker:
         if not files.is_file() or "register_gcode_processor" not in files.read_text("utf-8"):
             raise HframeError("this Moonraker is older than February 2025: update it first")
         self._check_link()
-        command = f"{program()} -p {shlex.quote(str(profile.absolute()))}"
+        ours = program()
+        command = f"{ours} -p {shlex.quote(str(profile.absolute()))}"
         installed = metadata.distribution("hframe-post")
         wanted = {NAME: f"command: {command}\n", UPDATES: update_lines(installed)}
         text, known = _text(self._config), "\n".join(_with_includes(self._config))
         new, added = text, []
+        if (gone := COMMAND.search(text)) and not shutil.which(gone[3]):
+            new = f"{text[: gone.start(2)]}{ours}{text[gone.end(2) :]}"
+            added.append(f"command corrected, because {gone[3]} is gone")
         for name, lines in wanted.items():
             if lines and not re.search(rf"^\[{name}\]", known, re.MULTILINE):
                 new = f"{new.rstrip()}\n\n[{name}]\n{lines}"
@@ -109,15 +120,18 @@ class Moonraker:
     def link(self, create: bool) -> str:
         """Link the component into Moonraker, or remove the link; return what was done."""
         link, former = self._check_link()
-        for old in (link, former):
-            old.unlink(missing_ok=True)
-        if not create:
-            return f"{link}: removed"
         component = Path(moonraker.__file__)
-        if not component.is_file():
+        if create and not component.is_file():
             raise HframeError("the single-file program has no component: install with pipx")
-        link.symlink_to(component.parent, target_is_directory=True)
-        return f"{link}: linked"
+        try:
+            for old in (link, former):
+                old.unlink(missing_ok=True)
+            if create:
+                link.symlink_to(component.parent, target_is_directory=True)
+        except OSError as error:
+            cause = f"{link}: {error.strerror}. Run this as the user who installed Moonraker"
+            raise HframeError(cause) from None
+        return f"{link}: {'linked' if create else 'removed'}"
 
     def _check_link(self) -> tuple[Path, Path]:
         """Return the link's place, and that in earlier versions. Raises HframeError."""
@@ -134,8 +148,13 @@ def find_printer_cfg() -> Path:
     found = sorted(path for name in INSTANCES for path in Path.home().glob(name))
     if len(found) == 1:
         return found[0]
-    several = f"there are several: {', '.join(map(str, found))}" if found else "none was found"
-    raise HframeError(f"{several}. Name it: hframe-post setup PRINTER.CFG --moonraker")
+    several = f"there are several printer.cfg: {', '.join(map(str, found))}"
+    none = (
+        f"no printer.cfg was found as {' or '.join(INSTANCES)} in {Path.home()}. Run this on the "
+        "printer's computer, as the user who runs Klipper, without sudo"
+    )
+    which = "Name it: hframe-post setup PRINTER.CFG --moonraker"
+    raise HframeError(f"{several if found else none}. {which}")
 
 
 def agreed(changes: Sequence[Change]) -> bool:

@@ -219,7 +219,7 @@ def _log_progress(size: int) -> Callable[[int], None]:
         nonlocal done
         before, done = done, done + length
         if (tenth := 10 * done // size) > 10 * before // size:
-            log(f"{10 * tenth} % is read")
+            _print_log(f"{10 * tenth} % is read")  # from a thread, which has no context
 
     return advance
 
@@ -241,4 +241,8 @@ verbose_option = click.option(
 def log(text: str) -> None:
     """Print a line with the seconds since the start, if the running command has ``-v``."""
     if _is_verbose():
-        click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)
+        _print_log(text)
+
+
+def _print_log(text: str) -> None:
+    click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)

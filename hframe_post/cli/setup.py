@@ -123,7 +123,7 @@ def setup(
         for name, text in companions.items():
             if not _holds(folder / name, text):
                 outputs.open(folder / name).write(text.encode())
-        done = [moonraker.link(create=True), *make(changes, outputs)] if moonraker else []
+        done = [*make(changes, outputs), moonraker.link(create=True)] if moonraker else []
     written = f"{target}, {_made_default(target, source.warnings)}"
     if old:
         click.echo("\n".join(_differences(new, old, target)))
@@ -140,7 +140,7 @@ def _disconnect(moonraker: Moonraker) -> None:
         click.echo("nothing was changed")
         return
     with Outputs() as outputs:
-        done = [moonraker.link(create=False), *make(changes, outputs)]
+        done = [*make(changes, outputs), moonraker.link(create=False)]
     click.echo("\n".join([*done, "", RESTART]))
 
 

@@ -8,22 +8,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Integers
+from hframe_post.arrays import TS, Array, E, Integers
 from hframe_post.firmware.advance import Advance, ExtruderLimits
-from hframe_post.model.advance import NEAR, REACH, bounded, smoothed
+from hframe_post.model.advance import NEAR, REACH, bounded, extruding, smoothed
 from hframe_post.printer.settings import LONGEST_SMOOTHING
 from hframe_post.stream.chunks import neighbours, stretches
 from hframe_post.stream.types import Dwell, Mark, Passthrough, Samples, frozen
 
 AROUND = REACH + NEAR + round(LONGEST_SMOOTHING / TS / 2.0)  # samples on which advance depends
+APART = 2 * NEAR  # samples between two speeds of the extruder, for its acceleration
+
+
+@dataclass(slots=True)
+class AdvanceSummary:
+    """Advance wherever there are samples: least and most of it, s.
+
+    hardest: greatest acceleration, mm/s², of an extruder to which the firmware adds the advance.
+    """
+
+    least: float = math.inf
+    most: float = 0.0
+    hardest: float = 0.0
+
+    def join(self, other: AdvanceSummary) -> None:
+        self.least, self.most = min(self.least, other.least), max(self.most, other.most)
+        self.hardest = max(self.hardest, other.hardest)
 
 
 class Advancing:
-    """Adds advance to samples. ``least``, ``most``: s of it, wherever there are samples.
+    """Adds advance to samples, and sums it up in ``summary``.
 
     advance: in force before the first. limits: of an extruder whose E must contain its
     advance; None: the firmware adds its own, and this is what it does.
@@ -32,10 +49,17 @@ class Advancing:
     def __init__(self, advance: Advance, limits: ExtruderLimits | None) -> None:
         self._limits = limits
         self._since = [(0, advance)]  # in force from these samples on, as far as they are needed
-        self.least, self.most = math.inf, 0.0
+        self.summary = AdvanceSummary()
 
-    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
-        """Yield the chunks with their advance."""
+    def samples(
+        self, chunks: Iterable[Samples], advance: Advance | None = None
+    ) -> Iterator[Samples]:
+        """Yield the chunks with their advance.
+
+        advance: at the beginning of another stream, whose first sample is number 0 again.
+        """
+        if advance is not None:
+            self._since = [(0, advance)]
         for stretch in stretches(self._noted(chunks)):
             for before, chunk, after in neighbours(stretch, AROUND, AROUND):
                 yield self._advanced(before, chunk, after) if len(chunk) else chunk
@@ -59,14 +83,17 @@ class Advancing:
         around, start = [*before, chunk, *after], sum(map(len, before))
         K, half = self._in_force(chunk.first - start, sum(map(len, around)))
         own = slice(start, start + len(chunk))
-        self.least = min(self.least, float(K[own].min()))
-        self.most = max(self.most, float(K[own].max()))
+        self.summary.join(AdvanceSummary(float(K[own].min()), float(K[own].max())))
         if not K.any():
             return chunk
         path, found = np.concatenate([each.xyze for each in around]), np.zeros((len(chunk), 2))
         found[:, 1] = K[own]
         for width in np.unique(half[own]).tolist():  # one, unless the file changes it here
-            np.copyto(found[:, 0], self._ahead(path, K, width)[own], where=half[own] == width)
+            ahead = self._ahead(path, K, width)
+            np.copyto(found[:, 0], ahead[own], where=half[own] == width)
+            if self._limits is None:
+                near = slice(max(own.start - APART, 0), own.stop)
+                self.summary.hardest = max(self.summary.hardest, _hardest(path[near], ahead[near]))
         return replace(chunk, advance=frozen(found), in_e=self._limits is not None)
 
     def _ahead(self, path: Array, K: Array, half: int) -> Array:
@@ -79,16 +106,14 @@ class Advancing:
         K, half = np.empty(count), np.empty(count, np.int64)
         for index, advance in self._since:
             at = max(index - first, 0)
-            K[at:], half[at:] = advance.seconds, _half(advance, self._limits)
+            K[at:], half[at:] = advance.seconds, advance.half(self._limits is not None)
         while len(self._since) > 1 and self._since[1][0] <= first:
             del self._since[0]
         return K, half
 
 
-def _half(advance: Advance, limits: ExtruderLimits | None) -> int:
-    """Return the samples over which advance is averaged before and after each.
-
-    Klipper's weights are those of two means in turn, each over half of the time; ours are one.
-    """
-    share = 0.5 if limits is None else 0.25
-    return max(round(share * advance.smooth_time / TS), 1)
+def _hardest(path: Array, ahead: Array) -> float:
+    """Return the greatest acceleration, mm/s², of the extruder in lines, retractions left out."""
+    fed = np.where(extruding(path), np.diff(path[:, E]), 0.0)
+    speed = (fed + np.diff(ahead)) / TS
+    return float(np.abs(speed[APART:] - speed[:-APART]).max(initial=0.0) / (APART * TS))

@@ -16,7 +16,7 @@ from hframe_post.compensation.stops import StopSolvers
 from hframe_post.conversion.meters import MotionSummary
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import PlannedFile, Stages, first_line, prepared
-from hframe_post.conversion.report import AdvanceReport, Report
+from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware
@@ -65,17 +65,11 @@ class GcodeConversion:
             report, lines_written=written.lines + 1,  # and the stamp
             filament_after=written.filament, busiest_second=written.busiest_second,
             lines_per_second=self._rules.lines_per_second, approximation=written.off,
-            advance=self._advance(),
+            advance=self._source.advance(self._motion.advance),
             notices=(*report.notices, *self._code.notices),
         )  # fmt: skip
         of_summary = len(report.as_text().splitlines())
         return replace(report, lines_written=written.lines + 1 + of_summary)
-
-    def _advance(self) -> AdvanceReport | None:
-        """Return what was done about pressure advance, if there is any."""
-        least, most = self._motion.advance
-        computed = self._rules.extruder is not None
-        return AdvanceReport(least, most, computed) if most else None
 
 
 @dataclass(slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from hframe_post.arrays import TS, E, Z
+from hframe_post.compensation.advance import AdvanceSummary
 from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
 from hframe_post.model.kinematics import Differences
@@ -103,8 +103,8 @@ class MotionSummary:
     """What the stages saw of one span or of several.
 
     fed: most filament in one stretch, mm. seconds: processor time by stage. picture: if one was
-    asked for. advance: least and most s of pressure advance. in_bands: outer walls, and what of
-    them a motor spends in a band that it avoids. metered: sums of the options' meters.
+    asked for. advance: pressure advance. in_bands: outer walls, and what of them a motor spends in
+    a band that it avoids. metered: sums of the options' meters.
     """
 
     samples: int = 0
@@ -115,7 +115,7 @@ class MotionSummary:
     width: dict[str, ErrorStatistics] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     picture: Picture | None = None
-    advance: tuple[float, float] = (math.inf, 0.0)
+    advance: AdvanceSummary = field(default_factory=AdvanceSummary)
     in_bands: TimeInBands = field(default_factory=TimeInBands)
     metered: Any = None
 
@@ -142,8 +142,7 @@ class MotionSummary:
         self.in_bands.total += later.in_bands.total
         self.in_bands.inside += later.in_bands.inside
         self.seconds = joined(self.seconds, later.seconds)
-        (least, most), (other_least, other_most) = self.advance, later.advance
-        self.advance = min(least, other_least), max(most, other_most)
+        self.advance.join(later.advance)
         if self.picture is None:
             self.picture = later.picture
         elif later.picture is not None:

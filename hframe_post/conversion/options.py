@@ -52,6 +52,17 @@ def error_bounds(text: str) -> dict[str, float]:
     return found
 
 
+def width_bound(text: str) -> float:
+    """Read ``5%`` or ``0.05`` as a share; ``off`` is 0."""
+    if text == "off":
+        return 0.0
+    match = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)\s*(%?)", text.strip())
+    share = float(match[1]) / (100.0 if match[2] else 1.0) if match else 0.0
+    if not 1e-3 <= share <= 1.0:
+        raise ArgumentError(f"{text!r} is neither 'off' nor from 0.1% to 100%, such as 5%")
+    return share
+
+
 def known_firmware(text: str) -> str:
     """Return the name of a firmware."""
     if text not in TABLES:
@@ -111,7 +122,7 @@ class Options:
     error is reported; None: ``none`` and the chosen one. clamp: compensate less where a command
     would exceed a limit, instead of raising LimitError. tolerance: how far, in mm, a written
     segment may be off the samples; None or 0 writes every sample. max_error: in mm by feature, ''
-    for all others; empty: the file's speeds.
+    for all others; empty: the file's speeds. max_width_error: a share of the lines' width; 0: any.
 
     The last fields are for the stages: ``resolved`` sets speed, the search for it paces. picture:
     collect the path with its predicted errors; shaping: with those of this input shaper, too.
@@ -179,6 +190,12 @@ class Options:
         "outer-wall=15um,infill=80um; 'off' for the file's speeds. The statistic compared with it "
         "is speed.error_measure of the profile. Default: speed.max_error of the profile.",
     )  # fmt: skip
+    max_width_error: float | None = option(
+        None, "--max-width-error", metavar="PERCENT", read=width_bound,
+        help="With --max-error: the width of the printed line is off by no more than this, such as "
+        "5%, in the same statistic, pressure included where the file or profile has an advance; "
+        "'off' for any. Default: speed.max_width_error of the profile.",
+    )  # fmt: skip
     speed_up: float | None = option(
         None, "--speed-up", metavar="N|max", read=speed_factor,
         help="With --max-error: at most N times the file's feed rates; limits.flow and "
@@ -226,8 +243,11 @@ class Options:
             speed = replace(speed, max_error=self.max_error)
         if self.speed_up is not None:
             speed = replace(speed, speed_up=self.speed_up)
-            if not speed.max_error:
-                raise OptionError("--speed-up needs --max-error")
+        if self.max_width_error is not None:
+            speed = replace(speed, max_width_error=self.max_width_error)
+        for name in ("speed_up", "max_width_error"):
+            if getattr(self, name) is not None and not speed.max_error:
+                raise OptionError(f"--{name.replace('_', '-')} needs --max-error")
         return replace(
             self, strategy=strategy, predict=predict, speed=speed if speed.max_error else None
         )

@@ -14,11 +14,12 @@ Conversions and studies all use these stages. ``SampleStream`` joins them for a 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from hframe_post.compensation.advance import Advancing
+from hframe_post.compensation.advance import AdvanceSummary, Advancing
 from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
@@ -33,7 +34,7 @@ from hframe_post.conversion.meters import (
 )
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.path_meter import PathMeter
-from hframe_post.conversion.report import BandReport, Plastic, Report
+from hframe_post.conversion.report import AdvanceReport, BandReport, Plastic, Report
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.advance import Advance
@@ -43,6 +44,7 @@ from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
 from hframe_post.planner.bands import MotorBands, TimeInBands, avoid_bands
+from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import PieceStart, pace
 from hframe_post.planner.sampling import sample
@@ -75,13 +77,28 @@ def planned(lines: Iterable[bytes], printer: Printer, options: Options) -> Itera
 
 
 def scheduled(
-    items: Iterable[Item], printer: Printer, start: PieceStart | None = None
-) -> Iterator[Planned]:
-    """Plan the speeds of moves, which keep out of the bands that the profile's motors avoid.
+    items: Iterable[Item], printer: Printer, start: PieceStart | None = None,
+    followed: FollowedAdvance | None = None,
+) -> Iterator[Planned]:  # fmt: skip
+    """Plan the speeds of moves, so that the extruder can follow its advance.
 
-    start: place of the first item in the print.
+    They keep out of the bands that the profile's motors avoid. start: place of the first item in
+    the print. followed: lowers the accelerations, as ``following`` gives it.
     """
+    followed = followed or following(printer)
+    items = items if followed is None else followed.items(items)
     return plan(avoid_bands(items, printer, start), printer.limits)
+
+
+def following(printer: Printer, advance: Advance | None = None) -> FollowedAdvance | None:
+    """Return what lowers accelerations for the extruder; None: the firmware adds its advance.
+
+    advance: at the beginning; the profile's by default.
+    """
+    own = firmware(printer)
+    if (limits := own.motion(printer, None).extruder) is None:
+        return None
+    return FollowedAdvance(advance or own.advance(printer), limits, printer.limits.acceleration)
 
 
 def sampled(
@@ -153,13 +170,22 @@ class Stages:
             commands = self._clamp.limit(commands, strategy)
         return self.times.timed("guard", self._guard.check(commands, strategy))
 
+    def advanced(
+        self, commands: Iterable[Samples], advance: Advance | None = None
+    ) -> Iterator[Samples]:
+        """Add pressure advance.
+
+        advance: at the beginning of another stream, whose first sample is number 0 again.
+        """
+        return self.times.timed("advance", self._advancing.samples(commands, advance))
+
     def predicted(self, commands: Iterable[Samples], threads: bool) -> Iterator[Samples]:
         """Add advance; measure contour error and print time, on the way to the output.
 
         threads: compute the commands in one thread and the prediction in another, both ahead of
         the caller.
         """
-        commands = self.times.timed("advance", self._advancing.samples(commands))
+        commands = self.advanced(commands)
         if threads:
             commands = prefetch(commands)
         if self._options.predict:
@@ -179,7 +205,7 @@ class Stages:
         return MotionSummary(
             self._clock.end, self._clock.fed, self._guard.peaks,
             self._clamp.clamped, self._errors.contour, self._errors.width, self.times.seconds,
-            self._errors.picture, (self._advancing.least, self._advancing.most), self._walls.time,
+            self._errors.picture, self._advancing.summary, self._walls.time,
             self._meter.sums if self._meter is not None else None,
         )  # fmt: skip
 
@@ -207,14 +233,15 @@ class PlannedFile:
         self._path = PathMeter(printer.limits, options.paces is not None)
         self._firmware, bands = firmware(printer), MotorBands.from_printer(printer)
         self._sliced = SlicedTime(self._firmware.limits(printer), bands)
-        self._times = StageTimes()
+        self._times, self._following = StageTimes(), following(printer)
 
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         items = parsed(self._input.lines(self._lines), self._printer, self._options)
         items = self._times.timed("read", self._input.items(items))
         items = self._times.timed("plan", self._sliced.items(items))
-        plans = scheduled(self._path.items(items), self._printer)
+        items = self._path.items(items)
+        plans = scheduled(items, self._printer, followed=self._following)
         return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))
 
     def report(self, motion: MotionSummary) -> Report:
@@ -233,6 +260,15 @@ class PlannedFile:
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
             bands=self._bands(motion.in_bands), metered=motion.metered,
         )  # fmt: skip
+
+    def advance(self, found: AdvanceSummary) -> AdvanceReport | None:
+        """Return what was done about pressure advance, if there is any."""
+        if not found.most:
+            return None
+        limit, slowed = self._printer.limits.extruder_acceleration, self._following
+        computed = slowed is not None
+        share, least = (slowed.share, slowed.least) if slowed is not None else (0.0, math.inf)
+        return AdvanceReport(found.least, found.most, computed, found.hardest, limit, share, least)
 
     def _bands(self, after: TimeInBands) -> BandReport | None:
         bands = self._printer.speed.avoid

@@ -23,6 +23,7 @@ TOOL = re.compile(r"T[1-9]\d*")
 # Share of the lines' distance from the command by which the nozzle is off its path: only what is
 # across the path counts. Simulated Marlin leaves 0.62 to 0.63
 ACROSS = math.sqrt(0.5)
+OUTRUN = 1.05  # times its limit, the acceleration of an extruder is worth a line
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
@@ -54,14 +55,49 @@ class Plastic:
 
 @dataclass(frozen=True, slots=True)
 class AdvanceReport:
-    """Pressure advance in the file, s: least and most. computed: E contains it."""
+    """Pressure advance in the file, s: least and most. computed: E contains it.
+
+    hardest: acceleration, mm/s², that the firmware asks of the extruder; limit: that of the
+    profile. slowed: share of lines that accelerate less, for the extruder to follow; to: mm/s², the
+    least of them.
+    """
 
     least: float
     most: float
     computed: bool
+    hardest: float = 0.0
+    limit: float = math.inf
+    slowed: float = 0.0
+    to: float = math.inf
 
-    def as_text(self) -> str:
-        """Return a line for a person."""
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "least": self.least, "most": self.most, "computed": self.computed,
+            "extruder_mm_s2": round(self.hardest, 1) or None,
+            "slowed_path_percent": round(100.0 * self.slowed, 3),
+        }  # fmt: skip
+
+    def as_text(self) -> list[str]:
+        """Return lines for a person."""
+        return [self._kind(), *self._extruder()]
+
+    def _extruder(self) -> list[str]:
+        """Return what the extruder cannot follow."""
+        if self.slowed:
+            return [
+                f"extruder         {percent(self.slowed)} of the lines accelerate by less, from "
+                f"{self.to:.0f} mm/s² on, so that it can follow its advance"
+            ]
+        if self.hardest > OUTRUN * self.limit:
+            return [
+                f"extruder         its advance asks for up to {self.hardest:.0f} mm/s², more than "
+                f"limits.extruder_acceleration ({self.limit:g}): if it skips, raise "
+                "extruder.stream_smooth_time or lower limits.acceleration"
+            ]
+        return []
+
+    def _kind(self) -> str:
+        """Return a line on the advance itself."""
         values = f"{self.least:.3g}"
         if self.most != self.least:
             values += f" to {self.most:.3g}"
@@ -163,7 +199,7 @@ class Report:
             "steps": asdict(self.steps) if self.steps else None,
             "speed": self.speed,
             "plastic_on_bed": asdict(self.plastic) if self.plastic else None,
-            "pressure_advance_s": asdict(self.advance) if self.advance else None,
+            "pressure_advance_s": self.advance.as_json() if self.advance else None,
             "motor_bands": self.bands.as_json() if self.bands else None,
         }
         return {
@@ -216,7 +252,7 @@ class Report:
             )
         lines += self._width_as_text()
         if self.advance is not None:
-            lines.append(self.advance.as_text())
+            lines += self.advance.as_text()
         lines.append(
             f"belts            at most {self.peaks.belt_velocity:.0f} mm/s, "
             f"{self.peaks.belt_acceleration:.0f} mm/s²"

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from hframe_post.arrays import TS
 from hframe_post.printer.settings import (
     LONGEST_ADVANCE,
     LONGEST_SMOOTHING,
@@ -56,6 +57,14 @@ class Advance:
         own = printer.extruder or Extruder(seconds)
         return cls(own.advance, own.smooth_time, reads)
 
+    def half(self, computed: bool) -> int:
+        """Return the samples over which advance is averaged before and after each.
+
+        Klipper's weights are those of two means in turn, each over half of the time; ours, where E
+        is computed to contain the advance, are one.
+        """
+        return max(round((0.25 if computed else 0.5) * self.smooth_time / TS), 1)
+
     def after(self, text: bytes) -> Advance:
         """Return what is in force after a line."""
         change = self.reads(text)
@@ -66,8 +75,7 @@ class Advance:
 NO_ADVANCE = Advance()
 
 
-@dataclass(frozen=True, slots=True)
-class ExtruderLimits:
+class ExtruderLimits(NamedTuple):
     """Limits of an extruder whose E contains its advance: speed, mm/s; acceleration, mm/s²."""
 
     velocity: float
@@ -85,6 +93,11 @@ def klipper_advance(text: bytes) -> AdvanceChange:
         _within(found.get(b"ADVANCE"), LONGEST_ADVANCE),
         _within(found.get(b"SMOOTH_TIME"), LONGEST_SMOOTHING),
     )
+
+
+def klipper_seconds(text: bytes) -> AdvanceChange:
+    """Return what SET_PRESSURE_ADVANCE sets where the stream restores its own averaging."""
+    return klipper_advance(text)._replace(smooth_time=None)
 
 
 def marlin_advance(text: bytes) -> AdvanceChange:

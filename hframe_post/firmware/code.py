@@ -35,8 +35,11 @@ class Code(ABC):
     def end(self, state: ModalState, at: Array) -> list[bytes]:
         """Return the lines that restore the user's limits and the file's modes and places."""
 
-    def modes_after(self, name: str) -> bytes:
-        """Return lines that restore the stream's modes after a command of the file."""
+    def modes_after(self, name: str, text: bytes) -> bytes:
+        """Return lines that restore the stream's modes after a command of the file.
+
+        name, text: of the command, and its whole line.
+        """
         return {"G91": b"G90\n", "M82": b"M83\n"}.get(name, b"")  # where G90 leaves E as it is
 
     def labels_object(self, text: bytes) -> bool:

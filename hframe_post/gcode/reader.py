@@ -244,8 +244,11 @@ class _Reader:
             self._apply_other(line, name)
 
     def _apply_other(self, line: Line, name: str, arguments: bytes = b"") -> None:
-        if (advance := self._dialect.advance(line.text).seconds) is not None:
-            self._state.advance = advance
+        seconds, smooth_time = self._dialect.advance(line.text)
+        if seconds is not None:
+            self._state.advance = seconds
+        if smooth_time is not None:
+            self._state.smooth_time = smooth_time
         self._retraction.apply(line, name, arguments)
         retracts = name in ("G10", "G11") and not arguments.strip()
         if retracts and self._apply_retraction(line, name):

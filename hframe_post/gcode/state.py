@@ -93,7 +93,7 @@ class State:
     scale: mm per unit of the file. feed: F as the file gives it. factor: M220.
     acceleration, travel_acceleration: path accelerations requested for moves with and without
     extrusion; corner: square-corner velocity; axes: limits of the axes. All are inf where the file
-    has requested none. advance: see ``ModalState``.
+    has requested none. advance, smooth_time: see ``ModalState``.
     """
 
     def __init__(self, dialect: Dialect, extrusion: Extrusion | None = None) -> None:
@@ -110,6 +110,7 @@ class State:
         self.acceleration = self.travel_acceleration = self.corner = math.inf
         self.axes = FileLimits((math.inf,) * 4, (math.inf,) * 4)
         self.advance: float | None = None
+        self.smooth_time: float | None = None
 
     @property
     def speed(self) -> float:
@@ -241,8 +242,9 @@ class State:
     def modal_state(self) -> ModalState:
         e = self.position[3] - self.offset[3]
         return ModalState(
-            self.absolute, self.absolute_e, e, self.feed, self.offset[:3], self.advance
-        )
+            self.absolute, self.absolute_e, e, self.feed, self.offset[:3], self.advance,
+            self.smooth_time,
+        )  # fmt: skip
 
 
 def _replaced(position: Position, axis: int, value: float) -> Position:

@@ -31,6 +31,11 @@ MARGIN = 0.98  # of what fits into REACH
 SHARE = 0.8  # of the acceleration; the rest is for the ends of a line, where A sets out at once
 
 
+def steepest(velocity: float, acceleration: float, half: Integers | int) -> Array:
+    """Return how fast A may change, mm/s, for its mean to stay within an acceleration, mm/s²."""
+    return np.asarray(np.minimum(velocity, SHARE * acceleration * half * TS))
+
+
 def extruding(path: Array) -> Flags:
     """Return which steps (n − 1,) of a path (n, 4) are part of a line."""
     dx, dy, _, fed = np.diff(path, axis=0).T
@@ -59,24 +64,24 @@ def bounded(path: Array, K: Array, velocity: float, acceleration: float, half: i
     """Return A (n,) by our rule, averaged over ``half`` samples before and after each.
 
     path (n, 4); K (n,): s. The extruder stays below velocity (mm/s), and A below acceleration
-    (mm/s²), from one few ms to the next: A is lower around changes of speed that are too sudden,
-    and 0 on lines of less than 2 half samples. It is exact from REACH + half + NEAR samples on from
-    the ends of the path.
+    (mm/s²), from one few ms to the next: A is lower around changes of speed that are too sudden.
+    Lines of less than 2 half samples are averaged over fewer. A is exact from REACH + half + NEAR
+    samples on from the ends of the path.
     """
     inside, before, after = _places(path)
-    inside &= before + after >= 2 * half
+    reach = np.clip((before + after) // 2, 1, half)  # shorter on lines that are
     speed = np.zeros(len(path))
     speed[NEAR:-NEAR] = (path[2 * NEAR :, E] - path[: -2 * NEAR, E]) / (2 * NEAR * TS)
     speed = np.where(inside, np.maximum(speed, 0.0), 0.0)
-    steepest = min(velocity, SHARE * acceleration * half * TS)  # mm/s
-    wanted = np.minimum(K * speed, MARGIN * steepest * TS * (REACH - half))
-    room = np.minimum(np.minimum(before, after) / half, 1.0)  # sets out gently
-    room = np.minimum(steepest * room, np.maximum(velocity - speed, 0.0))
+    most = steepest(velocity, acceleration, reach)
+    wanted = np.minimum(K * speed, MARGIN * most * TS * (REACH - reach))
+    room = np.minimum(np.minimum(before, after) / reach, 1.0)  # sets out gently
+    room = np.minimum(most * room, np.maximum(velocity - speed, 0.0))
     slope = np.rint(PICO * TS * np.minimum(room[:-1], room[1:])).astype(np.int64)
     way = np.append(0, np.cumsum(slope))
     rising = np.minimum.accumulate(np.rint(PICO * wanted).astype(np.int64) - way) + way
     both = np.minimum.accumulate((rising + way)[::-1])[::-1] - way
-    return np.where(inside, _means(both, before, after, half) / PICO, 0.0)
+    return np.where(inside, _means(both, before, after, reach) / PICO, 0.0)
 
 
 def _places(path: Array) -> tuple[Flags, Integers, Integers]:
@@ -88,8 +93,8 @@ def _places(path: Array) -> tuple[Flags, Integers, Integers]:
     return inside, at - begin, end - at
 
 
-def _means(x: Integers, before: Integers, after: Integers, half: int) -> Array:
-    """Return the mean (n,) of x and ``half`` neighbours on either side.
+def _means(x: Integers, before: Integers, after: Integers, half: Integers) -> Array:
+    """Return the mean (n,) of x and ``half`` (n,) neighbours on either side.
 
     Beyond its ends a line goes on as its reflection, with the sign changed, so that the mean is 0
     at both.

@@ -129,7 +129,9 @@ for (const section of data.sections) {
     figures.push([figure, chart]);
     add(charts, figure);
   }
-  add($("sections"), add(make("section", undefined, "panel"), make("h2", section.title), charts));
+  const rows = make("dl");
+  for (const [label, text] of section.rows) add(rows, make("dt", label), make("dd", text));
+  add($("sections"), add(make("section", undefined, "panel"), make("h2", section.title), charts, rows));
 }
 function drawAll() { for (const [figure, chart] of figures) { draw(figure, chart); legend(figure, chart, null); } }
 window.addEventListener("resize", drawAll);

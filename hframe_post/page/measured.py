@@ -59,10 +59,11 @@ class Card:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A heading with charts."""
+    """A heading with charts, and rows of labels and texts below them."""
 
     title: str
     charts: Sequence[Chart]
+    rows: Sequence[tuple[str, str]] = ()
 
 
 def page(
@@ -76,7 +77,11 @@ def page(
         "lead": lead,
         "cards": [asdict(card) for card in cards],
         "sections": [
-            {"title": section.title, "charts": [_chart(chart) for chart in section.charts]}
+            {
+                "title": section.title,
+                "charts": [_chart(chart) for chart in section.charts],
+                "rows": [list(row) for row in section.rows],
+            }
             for section in sections
         ],
         "warnings": [note.removeprefix(WARNING).lstrip() for note in notes if _warns(note)],

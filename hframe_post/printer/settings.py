@@ -32,6 +32,7 @@ DRIFT_IN_A_DAY, DRIFT_GROWTH = 0.03, 0.2
 MOST_DRIFT = 0.2
 LONGEST_ADVANCE, LONGEST_SMOOTHING = 10.0, 0.2  # s
 SMOOTH_TIME = 0.04  # s, Klipper's default
+STREAM_SMOOTH_TIME = 0.02  # s; below it, lines get no more even
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,11 +228,13 @@ class Retraction:
 class Extruder:
     """How late the flow follows the extruder, s, and the time over which advance is averaged.
 
-    advance: Klipper's pressure_advance, Marlin's K.
+    advance: Klipper's pressure_advance, Marlin's K. stream_smooth_time: Klipper averages over this
+    time while the stream runs, if it is shorter.
     """
 
     advance: float = not_negative(0.0, most=LONGEST_ADVANCE)
     smooth_time: float = within(1e-3, LONGEST_SMOOTHING, default=SMOOTH_TIME)
+    stream_smooth_time: float = within(1e-3, LONGEST_SMOOTHING, default=STREAM_SMOOTH_TIME)
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +242,8 @@ class Speed:
     """Trading accuracy for speed, unless options say otherwise.
 
     max_error: largest error (mm) by feature, '' for all others; empty: the file's speeds.
-    error_measure: statistic compared with it. speed_up: largest factor on the file's feed rates.
+    max_width_error: largest error of the lines' width, as a share; 0: any. error_measure: statistic
+    compared with them. speed_up: largest factor on the file's feed rates.
     model_error: share by which the printer may differ from its model. filament_acceleration:
     largest mm/s² of filament, to which pressure advance drives the extruder in proportion, for
     moves that accelerate harder than in the file; 0: no limit. acceleration: largest mm/s² of the
@@ -250,6 +254,7 @@ class Speed:
     max_error: dict[str, float] = field(
         default_factory=dict, metadata={"names": KINDS, "least": 1e-4, "most": 10.0}
     )
+    max_width_error: float = not_negative(0.0, most=1.0)
     error_measure: str = field(default="p95", metadata={"choices": ("p95", "rms", "peak")})
     speed_up: float = within(1.0, 20.0, default=1.0)
     model_error: float = within(0.0, 0.99, default=0.05)

@@ -74,7 +74,8 @@ class MoveAtRest:
 class ModalState:
     """The firmware's state as the file assumes it: modes, e (mm), feed (mm/s), G92 offsets (mm).
 
-    advance: s of pressure advance that the file has set; None: it has set none.
+    advance, smooth_time: s of pressure advance, and of its averaging, that the file has set; None:
+    it has set none.
     """
 
     absolute: bool
@@ -83,6 +84,7 @@ class ModalState:
     feed: float
     offset: tuple[float, float, float]
     advance: float | None = None
+    smooth_time: float | None = None
 
 
 class Handling(Enum):

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from hframe_post.arrays import Array, E
+from hframe_post.firmware.advance import NO_ADVANCE, Advance
 from hframe_post.planner.pacing import NAMES, Labeller, PieceStart
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
@@ -27,23 +28,29 @@ SHARE = 0.03  # of a print to keep; up to twice as much is kept
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Items between two stops. seconds: by feature, at the file's feed rates."""
+    """Items between two stops.
+
+    seconds: by feature, at the file's feed rates. advance: pressure advance at its beginning.
+    """
 
     start: PieceStart
     items: tuple[Item, ...]
     seconds: dict[str, float]
+    advance: Advance
 
 
 def excerpt(
-    items: Iterable[Item], first_layers: int = 1, seconds: tuple[float, float] = SECONDS
-) -> list[Piece]:
+    items: Iterable[Item], first_layers: int = 1, seconds: tuple[float, float] = SECONDS,
+    advance: Advance = NO_ADVANCE,
+) -> list[Piece]:  # fmt: skip
     """Return pieces of a print, or all of it if it is short, without its first layers.
 
-    seconds: least and most to keep; up to twice as much may be kept.
+    seconds: least and most to keep; up to twice as much may be kept. advance: pressure advance
+    until the file sets another.
     """
     pieces, share = list[Piece](), 1.0
     seen, kept = defaultdict[str, float](float), defaultdict[str, float](float)
-    for piece in _pieces(items, first_layers):
+    for piece in _pieces(items, first_layers, advance):
         _add(seen, piece.seconds)
         total = sum(seen.values())
         if any(  # it has 0.2 s of a feature of which little was kept
@@ -129,21 +136,25 @@ def _add(total: defaultdict[str, float], seconds: dict[str, float]) -> None:
         total[name] += more
 
 
-def _pieces(items: Iterable[Item], first_layers: int) -> Iterator[Piece]:
+def _pieces(items: Iterable[Item], first_layers: int, advance: Advance) -> Iterator[Piece]:
     """Yield the print in pieces. Lines that the machine must take at rest are between them."""
     labeller = Labeller(PieceStart())
     start, collected, seconds = labeller.start, list[Item](), defaultdict[str, float](float)
+    begun = advance
 
     def ended() -> Iterator[Piece]:
-        nonlocal start, collected, seconds
+        nonlocal start, collected, seconds, begun
         if any(name != TRAVEL for name in seconds):
-            yield Piece(start, tuple(collected), dict(seconds))
+            yield Piece(start, tuple(collected), dict(seconds), begun)
         start, collected, seconds = labeller.start, [], defaultdict(float)
+        begun = advance
 
     for item in items:
         if isinstance(item, Moves):
             for part, durations in _parts(item):
                 kinds, _, first = labeller.classify(part, first_layers)
+                for mark in part.marks:
+                    advance = advance.after(mark.text)
                 if first.any():
                     yield from ended()
                     continue
@@ -154,6 +165,7 @@ def _pieces(items: Iterable[Item], first_layers: int) -> Iterator[Piece]:
                     yield from ended()
         elif isinstance(item, Passthrough):
             labeller.mark(item.text)
+            advance = advance.after(item.text)
             if item.handling is Handling.CARRY:
                 collected.append(item)
             else:

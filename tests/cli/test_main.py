@@ -124,6 +124,16 @@ def test_verbose_logs_stages_and_their_time() -> None:
     assert run(RECTANGLE, "-n", "-q").stderr == b""
 
 
+@pytest.mark.slow
+def test_verbose_logs_the_progress_of_a_print_that_never_stops(part: Path) -> None:
+    """Threads read and compute it, while others are read before processes compute them."""
+    moves = (f"G1 X{60 + k % 2} E0.01 ;{'-' * 200}\n" for k in range(9000))
+    part.write_text("G28\nG1 Z0.3 F600\nM83\nG1 X60 Y60 F6000\nG1 F114\n" + "".join(moves))
+    done = run(part, "-n", "-v", "-q", "--predict", "off")
+    assert done.returncode == 0, done.stderr
+    assert re.findall(r"(\d+) % is read", done.stderr.decode())[-1] == "100"
+
+
 def test_dry_run_writes_nothing(part: Path) -> None:
     assert run(part, "--dry-run").returncode == 0
     assert part.read_bytes() == RECTANGLE.read_bytes()

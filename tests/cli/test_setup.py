@@ -50,7 +50,7 @@ def test_setup_writes_profile_and_macros_and_makes_the_profile_the_default(confi
     before = config.read_text()
     printed = set_up(config)
     profile = load(str(config.parent / "printer.toml"))
-    assert "[gcode_macro HFRAME_END]" in (config.parent / "hframe.cfg").read_text()
+    assert "[gcode_macro _HFRAME_END]" in (config.parent / "hframe.cfg").read_text()
     assert "[include hframe.cfg]" in printed
     assert config.read_text() == before
     assert profile.invented
@@ -220,7 +220,7 @@ def test_includes_that_were_not_downloaded_are_named_wherever_they_matter(
     own = config.parent / "printer.toml"
     klipper = load(str(own)).firmware.klipper
     assert klipper is not None
-    assert (klipper.shaper_freq_x, klipper.end_macro) == (51.5, "HFRAME_END")
+    assert (klipper.shaper_freq_x, klipper.end_macro) == (51.5, "_HFRAME_END")
     checked = run("doctor", "-p", own, "--printer-cfg", config, HFRAME_PRINTER=str(own))
     assert f"note     {missing}" in checked.stdout.decode()
     assert b"but the include that finds no file was not checked" in checked.stdout
@@ -532,6 +532,10 @@ def test_moonraker_is_connected_and_disconnected_without_a_trace(
     set_up(config, "--moonraker")
     assert conf.read_text().count("\n[hframe_post]\n") == 1
     assert "--limits printer" in conf.read_text()  # what was changed by hand stays
+    moved, gone = conf.read_text(), "/gone/bin/hframe-post"
+    conf.write_text(moved.replace(f"command: {program()}", f"command: {gone}"))
+    assert f"command corrected, because {gone} is gone" in set_up(config, "--moonraker")
+    assert conf.read_text() == moved
     conf.write_text(conf.read_text() + "\n[timelapse]\n")
     set_up(config, "--no-moonraker")
     assert conf.read_text() == before + "\n[timelapse]\n"
@@ -580,7 +584,7 @@ def test_the_printers_files_are_found_and_a_question_is_answered_once(
     config: Path, moonraker: Path
 ) -> None:
     done = run("setup", "--moonraker")
-    assert b"none was found. Name it: hframe-post setup PRINTER.CFG" in done.stderr
+    assert b"Name it: hframe-post setup PRINTER.CFG" in done.stderr
     folder = config.parent / "printer_data/config"
     folder.mkdir(parents=True)
     for name in ("printer.cfg", "moonraker.conf"):
@@ -595,7 +599,7 @@ def test_the_printers_files_are_found_and_a_question_is_answered_once(
     assert (folder / "printer.toml").is_file()
     assert (moonraker / "hframe_post").is_symlink()
     shutil.copytree(folder, config.parent / "second_data/config")
-    assert b"there are several: " in run("setup", "--moonraker").stderr
+    assert b"there are several printer.cfg: " in run("setup", "--moonraker").stderr
 
 
 def at_a_terminal(typed: bytes, *arguments: str) -> tuple[bytes, int]:

@@ -59,11 +59,22 @@ def test_cuts_do_not_matter(chunks: list[Samples], name: str) -> None:
 @pytest.mark.parametrize("name", ADVANCES)
 def test_lines_of_the_file_change_it(chunks: list[Samples], name: str) -> None:
     found, stage = advances(chunks, name)
-    assert (stage.least, stage.most) == (0.0, 0.09)
+    assert (stage.summary.least, stage.summary.most) == (0.0, 0.09)
     seconds = found[:, 1]
     assert {*np.unique(seconds)} == {0.0, 0.05, 0.09}
     assert np.argmax(seconds == 0.09) < np.argmax(seconds == 0.0)
     assert not found[-1].any()
+
+
+@pytest.mark.parametrize(("extruder", "told"), [(2000.0, True), (4000.0, False)])
+def test_the_summary_tells_where_klipper_outruns_the_extruder(extruder: float, told: bool) -> None:
+    paper = load("paper")
+    limits = replace(paper.limits, extruder_acceleration=extruder)
+    printer = replace(paper, extruder=Extruder(0.05), limits=limits)
+    _, report = converted(sample("rectangle.gcode"), printer)
+    assert ("more than limits.extruder_acceleration (2000)" in report.as_text()) == told
+    assert report.advance is not None
+    assert 2500.0 < report.advance.hardest < 3500.0
 
 
 @pytest.mark.slow

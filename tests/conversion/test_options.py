@@ -39,6 +39,7 @@ def test_without_words_the_command_line_has_the_defaults_of_the_library() -> Non
         Options("fbs", limits="printer", clamp=False, force=True, jobs=3),
         Options("none", ("none", "fbs", "racking"), extrusion="relative", retract="moving"),
         Options(predict=(), format="step-bits", firmware="marlin", tolerance=0.05, speed_up=2.5),
+        Options(max_width_error=0.055),
     ],
 )
 def test_words_are_read_back_as_the_same_options(options: Options) -> None:
@@ -50,12 +51,12 @@ def test_every_option_is_read() -> None:
     words = (
         "--compensation racking --firmware klipper --limits file-all --extrusion absolute "
         "--on-limit error --force --tolerance 0 --retract moving --predict off --jobs 2 "
-        "--format samples --max-error outer-wall=15um,80um --speed-up max"
+        "--format samples --max-error outer-wall=15um,80um --max-width-error 5% --speed-up max"
     )
     assert read(*words.split()) == Options(
         "racking", (), limits="file-all", clamp=False, tolerance=None, extrusion="absolute",
         retract="moving", format="samples", firmware="klipper", force=True,
-        max_error={"outer-wall": 0.015, "": 0.08}, speed_up=20.0, jobs=2,
+        max_error={"outer-wall": 0.015, "": 0.08}, max_width_error=0.05, speed_up=20.0, jobs=2,
     )  # fmt: skip
 
 
@@ -85,11 +86,16 @@ def test_the_profile_decides_where_nothing_is_asked(paper: Printer) -> None:
     faster = Options(speed_up=3.0).resolved(fast).speed
     assert faster is not None
     assert (faster.speed_up, faster.max_error) == (3.0, {"": 0.1})
+    even = Options(max_width_error=0.05).resolved(fast).speed
+    assert even is not None
+    assert even.max_width_error == 0.05
 
 
 def test_speed_needs_an_error(paper: Printer) -> None:
     with pytest.raises(OptionError, match="--speed-up needs --max-error"):
         Options(speed_up=2.0).resolved(paper)
+    with pytest.raises(OptionError, match="--max-width-error needs --max-error"):
+        Options(max_width_error=0.05).resolved(paper)
     with pytest.raises(HframeError, match="unknown strategy 'raking'"):
         Options("raking").resolved(paper)
 

@@ -20,7 +20,7 @@ from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.ramps import Ramped
 from hframe_post.printer.firmware_tables import KlipperTable
-from hframe_post.printer.settings import Limits, Motors, Printer
+from hframe_post.printer.settings import Extruder, Limits, Motors, Printer
 from hframe_post.stream.types import ModalState
 from tests.gcode_tools import converted
 from tests.quantities import below
@@ -204,10 +204,10 @@ def test_shaper_is_restored_where_the_user_has_one() -> None:
 
 
 def test_a_macro_replaces_the_stream_s_limits_and_another_follows_the_restored_ones() -> None:
-    firmware = replace(RESTORE, begin_macro="HFRAME_BEGIN", end_macro="HFRAME_END A=1")
+    firmware = replace(RESTORE, begin_macro="_HFRAME_BEGIN", end_macro="_HFRAME_END A=1")
     assert KlipperCode(firmware, STREAM).begin((0.0, 0.0, 0.0), AT) == [
         b"G4 P0",
-        b"HFRAME_BEGIN",
+        b"_HFRAME_BEGIN",
         b"G90",
         b"M83",
     ]
@@ -215,9 +215,31 @@ def test_a_macro_replaces_the_stream_s_limits_and_another_follows_the_restored_o
         b"G4 P0",
         b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=3000 SQUARE_CORNER_VELOCITY=5 "
         b"MINIMUM_CRUISE_RATIO=0.5",  # holds where printer.cfg has no such macro
-        b"HFRAME_END A=1",
+        b"_HFRAME_END A=1",
         b"G1 F6000",
     ]
+
+
+def test_the_stream_averages_pressure_advance_over_a_time_of_its_own() -> None:
+    code = KlipperCode(replace(RESTORE, end_macro="HFRAME_END"), STREAM, Extruder(0.05, 0.04, 0.02))
+    own = b"SET_PRESSURE_ADVANCE SMOOTH_TIME=0.02"
+    assert code.begin((0.0, 0.0, 0.0), AT)[3] == own
+    assert code.end(STATE, AT)[2:4] == [b"HFRAME_END", b"SET_PRESSURE_ADVANCE SMOOTH_TIME=0.04"]
+    of_file = replace(STATE, smooth_time=0.03)
+    assert code.end(of_file, AT)[3] == b"SET_PRESSURE_ADVANCE SMOOTH_TIME=0.03"
+    for line, after in (
+        (b"SET_PRESSURE_ADVANCE ADVANCE=0.1 SMOOTH_TIME=0.03", own + b"\n"),
+        (b"SET_PRESSURE_ADVANCE ADVANCE=0.1", b""),
+    ):
+        assert code.modes_after("SET_PRESSURE_ADVANCE", line) == after
+
+
+@pytest.mark.parametrize("extruder", [None, Extruder(0.05, 0.02, 0.02), Extruder(0.05, 0.01)])
+def test_a_time_that_is_no_longer_stays(paper: Printer, extruder: Extruder | None) -> None:
+    code = KlipperCode.from_printer(replace(paper, extruder=extruder))
+    lines = [*code.begin((0.0, 0.0, 0.0), AT), *code.end(STATE, AT)]
+    lines.append(code.modes_after("SET_PRESSURE_ADVANCE", b"SET_PRESSURE_ADVANCE SMOOTH_TIME=0.1"))
+    assert b"SMOOTH_TIME" not in b"".join(lines)
 
 
 @pytest.mark.parametrize(

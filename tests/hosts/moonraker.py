@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from hframe_post.hosts.moonraker.upload import CONVERTING
 from tests.command_line import run
 from tests.conftest import ROOT
 from tests.klipper.batch import dictionary
@@ -80,10 +81,13 @@ class Printer(Server):
 
     python: one that has Moonraker, whose code is copied, so that the component is linked there.
     options: lines of the component's section. sensor: of printer.cfg; a printer that has one is not
-    measured yet.
+    measured yet. kinematics: as setup has it.
     """
 
-    def __init__(self, python: Path, folder: Path, options: str = "", sensor: str = "") -> None:
+    def __init__(
+        self, python: Path, folder: Path, options: str = "", sensor: str = "",
+        kinematics: str = "corexy",
+    ) -> None:  # fmt: skip
         super().__init__(free_port(), {})
         self.data, self.home, self._python = folder / "printer_data", folder, python
         self.gcodes = self.data / "gcodes"
@@ -97,14 +101,14 @@ class Printer(Server):
         self.config = self.data / "config/moonraker.conf"
         self.config.write_text(CONFIG.format(port=self.port, data=self.data))
         (self.data / "config/printer.cfg").write_text(
-            f"{TEMPLATE.read_text()}\n[virtual_sdcard]\npath: {self.gcodes}\n[pause_resume]\n"
+            f"{_template(kinematics)}\n[virtual_sdcard]\npath: {self.gcodes}\n[pause_resume]\n"
             f"[display_status]\n{sensor}\n[include hframe.cfg]\n"
         )
         (self.data / "config/hframe.cfg").touch()
         self.profile = self.data / "config/printer.toml"
         if not sensor:
             shutil.copy(ROOT / "tests/measured.toml", self.profile)
-        self.set_up("--moonraker")
+        self.set_up("--moonraker", "--kinematics", kinematics)
         self.as_set_up = self.config.read_text()
         # while the gate exists, conversions wait: no test depends on who is faster
         self.gate = folder / "gate"
@@ -177,6 +181,12 @@ class Printer(Server):
 
     # ------------------------------------------------------------------ requests
 
+    def upload(self, name: str, content: bytes, *path: str, **form: str) -> Any:
+        """Upload a file, and wait until it is converted, also where that takes long."""
+        answer, there = super().upload(name, content, *path, **form), self.gcodes / name
+        until(lambda: not there.exists() or CONVERTING.encode() not in there.read_bytes()[:200])
+        return answer
+
     def get(self, path: str) -> Any:
         return self.request("GET", path)["result"]
 
@@ -197,6 +207,12 @@ class Printer(Server):
     def print_stats(self) -> Mapping[str, Any]:
         status = self.get("/printer/objects/query?print_stats&virtual_sdcard")["status"]
         return {**status["virtual_sdcard"], **status["print_stats"]}
+
+
+def _template(kinematics: str) -> str:
+    """Return a printer.cfg whose motors move the nozzle in this way."""
+    in_klipper = {"hbot": "corexy"}.get(kinematics, kinematics)
+    return TEMPLATE.read_text().replace("kinematics: corexy", f"kinematics: {in_klipper}")
 
 
 def waiting_for(gate: Path) -> list[str]:

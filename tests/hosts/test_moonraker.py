@@ -11,16 +11,19 @@ import re
 import shutil
 import subprocess
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from hframe_post.hosts.moonraker.answering import PATIENCE
 from hframe_post.hosts.moonraker.upload import KEPT, Upload
 from tests.command_line import RECTANGLE
 from tests.conftest import SAMPLES
-from tests.hosts.moonraker import Printer, processes, until
+from tests.hosts.moonraker import Printer, Server, processes, until
+from tests.page.pages import data_of
 
 PYTHON = os.environ.get("MOONRAKER_PYTHON", "")
 pytestmark = [
@@ -70,6 +73,8 @@ def test_an_upload_is_converted_described_printed_and_cancelled(printer: Printer
     assert described["filament_total"] == pytest.approx(1301.66)  # as the slicer has it
     assert described["file_processors"] == ["hframe_post"]
     assert described["size"] == len(converted)
+    page = printer.request("GET", "/server/hframe_post/page", decoded=False)
+    assert "cube.gcode, " in data_of(page)["sections"][-1]["rows"][0][1]
     assert [thumbnail["size"] for thumbnail in described["thumbnails"]] == [4]
     shown = [line for line in printer.console() if "hframe-post: cube.gcode" in line]
     assert len(shown) >= 1
@@ -202,6 +207,21 @@ def test_the_reason_of_a_limit_that_a_worker_finds_is_shown(printer: Printer) ->
     assert any(told.match(line) for line in printer.console())
 
 
+def test_an_upload_is_answered_before_a_proxy_gives_up_and_goes_on(printer: Printer) -> None:
+    printer.gate.touch()
+    began = time.monotonic()
+    answer = Server.upload(printer, "part.gcode", PART, print="true")
+    assert PATIENCE <= time.monotonic() - began < 50.0  # nginx's limit is 60 s
+    assert answer["item"]["path"] == "part.gcode"
+    assert answer["action"] == "create_file"
+    assert not answer["print_started"]
+    assert any("part.gcode is still being converted" in line for line in printer.console())
+    printer.gate.unlink()
+    until(lambda: printer.print_stats()["state"] == "complete")
+    assert printer.print_stats()["filename"] == "part.gcode"
+    assert (printer.gcodes / "part.gcode").read_bytes() == printer.converted(PART)
+
+
 def started(printer: Printer, name: str, content: bytes, **form: str) -> threading.Thread:
     """Start an upload that may end with the server."""
     arguments = (printer, name, content)
@@ -218,9 +238,9 @@ def attempted(printer: Printer, name: str, content: bytes, **form: str) -> Any:
 
 
 def left_over(printer: Printer) -> list[str]:
-    """Return what is in the component's folder but sliced files of converted ones."""
+    """Return what is in the component's folder but its history and sliced files."""
     names = os.listdir(printer.gcodes / ".hframe_post")
-    return [name for name in names if not name.endswith(".original")]
+    return [name for name in names if not name.endswith(".original") and name != "history"]
 
 
 def test_files_of_an_older_model_are_converted_again_whatever_comes_between(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import lzma
 import os
 import re
 import socket
@@ -18,16 +19,39 @@ from typing import Any
 import pytest
 
 from hframe_post.hosts import moonraker
-from hframe_post.hosts.moonraker.disk import FOLDER, FailureError, alone, cause
+from hframe_post.hosts.moonraker import conversion
+from hframe_post.hosts.moonraker.disk import FOLDER, BeyondError, FailureError, alone, cause
+from hframe_post.hosts.moonraker.found import offer
+from hframe_post.hosts.moonraker.interface import Interface
 from hframe_post.hosts.moonraker.originals import Originals
 from hframe_post.hosts.moonraker.settings import Settings
 from hframe_post.hosts.moonraker.upload import CONVERTING, REFUSAL, Upload, refuse
+from hframe_post.printer.profile import load
 from tests.command_line import RECTANGLE, run
-from tests.conftest import ROOT
-from tests.hosts.moonraker import WAIT, until
+from tests.conftest import ROOT, SAMPLES
+from tests.hosts.moonraker import WAIT, until, waiting_for
 
 COMMAND = (sys.executable, "-m", "hframe_post", "-p", str(ROOT / "tests/measured.toml"))
 PART = RECTANGLE.read_bytes()
+CUBE = (SAMPLES / "cube.gcode").read_bytes()
+RECORDED = ROOT / "tests/identification/data/raw_data_y_20250601_120000.csv.xz"  # of a Sovol SV08
+CONFIG = """
+[printer]
+kinematics: corexy
+max_velocity: 500
+max_accel: 20000
+[stepper_x]
+position_max: 350
+[stepper_y]
+position_max: 360
+[extruder]
+nozzle_diameter: 0.4
+[adxl345]
+[resonance_tester]
+accel_chip: adxl345
+probe_points: 175, 175, 30
+accel_per_hz: 90
+"""
 OUTSIDE = PART + b'G1 X9000 Y10 F6000 ; "far" away\n'
 
 
@@ -41,7 +65,7 @@ def part(tmp_path: Path) -> Path:
 
 
 def kept(part: Path) -> list[str]:
-    return os.listdir(part.parents[1] / FOLDER)
+    return [name for name in os.listdir(part.parents[1] / FOLDER) if name != "history"]
 
 
 def started(part: Path, *command: str) -> subprocess.Popen[bytes]:
@@ -92,7 +116,7 @@ def reports(part: Path) -> Iterator[list[Any]]:
                     return
                 with connection:
                     report = json.loads(connection.recv(1 << 16).rstrip(b"\x03"))["params"]
-                    if "% is read" not in report["text"]:  # as on a busy machine
+                    if "being converted" not in report["text"]:  # as on a busy machine
                         received.append(report)
                     connection.sendall(b"{}\x03")
 
@@ -134,6 +158,51 @@ def test_a_file_that_fails_begins_with_its_reason_until_it_can_be_converted(
     part.write_bytes(part.read_bytes().replace(OUTSIDE, PART))
     assert processed(part) == 0
     assert part.read_bytes().startswith(b"; processed by hframe-post")
+
+
+# hframe-post in a process that has taken its memory up to some 50 MB
+LITTLE = """
+import mmap
+import os
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+from hframe_post.cli import convert, main
+from hframe_post.conversion import files
+taken = []
+try:
+    while len(taken) < 200:
+        taken.append(mmap.mmap(-1, 10_000_000, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS))
+except OSError:
+    del taken[-5:]
+main.run()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrapped", [(sys.executable, "-c", LITTLE), ("sh", "-c", "kill -9 $$")])
+def test_a_conversion_that_takes_too_much_leaves_the_file_printable(
+    part: Path, reports: list[Any], wrapped: tuple[str, ...]
+) -> None:
+    part.write_bytes(CUBE)
+    assert processed(part, *wrapped, *COMMAND[3:], "--jobs", "1") == 1
+    assert part.read_bytes() == CUBE
+    assert kept(part) == []
+    (report,) = reports
+    assert report["failed"]
+    assert report["text"].startswith("hframe-post: part.gcode: left as sliced: its conversion ")
+    assert "memory" in report["text"]
+    assert report["text"].endswith(conversion.ELSEWHERE)
+
+
+def test_a_conversion_that_takes_too_long_is_ended(
+    part: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = tmp_path / "gate"
+    gate.touch()
+    monkeypatch.setattr(conversion, "LONGEST", 0.5 / 3600.0)
+    words, target = [*waiting_for(gate), *COMMAND], tmp_path / "target"
+    with pytest.raises(BeyondError, match="takes more than"):
+        conversion.converted(part, target, part.name, words, Interface("nowhere"), lambda: False)
+    assert not target.exists()
 
 
 OTHER = ("--tolerance", "0.008")  # an option that changes the output, as another profile does
@@ -199,8 +268,8 @@ def test_before_the_printer_is_measured_a_file_stays_as_sliced(
     assert processed(part, *COMMAND[:-1], "example-voron") == 1
     assert part.read_bytes() == PART
     assert kept(part) == []
-    assert "left as sliced: " in reports[0]["text"]
-    assert "was not measured on your printer" in reports[0]["text"]
+    measure_it = "this printer is not measured yet. To measure it, type HFRAME_CALIBRATE"
+    assert reports[0]["text"].endswith(f"left as sliced: {measure_it}")
 
 
 @pytest.mark.slow
@@ -400,6 +469,33 @@ def test_where_the_bed_moves_the_sensor_is_moved_in_between(part: Path, reports:
     assert reports[-1]["failed"]
     assert "the model stays as it was: " in reports[-1]["text"]
     assert profile.read_text() == 'extends = "example-cartesian"\n'
+
+
+@pytest.mark.slow
+def test_recordings_that_the_owner_has_made_are_offered_and_used(
+    part: Path, reports: list[Any]
+) -> None:
+    config, folder = part.with_name("printer.cfg"), part.with_name("ShakeTune_results")
+    config.write_text(CONFIG)
+    home = str(part.parent)
+    assert run("setup", config, "-o", home, HOME=home, XDG_CONFIG_HOME=home).returncode == 0
+    profile = part.with_name("printer.toml")
+    told = settings(part.parents[1], *COMMAND[:-1], str(profile), recordings=str(part.parent))
+    assert begun("reuse", told).wait() == 1
+    assert "no raw_data_….csv in" in reports[-1]["text"]
+    assert not offer(told, profile)
+    recording = part.with_name(RECORDED.stem)
+    recording.write_bytes(lzma.decompress(RECORDED.read_bytes()))
+    (folder / "input_shaper").mkdir(parents=True)
+    old = folder / "input_shaper/shaper_y.csv"  # of another year: it says nothing of today
+    old.write_text("#time,accel_x,accel_y,accel_z\n")
+    os.utime(old, (1e9, 1e9))
+    prepared(told)
+    assert "recordings by Klipper or Shake&Tune found: 1, " in reports[-1]["text"]
+    assert begun("reuse", told).wait() == 0, reports
+    assert any("y rings at " in report["text"] for report in reports)
+    assert not load(str(profile)).invented
+    assert not offer(told, profile)  # it has been used
 
 
 def recorded(told: Settings, job: str) -> None:

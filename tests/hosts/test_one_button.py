@@ -10,16 +10,19 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from hframe_post.hosts.moonraker.interface import PAGE
 from hframe_post.hosts.moonraker.originals import SETTINGS, settings_of
 from hframe_post.printer.profile import load
 from tests.command_line import RECTANGLE, run
 from tests.hosts.accelerometer import machine_of
 from tests.hosts.moonraker import Printer, until
+from tests.page.pages import data_of
 from tests.quantities import below
-from tests.random_printers import judged, with_plant
+from tests.random_printers import Errors, judged, with_plant
 
 PYTHON = os.environ.get("MOONRAKER_PYTHON", "")
 pytestmark = [
@@ -28,15 +31,17 @@ pytestmark = [
     pytest.mark.skipif(not PYTHON, reason="MOONRAKER_PYTHON names no Python with Moonraker"),
 ]
 PART = RECTANGLE.read_bytes()
-MODES = {"x": [43.0, 0.06], "y": [36.0, 0.08]}
-DRIFTED = {"x": [43.0 * 0.95, 0.06], "y": [36.0 * 0.95, 0.08]}
+MACHINE = {"kinematics": "corexy", "x": [43.0, 0.06], "y": [36.0, 0.08]}
+DRIFTED = {**MACHINE, "x": [43.0 * 0.95, 0.06], "y": [36.0 * 0.95, 0.08]}
+FOUND = "x rings at 43.0 Hz (damping 0.06), y rings at 36.0 Hz (damping 0.08)"
 
 
 @pytest.fixture
-def printer(tmp_path: Path) -> Iterator[Printer]:
+def printer(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Printer]:
     data = tmp_path / "printer_data"
     options = f"fresh: always\nrecordings: {data}\n"
-    built = Printer(Path(PYTHON), tmp_path, options, f"[adxl345]\nmachine: {data}/machine.json")
+    sensor = f"[adxl345]\nmachine: {data}/machine.json"
+    built = Printer(Path(PYTHON), tmp_path, options, sensor, request.param)
     try:
         built.start_klipper()
         built.start_moonraker()
@@ -46,8 +51,8 @@ def printer(tmp_path: Path) -> Iterator[Printer]:
         built.stop()
 
 
-def machine_becomes(printer: Printer, modes: dict[str, list[float]]) -> None:
-    (printer.data / "machine.json").write_text(json.dumps(modes))
+def machine_becomes(printer: Printer, machine: dict[str, Any]) -> None:
+    (printer.data / "machine.json").write_text(json.dumps(machine))
 
 
 def said(printer: Printer, text: str) -> bool:
@@ -60,11 +65,16 @@ def present(printer: Printer) -> str:
     return found["settings"].decode()
 
 
-def error(printer: Printer, exact: bool = False) -> float:
-    """Return the contour error of two layers of the cube, µm RMS, with the profile's model."""
+def errors(printer: Printer, exact: bool = False) -> Errors:
+    """Return the contour errors of two layers of the cube with the profile's or the exact model."""
     machine, profile = machine_of(printer.data / "machine.json"), load(str(printer.profile))
     profile = with_plant(profile, machine.exact()) if exact else profile
-    return judged(machine, profile, "cube").compensated
+    return judged(machine, profile, "cube")
+
+
+def as_good_as_exact(printer: Printer) -> None:
+    most = 1.2 * errors(printer, exact=True).compensated
+    below(errors(printer).compensated, most, "contour error, µm RMS")
 
 
 def printed(printer: Printer, name: str) -> None:
@@ -73,15 +83,16 @@ def printed(printer: Printer, name: str) -> None:
     assert printer.print_stats()["filename"] == name
 
 
+@pytest.mark.parametrize("printer", ["corexy"], indirect=True)
 def test_one_macro_and_one_upload(printer: Printer) -> None:
     path = printer.gcodes / "part.gcode"
     # before it is measured, a file prints as it was sliced
     printer.upload("part.gcode", PART)
     assert path.read_bytes() == PART
-    machine_becomes(printer, MODES)
+    machine_becomes(printer, MACHINE)
     printer.type("HFRAME_CALIBRATE")
     until(lambda: said(printer, "the model is written into"))
-    assert said(printer, "x rings at 43.0 Hz (damping 0.06), y rings at 36.0 Hz (damping 0.08)")
+    assert said(printer, FOUND)
     assert printer.profile.with_suffix(".html").exists()
     # what is uploaded now is converted, and printed after a check that finds no drift
     printer.upload("part.gcode", PART, print="true")
@@ -91,14 +102,20 @@ def test_one_macro_and_one_upload(printer: Printer) -> None:
     assert said(printer, "x: the main resonance has not drifted")
     # after a drift, the next print is converted again first
     machine_becomes(printer, DRIFTED)
-    exact, old = error(printer, exact=True), error(printer)
-    assert old > 2.0 * exact
+    assert errors(printer).compensated > 2.0 * errors(printer, exact=True).compensated
     printed(printer, "part.gcode")
     assert said(printer, "x: the main resonance moved from 42.9 to 40.")
     assert said(printer, "part.gcode: converted again")
     assert settings_of(path) == present(printer)
     assert path.read_bytes() == printer.converted(PART)
-    below(error(printer), 1.2 * exact, "error after the drift, µm RMS")
+    as_good_as_exact(printer)
+    # the page that the console links shows both
+    assert said(printer, f'<a href="{PAGE}"')
+    data = data_of(printer.request("GET", PAGE, decoded=False))
+    cards = {card["what"]: card["value"] for card in data["cards"]}
+    assert cards["Last check"] == "today"
+    assert cards["Drift of x"] in ("−4.9", "−5.0", "−5.1")
+    assert "part.gcode, " in data["sections"][1]["rows"][0][1]
     # without an answer of the sensor the print goes on with the old model
     (printer.data / "machine.json").unlink()
     profile = printer.profile.read_bytes()
@@ -106,3 +123,37 @@ def test_one_macro_and_one_upload(printer: Printer) -> None:
     assert printer.console()[-1] == "Done printing file"
     assert said(printer, "nothing is measured: No accelerometer measurements found")
     assert printer.profile.read_bytes() == profile
+
+
+def calibrated(printer: Printer, machine: dict[str, Any], typed: str, until_said: str) -> None:
+    """Calibrate, once Moonraker is connected and idle, until a line is on the console."""
+    until(lambda: not printer.get("/server/hframe_post/status")["measuring"])
+    machine_becomes(printer, machine)
+    printer.type(typed)
+    until(lambda: said(printer, until_said))
+
+
+def converts_as_with_the_exact_model(printer: Printer) -> None:
+    printer.upload("part.gcode", PART)
+    assert (printer.gcodes / "part.gcode").read_bytes() == printer.converted(PART)
+    as_good_as_exact(printer)
+
+
+@pytest.mark.parametrize("printer", ["hbot"], indirect=True)
+def test_an_hbot_is_measured_at_three_places(printer: Printer) -> None:
+    machine = {**MACHINE, "kinematics": "hbot", "racking": 1.5e-8}
+    printer.upload("part.gcode", PART)
+    calibrated(printer, machine, "HFRAME_CALIBRATE", "the model is written into")
+    assert said(printer, f"{FOUND}, it racks")
+    converts_as_with_the_exact_model(printer)
+
+
+@pytest.mark.parametrize("printer", ["cartesian"], indirect=True)
+def test_where_the_bed_moves_one_sensor_is_moved_in_between(printer: Printer) -> None:
+    on_head, on_bed = ({**MACHINE, "kinematics": "cartesian", "sensor": axis} for axis in "xy")
+    printer.upload("part.gcode", PART)
+    move_it = "Move the sensor to the bed, then type HFRAME_CALIBRATE AXIS=Y"
+    calibrated(printer, on_head, "HFRAME_CALIBRATE", move_it)
+    calibrated(printer, on_bed, "HFRAME_CALIBRATE AXIS=Y", "the model is written into")
+    assert said(printer, FOUND)
+    converts_as_with_the_exact_model(printer)

@@ -157,7 +157,7 @@ def test_writes_gcode_and_the_command(tmp_path: Path) -> None:
         ["m.gcode", *(f"m.{name}.csv" for name in names)]
     )
     text = out.read_text()
-    assert re.findall(r"HFRAME_RECORDED CHIPS=hotend NAME=(.*)", text) == names
+    assert re.findall(r"_HFRAME_RECORDED CHIPS=hotend NAME=(.*)", text) == names
     assert re.findall(r"ACCELEROMETER_MEASURE CHIP=hotend NAME=(.*)", text) == names
     (one,) = runs(load("paper"), [(80.0, 100.0)])
     written = read_command(tmp_path / f"m.{one.name}.csv")

@@ -179,7 +179,7 @@ def test_the_stream_is_allowed_no_more_than_the_sweep_needs(short: Path) -> None
     """A cancelled file leaves its limits in force."""
     for macro in (
         "",
-        '[firmware.klipper]\nbegin_macro = "HFRAME_BEGIN"\nend_macro = "HFRAME_END"\n',
+        '[firmware.klipper]\nbegin_macro = "_HFRAME_BEGIN"\nend_macro = "_HFRAME_END"\n',
     ):
         printer = profiles.parse(short.read_text() + macro, "short")
         (one,) = runs(printer, 0, [(140.0, 147.5)])
@@ -189,7 +189,7 @@ def test_the_stream_is_allowed_no_more_than_the_sweep_needs(short: Path) -> None
         )
         assert v < float(limit[0]) < 1.2 * v < printer.limits.velocity
         assert 3.0 * a < float(limit[1]) < printer.motors.belt_acceleration
-        assert ("HFRAME_END" in text(printer, [one])) == bool(macro)
+        assert ("_HFRAME_END" in text(printer, [one])) == bool(macro)
 
 
 def test_a_file_that_records_is_for_klipper_only() -> None:

@@ -54,12 +54,13 @@ def typed(
 
 
 def seen(printer: Any) -> dict[str, Any]:
-    """Return limits, frequencies of the shapers, state, heater and the variables of NOTE."""
+    """Return limits, shapers, smoothing of advance, state, heater and the variables of NOTE."""
     reports = _reports(printer)
     shaper = printer.lookup_object("input_shaper")
     return {
         "limits": [reports["toolhead"][limit] for limit in LIMITS],
         "shapers": [each.params.shaper_freq for each in shaper.shapers[:2]],
+        "averaged": reports["extruder"]["smooth_time"],
         "state": reports["print_stats"]["state"],
         "heater": reports["extruder"]["target"],
         "noted": reports.get("gcode_macro NOTE"),

@@ -143,7 +143,7 @@ def test_with_the_macros_in_its_configuration_a_paused_print_goes_on_as_it_was(
     """Begun and ended by macros; what the pause's own moves do, they do with the user's limits."""
     paper = load("paper")
     assert paper.firmware.klipper is not None
-    klipper = replace(paper.firmware.klipper, begin_macro="HFRAME_BEGIN", end_macro="HFRAME_END")
+    klipper = replace(paper.firmware.klipper, begin_macro="_HFRAME_BEGIN", end_macro="_HFRAME_END")
     named = replace(paper, firmware=replace(paper.firmware, tables=(klipper,)))
     lines = [line.encode() + b"\n" for line in [*HEAD, *objects(1)]]
     conversion = GcodeConversion(lines, named, Options("racking"))

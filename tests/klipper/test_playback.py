@@ -20,7 +20,7 @@ from hframe_post.gcode.state import LimitSource
 from hframe_post.model.plant import Plant, Response
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer import profile
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Extruder, Printer
 from hframe_post.studies.inputs import rectangle
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import SAMPLES
@@ -324,19 +324,28 @@ def test_prism_takes_about_as_long_as_klipper_takes_without_compensation(tmp_pat
 @pytest.mark.klipper
 @pytest.mark.slow
 def test_pressure_advance_is_what_the_width_is_predicted_with(tmp_path: Path) -> None:
-    """The steps of Klipper's extruder, advanced and smoothed, against its rule on the path."""
+    """The steps of Klipper's extruder, advanced and averaged, against its rule on the path.
+
+    The stream averages over a time of its own, even where the file sets another, and restores it.
+    """
+    printer = replace(profile.load("paper"), extruder=Extruder(0.05))
+    sets = b"SET_PRESSURE_ADVANCE ADVANCE=0.05 SMOOTH_TIME=0.03\n"
     head, *rest = (SAMPLES / "rectangle.gcode").read_bytes().partition(b"G28\n")
-    lines = (head + rest[0] + b"SET_PRESSURE_ADVANCE ADVANCE=0.05\n" + rest[1]).splitlines(True)
+    lines = (head + rest[0] + sets + rest[1]).splitlines(keepends=True)
     lines += lines[-4:] * 2
-    run = lines_played(lines, tmp_path, Options("racking"))
+    run = lines_played(lines, tmp_path, Options("racking"), printer)
     _, offset = first_offset(run)
-    chunks = list(SampleStream(iter(lines), profile.load("paper"), Options("racking")))
+    chunks = list(SampleStream(iter(lines), printer, Options("racking")))
     ahead = np.concatenate([b.advance[:, 0] for b in chunks if b.advance is not None])
     filament = run.z_e[:, 1]
     assert len(ahead) == len(filament)
     assert ahead.max() > 0.2
     fed = run.playback.steps()["e"]
-    off = fed.position(TS * np.arange(len(filament)) + offset) - filament - ahead
+    place = fed.position(TS * np.arange(len(filament)) + offset)
+    off = place - filament - ahead
     below(rms(off - np.median(off)), 0.5 * fed.size, "RMS distance of the extruder, mm")
+    near(place[-1] - place[0], filament[-1] - filament[0], fed.size, "filament, mm")
+    ours, own = (b"SET_PRESSURE_ADVANCE SMOOTH_TIME=%s\n" % each for each in (b"0.02", b"0.03"))
+    assert run.text.index(ours) < run.text.index(own)
     assert run.report.advance is not None
     assert not run.report.advance.computed

@@ -32,7 +32,7 @@ UNUSED = {"adxl345-hframe-unused.csv", "adxl345-bed-hframe-unused.csv"}
 
 
 def macro(printer: Printer) -> str:
-    found = re.search(r"\[gcode_macro HFRAME_RECORDED\]\n(.+\n)+", macros(printer))
+    found = re.search(r"\[gcode_macro _HFRAME_RECORDED\]\n(.+\n)+", macros(printer))
     assert found
     return found[0]
 
@@ -118,7 +118,7 @@ def test_the_macro_tells_the_start_to_some_microseconds(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_without_the_macro_the_first_sample_tells_the_start(tmp_path: Path) -> None:
     command, playback = played(tmp_path, SENSORS, 3.0)
-    assert set(playback.warnings) == {'Unknown command:"HFRAME_RECORDED"'}
+    assert set(playback.warnings) == {'Unknown command:"_HFRAME_RECORDED"'}
     assert {path.name for path in tmp_path.glob("*.csv")} == {
         "adxl345-measure-at-140.csv", "adxl345-bed-measure-at-140.csv"
     }  # fmt: skip

@@ -409,9 +409,12 @@ def asked_of_the_extruder(lines: list[bytes], printer: Printer) -> tuple[Array, 
 def test_the_extruder_is_ahead_as_computed_and_no_time_is_lost(
     marlin: Printer, planner: str
 ) -> None:
-    """Its place is that of whole steps; the filament is that of the file, to a step."""
-    lines = laps(3)
-    plain = with_own(marlin, planner=planner)
+    """Its place is that of whole steps; the filament is that of the file, to a step.
+
+    At this acceleration it can follow, so the path is planned as without advance.
+    """
+    lines, limits = laps(3), replace(marlin.limits, acceleration=8000.0)
+    plain = replace(with_own(marlin, planner=planner), limits=limits)
     advanced = replace(plain, extruder=Extruder(0.05))
     without, one = (played(lines, each, planner=planner) for each in (plain, advanced))
     filament, ahead = asked_of_the_extruder(lines, advanced)

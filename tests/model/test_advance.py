@@ -75,6 +75,17 @@ def test_a_steady_line_has_all_of_it() -> None:
     np.testing.assert_allclose(smoothed(path, K, 20)[340:860], wanted, rtol=1e-6)
 
 
+@pytest.mark.parametrize("samples", [4, 12, 19])
+def test_a_line_shorter_than_the_average_has_some_of_it(samples: int) -> None:
+    path = np.zeros((samples + 81, 4))
+    path[40:, X] = 0.1 * np.minimum(np.arange(samples + 41), samples)
+    path[:, E] = FLOW * path[:, X]
+    A = ours(path)
+    assert (A[41 : 40 + samples] > 0.0).all()
+    assert not A[:41].any()
+    assert not A[40 + samples :].any()
+
+
 def test_the_bits_do_not_depend_on_where_the_samples_begin() -> None:
     path = lines(3)
     whole = ours(path)

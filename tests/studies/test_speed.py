@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import replace
 from functools import partial
@@ -19,7 +20,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.planner.pacing import NAMES
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Extruder, Printer
 from hframe_post.stream.features import kind
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.speed.drive import Drive
@@ -36,6 +37,7 @@ from hframe_post.studies.speed.trial import (
 )
 from tests.command_line import run
 from tests.conftest import SAMPLES
+from tests.quantities import below
 
 MODEL_ERROR = 0.05
 
@@ -125,6 +127,26 @@ def test_no_layer_is_too_short_and_what_limits_the_speed_is_reported(
 def test_an_impossible_bound_is_an_error(paper: Printer) -> None:
     with pytest.raises(HframeError, match="allow more"):
         search(cube, paper, Options("racking"), Bound(1e-4))
+
+
+@pytest.mark.slow
+def test_a_bound_on_the_width_of_lines_holds_and_takes_time(paper: Printer) -> None:
+    """On the model and the worst of printers near it, with pressure in the hot end."""
+    printer, options = replace(paper, extruder=Extruder(0.05)), Options("racking", ("racking",))
+    drawn = tuple(draws(paper.plant, MODEL_ERROR, 8, 0))
+    even, any_width = (
+        search(cube, printer, options, Bound(0.1, width=width), near=drawn)
+        for width in (0.08, math.inf)
+    )
+    assert even.trial.widths.keys() == even.trial.errors.keys()
+    below(max(max(each) for each in even.trial.widths.values()), 0.08, "error of the width")
+    assert not any_width.trial.widths
+    assert even.trial.seconds > any_width.trial.seconds
+    widths = (found.report.width["racking"].rms for found in (even, any_width))
+    below(next(widths), next(widths), "RMS error of the width")
+    assert "8 permitted" in speed_as_text(even)
+    with pytest.raises(HframeError, match=r"off by .* of their width, .*--max-width-error"):
+        search(cube, printer, options, Bound(10.0, width=1e-4))
 
 
 def test_layers_whose_feed_changes_take_as_long_as_in_a_plan_of_the_whole_print(
@@ -228,6 +250,8 @@ def test_batch_and_library_follow_the_profile_and_batch_resumes(tmp_path: Path) 
         (("--max-error", "nose=30um"), "outer-wall"),
         (("--max-error", "0um"), "between"),
         (("--speed-up", "2"), "--max-error"),
+        (("--max-width-error", "5%"), "--max-error"),
+        (("--max-error", "30um", "--max-width-error", "5"), "such as 5%"),
         (("--max-error", "30um", "--speed-up", "0.5"), "from 1"),
     ],
 )
@@ -266,7 +290,7 @@ def test_accelerations_reach_the_bound_in_few_trials(
     def tried(acceleration: float) -> TrialPrint:
         error = 0.1 * (acceleration / 4e3) ** slope
         settings = SpeedSettings({"skin": acceleration}, {"skin": 1.0})
-        return TrialPrint(settings, {"skin": [error]}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
+        return TrialPrint(settings, {"skin": [error]}, {}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
 
     searches = Searches(bound, 1e6, [tried(acceleration) for acceleration in start])
     for _ in range(5):
@@ -281,7 +305,7 @@ def test_of_two_trials_at_one_acceleration_the_later_counts() -> None:
     """The error of a feature also depends on what else changed: the earlier one is within it."""
     settings = SpeedSettings({"skin": 4e3}, {"skin": 1.0})
     trials = [
-        TrialPrint(settings, {"skin": [error]}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
+        TrialPrint(settings, {"skin": [error]}, {}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
         for error in (0.094, 0.096)
     ]
     searches = Searches(Bound(0.1), 1e6, trials)

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 from hframe_post.arrays import Array, E
 from hframe_post.errors import PrinterError
+from hframe_post.firmware.advance import klipper_advance
 from hframe_post.firmware.code import Code, coordinates, modes, plain
 from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY, StreamLimits
 from hframe_post.printer.firmware_tables import KlipperTable
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Extruder, Printer
 from hframe_post.stream.types import ModalState
 
 STAND = "G4 P0"  # comes to rest without flushing the queue of the motors, as M400 would
@@ -22,16 +23,21 @@ LABELS = re.compile(  # of objects: Klipper's commands, and lines that hosts rep
 
 @dataclass(frozen=True, slots=True)
 class KlipperCode(Code):
-    """Klipper's G-code. stream: the limits while it runs."""
+    """Klipper's G-code.
+
+    stream: the limits while it runs. extruder: whose pressure advance is averaged over a shorter
+    time while it runs; None: nothing changes that.
+    """
 
     table: KlipperTable
     stream: StreamLimits
+    extruder: Extruder | None = None
 
     @classmethod
     def from_printer(cls, printer: Printer) -> KlipperCode:
         """Return the G-code for this printer. Raises PrinterError without Klipper's table."""
         stream = StreamLimits.from_limits(printer.limits, printer.motors, printer.kinematics)
-        return cls(table_of(printer), stream)
+        return cls(table_of(printer), stream, averaged_shorter(printer.extruder))
 
     @property
     def limits_of_stream(self) -> list[str]:
@@ -42,10 +48,15 @@ class KlipperCode(Code):
             _limit(limits.velocity, limits.acceleration, SQUARE_CORNER_VELOCITY, 0.0),
         ]
 
+    @property
+    def averaging_of_stream(self) -> list[str]:
+        """Return the command that sets over what time the stream averages pressure advance."""
+        return [] if self.extruder is None else [_averaging(self.extruder.stream_smooth_time)]
+
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
         macro = self.table.begin_macro
-        start = [macro] if macro else self.limits_of_stream
-        return [line.encode() for line in [STAND, *start, "G90", "M83", *coordinates(offset, at)]]
+        start = [STAND, *([macro] if macro else self.limits_of_stream), *self.averaging_of_stream]
+        return [line.encode() for line in [*start, "G90", "M83", *coordinates(offset, at)]]
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
         table, names = self.table, coordinates(state.offset, at[:E] - state.offset)
@@ -56,7 +67,15 @@ class KlipperCode(Code):
             stop.append(_shaper(shaped))
         if table.end_macro:
             stop.append(table.end_macro)
+        if self.extruder is not None:
+            own = self.extruder.smooth_time if state.smooth_time is None else state.smooth_time
+            stop.append(_averaging(own))
         return [line.encode() for line in [STAND, *stop, *names, *modes(state)]]
+
+    def modes_after(self, name: str, text: bytes) -> bytes:
+        if self.extruder is not None and klipper_advance(text).smooth_time is not None:
+            return b"".join(line.encode() + b"\n" for line in self.averaging_of_stream)
+        return Code.modes_after(self, name, text)
 
     def labels_object(self, text: bytes) -> bool:
         return labels_object(text)
@@ -84,6 +103,13 @@ def table_of(printer: Printer) -> KlipperTable:
     return table
 
 
+def averaged_shorter(extruder: Extruder | None) -> Extruder | None:
+    """Return the extruder if the stream averages its pressure advance over a shorter time."""
+    if extruder is None or extruder.stream_smooth_time >= extruder.smooth_time:
+        return None
+    return extruder
+
+
 def labels_object(text: bytes) -> bool:
     return LABELS.match(text.lstrip()) is not None
 
@@ -92,6 +118,10 @@ def _shaper(frequencies: Iterable[float]) -> str:
     """Return the command for x, y and z; a Klipper that does not shape z ignores its frequency."""
     axes = zip("XYZ", frequencies, strict=True)
     return " ".join(["SET_INPUT_SHAPER", *(f"SHAPER_FREQ_{a}={plain(f, 6)}" for a, f in axes)])
+
+
+def _averaging(seconds: float) -> str:
+    return f"SET_PRESSURE_ADVANCE SMOOTH_TIME={plain(seconds, 6)}"
 
 
 def _limit(velocity: float, acceleration: float, corner: float, cruise_ratio: float) -> str:

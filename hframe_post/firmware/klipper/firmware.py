@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from hframe_post.firmware.advance import klipper_advance
+from hframe_post.firmware.advance import Advance, klipper_advance, klipper_seconds
 from hframe_post.firmware.base import MOST, Firmware, FirmwareLimits, unlimited
 from hframe_post.firmware.configuration import Finding, Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
-from hframe_post.firmware.klipper.code import KlipperCode, table_of
+from hframe_post.firmware.klipper.code import KlipperCode, averaged_shorter, table_of
 from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.model.shapers import Shaping
 from hframe_post.printer.firmware_tables import KlipperTable
@@ -53,6 +53,11 @@ class Klipper(Firmware):
 
     def code(self, printer: Printer) -> KlipperCode:
         return KlipperCode.from_printer(printer)
+
+    def advance(self, printer: Printer) -> Advance:
+        if (extruder := averaged_shorter(printer.extruder)) is None:
+            return super().advance(printer)
+        return Advance(extruder.advance, extruder.stream_smooth_time, klipper_seconds)
 
     def limits(self, printer: Printer) -> FirmwareLimits:
         table = table_of(printer)

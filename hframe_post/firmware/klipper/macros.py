@@ -11,6 +11,8 @@ unusual spelling, with ``rename_existing``, is called first and passes the comma
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.code import KlipperCode
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
@@ -18,7 +20,7 @@ from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS, RECORDED, UNUSED, USUAL_CHIP
 from hframe_post.printer.settings import Printer
 
-FILE, BEGIN, END = MACROS, "HFRAME_BEGIN", END_MACRO
+FILE, BEGIN, END = MACROS, "_HFRAME_BEGIN", END_MACRO
 WRAPPERS = {name: name[0].lower() + name[1:] for name in ("PAUSE", "RESUME", "CANCEL_PRINT")}
 """Klipper's command, and the spelling of the section that is called before it."""
 
@@ -37,8 +39,8 @@ _HEAD = f"""\
 _BUILTIN = "\n[pause_resume]\n"
 _FORGET = "SET_GCODE_VARIABLE MACRO=_HFRAME_LEAVE VARIABLE=stream VALUE=None"
 _ASKED = (
-    "hframe-post writes the motion to record. If nothing follows, connect it to Moonraker: "
-    "hframe-post setup --moonraker"
+    "hframe-post writes the motion to record. If nothing follows, Moonraker has not started with "
+    "it: run hframe-post setup --moonraker on the printer's computer, then restart Moonraker"
 )
 _LIMITS = f"""
 [gcode_macro {BEGIN}]
@@ -48,6 +50,7 @@ gcode:
     @shaper_off
     {{% endif %}}
     @limits
+@averaging
 
 [gcode_macro {END}]
 description: Restore this printer's own limits and input shaping
@@ -61,16 +64,19 @@ MINIMUM_CRUISE_RATIO={{own.printer.minimum_cruise_ratio|default(0.5)}}
 SHAPER_FREQ_Y={{own.input_shaper.shaper_freq_y}} \
 SHAPER_FREQ_Z={{own.input_shaper.shaper_freq_z|default(0)}}
     {{% endif %}}
+@own_averaging
 
 # The next three ask hframe-post in Moonraker: 'hframe-post setup --moonraker' connects it
 [gcode_macro HFRAME_CALIBRATE]
 description: Measure this printer; where the bed moves, AXIS=Y once the sensor is on the bed
 gcode:
-    {{% if "ACCELEROMETER_QUERY" not in printer.gcode.commands %}}
-    {{action_raise_error("no accelerometer is configured in printer.cfg")}}
+    {{% if "RECORDINGS" not in params and "ACCELEROMETER_QUERY" not in printer.gcode.commands %}}
+    {{action_raise_error("no accelerometer is configured in printer.cfg. \
+RECORDINGS=found uses recordings that you have made before")}}
     {{% endif %}}
     {{action_respond_info("{_ASKED}")}}
-    {{action_call_remote_method("hframe_calibrate", axis=params.AXIS|default("")|upper)}}
+    {{action_call_remote_method("hframe_calibrate", axis=params.AXIS|default("")|upper,
+        recordings=params.RECORDINGS|default("")|upper)}}
 
 [gcode_macro HFRAME_CHECK]
 description: Measure in 20 s what has drifted; FILENAME=check.gcode prints that file instead
@@ -152,6 +158,7 @@ gcode:
     SET_GCODE_VARIABLE MACRO=_HFRAME_LEAVE VARIABLE=ended VALUE={{ended}}
     {{% endif %}}
 """
+_OWN_AVERAGING = ["SET_PRESSURE_ADVANCE SMOOTH_TIME={own.extruder.pressure_advance_smooth_time}"]
 _WRAPPER = """
 [gcode_macro @section]
 description: Restore the printer's limits around a converted file, and call the former @name
@@ -182,6 +189,8 @@ def macros(printer: Printer, config: KlipperConfig | None = None) -> str:
     text = (
         _LIMITS.replace("@shaper_off", shaper_off)
         .replace("@limits", limits)
+        .replace("@averaging\n", _averaging(code.averaging_of_stream))
+        .replace("@own_averaging\n", _averaging(_OWN_AVERAGING if code.extruder else []))
         .replace("@corner", f"{SQUARE_CORNER_VELOCITY:g}")
         .replace("@acceleration", f"{code.stream.acceleration:g}")
         .replace("@readings", "\n    ".join(f"ACCELEROMETER_QUERY CHIP={chip}" for chip in chips))
@@ -189,6 +198,14 @@ def macros(printer: Printer, config: KlipperConfig | None = None) -> str:
     # Klipper's own commands refuse a macro of their name that does not rename them
     own = _own_commands(config) if config is not None else []
     return "".join([_HEAD, "" if own else _BUILTIN, text, *map(_wrapper, own or WRAPPERS)])
+
+
+def _averaging(lines: Sequence[str]) -> str:
+    """Return lines of a macro that set over what time pressure advance is averaged."""
+    if not lines:
+        return ""
+    guarded = ['{% if "extruder" in printer %}', *lines, "{% endif %}"]
+    return "".join(f"    {line}\n" for line in guarded)
 
 
 def _own_commands(config: KlipperConfig) -> list[str]:

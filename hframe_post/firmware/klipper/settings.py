@@ -182,9 +182,9 @@ def _retraction(config: KlipperConfig) -> dict[str, Known]:
 
 
 def _advance(config: KlipperConfig) -> dict[str, Known]:
-    if not config.number("extruder", "pressure_advance", 0.0) > 0.0:
+    if not config.has("extruder"):
         return {}
-    return {
+    return {  # also where slicers set the advance: the stream restores the averaging
         "advance": _or(config, "extruder", "pressure_advance", 0.0),
         "smooth_time": _or(config, "extruder", "pressure_advance_smooth_time", SMOOTH_TIME),
     }

@@ -156,7 +156,7 @@ class MarlinCode(Code):
         lines.append(f"G92 E{plain(state.e, 5)}")
         return [line.encode() for line in lines]
 
-    def modes_after(self, name: str) -> bytes:
+    def modes_after(self, name: str, text: bytes) -> bytes:
         # G90 and G91 set E, too; linear advance stays off
         modes = {"G90": b"M83\n", "G91": b"G90\nM83\n", "M82": b"M83\n", "M900": b"M900 K0\n"}
         return modes.get(name, b"")

@@ -13,9 +13,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from .answering import Answering
 from .disk import FOLDER, NAME
 from .freshness import FRESH, STALE, Freshness
-from .interface import ENDPOINT
+from .interface import ENDPOINT, PAGE
 from .measuring import Measuring
 from .originals import STAMP
 from .settings import Settings
@@ -46,7 +47,7 @@ class HframePost:
         self.checked = gcodes / FOLDER / "check"  # changed by each check
         self._words = settings.as_json()
         self._processes: dict[asyncio.subprocess.Process, str] = {}  # with their duties
-        self._tidying = False
+        self._tidying, self._one_page = False, asyncio.Lock()
         self.measuring = Measuring(self.server, self.run, self.say)
         self._freshness = Freshness(
             self,
@@ -66,6 +67,7 @@ class HframePost:
         }
         self._storage.register_gcode_processor(NAME, processor)
         self._delete_file, self._files.delete_file = self._files.delete_file, self._stop_and_delete
+        Answering(self._files, self._gcodes, self.say)
         klippy, server = self.server.lookup_component("klippy_apis"), self.server
         self._start_print, klippy.start_print = klippy.start_print, self._start_fresh
         kinds = import_module("moonraker.common").RequestType
@@ -73,6 +75,10 @@ class HframePost:
         server.register_endpoint(CONVERT, kinds.POST, self._convert_requested)
         server.register_endpoint(CANCEL, kinds.POST, self._cancel_requested)
         server.register_endpoint(STATUS, kinds.GET, self._status_requested)
+        server.register_endpoint(
+            PAGE, kinds.GET, self._page_requested, ["http"], wrap_result=False,
+            content_type="text/html; charset=UTF-8",
+        )  # fmt: skip
         server.register_remote_method("hframe_calibrate", self._calibrate)
         server.register_remote_method("hframe_check", self._check)
         server.register_remote_method("hframe_convert", self._convert_typed)
@@ -140,7 +146,12 @@ class HframePost:
         again = [process for process, duty in self._processes.items() if duty == "again"]
         for process in again:
             process.kill()  # hframe-post ends with it
-        self.say("cancelled; files stay as they are" if again else "no file is converted again")
+        self.say(
+            "cancelled; files stay as they are"
+            if again
+            else "no file is converted again. To "
+            "stop the conversion of an upload, refresh the list of files and delete it there"
+        )
 
     # ------------------------------------------------------------------ for Moonraker
 
@@ -192,6 +203,14 @@ class HframePost:
         stale = json.loads(output)["kept"] if status == 0 else []
         return {"measuring": self.measuring.busy, "stale": stale, "profile_usable": status == 0}
 
+    async def _page_requested(self, _: Any) -> str:
+        """Return the page of the printer's state, as of now. Raises Moonraker's error."""
+        async with self._one_page:
+            status, page = await self.run("page")
+        if status != 0:
+            raise self.server.error("the console says why there is no page", 500)
+        return page
+
     async def _to_convert(self, name: str) -> list[str]:
         """Return a file's name if Moonraker knows it, or without one those of all stale files.
 
@@ -220,10 +239,16 @@ class HframePost:
 
     # ------------------------------------------------------------------ for Klipper's macros
 
-    async def _calibrate(self, axis: str = "") -> None:
+    async def _calibrate(self, axis: str = "", recordings: str = "") -> None:
+        """Measure the printer, or with recordings = FOUND use those that its owner has made."""
         if axis not in ("", "X", "Y"):
             self.say(f"AXIS is X or Y, not {axis}", True)
-        elif await self.measuring.measure("calibration", axis):
+            return
+        if recordings not in ("", "FOUND"):
+            self.say(f"RECORDINGS is found, not {recordings}: no other files are read", True)
+            return
+        measuring = self.measuring
+        if await (measuring.reuse() if recordings else measuring.measure("calibration", axis)):
             stale = (await self._status_requested(None))["stale"]
             if stale:
                 when = "HFRAME_CONVERT converts them now"

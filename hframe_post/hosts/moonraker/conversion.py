@@ -2,51 +2,83 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from .disk import NAME, FailureError, GoneError
+from .disk import NAME, BeyondError, FailureError, GoneError
 from .interface import Interface
 
 LOG = re.compile(r"\s*\d+\.\d{3} s  (?P<text>.*)")  # of hframe-post -v
-PERCENT = re.compile(r"\d+ % is read")
+PERCENT = re.compile(r"(?P<percent>\d+ %) is read")
+SHORT = re.compile(  # also for the stack of a thread
+    r"(not enough|lack of|cannot allocate) memory|memory allocation|start new thread", re.IGNORECASE
+)
 WATCH = 0.3  # s between two looks whether the user has deleted the file
+ELSEWHERE = "Convert it on another computer, then upload it again"
+LONGEST = 2.0  # hours that a conversion may take
 
 
 def converted(
     source: Path, target: Path, name: str, command: Sequence[str], interface: Interface,
     is_gone: Callable[[], bool],
-) -> tuple[str, bool]:  # fmt: skip
-    """Convert a file, and return the summary and whether there was anything to convert.
+) -> tuple[str, Mapping[str, Any] | None]:  # fmt: skip
+    """Convert a file; return the summary as text and as JSON, None if nothing was to be converted.
 
-    name: of the source for people. is_gone: whether the user has deleted the file meanwhile. Raises
-    FailureError with the reason, GoneError.
+    name: of the source for people. is_gone: whether the user has deleted the file meanwhile. The
+    JSON is empty if the command writes its own. Raises FailureError with the reason, BeyondError,
+    GoneError.
     """
-    process = started([*command, "-v", "-o", str(target), str(source)])
-    shown = []
-    with process:
-        assert process.stdout is not None
-        threading.Thread(target=_end_if_gone, args=(process, is_gone), daemon=True).start()
-        for line in process.stdout:
-            logged = LOG.match(line)
-            if logged is None:
-                shown.append(line.rstrip().replace(str(source), name))
-            elif PERCENT.match(logged["text"]):
-                interface.progress(logged["text"])
-        status = process.wait()
+    summary = target.with_suffix(".json.new")  # which tidying removes if this is killed
+    written = [] if "--json" in command else ["--json", str(summary)]
+    process = started([*command, *written, "-v", "-o", str(target), str(source)])
+    deadline = time.monotonic() + 3600.0 * LONGEST
+    try:
+        shown, status = _followed(
+            process, interface, lambda: is_gone() or time.monotonic() > deadline
+        )
+        found = json.loads(summary.read_text("utf-8")) if summary.exists() else {}
+    finally:
+        summary.unlink(missing_ok=True)
+    shown = [line.replace(str(source), name) for line in shown]
     if is_gone():
         raise GoneError
     if status != 0:
-        raise FailureError(" ".join(shown[-1:]) or f"hframe-post ended with status {status}")
+        reason = " ".join(shown[-1:])
+        if time.monotonic() > deadline:
+            raise BeyondError(f"its conversion takes more than {LONGEST:g} hours. {ELSEWHERE}")
+        if SHORT.search(reason):
+            raise BeyondError(f"its conversion takes more memory than it may. {ELSEWHERE}")
+        if status < 0:
+            raise BeyondError(f"its conversion was killed, perhaps for lack of memory. {ELSEWHERE}")
+        raise FailureError(reason or f"hframe-post ended with status {status}")
     ours = f"{name}: "
     if shown and shown[0].startswith(ours):
-        return shown[0].removeprefix(ours), False
-    return "\n".join(["converted", *shown]), True
+        return shown[0].removeprefix(ours), None
+    return "\n".join(["converted", *shown]), found
+
+
+def _followed(
+    process: subprocess.Popen[str], interface: Interface, is_over: Callable[[], bool]
+) -> tuple[list[str], int]:
+    """Report the progress of a conversion; return what else it printed and its exit status."""
+    shown = []
+    with process:
+        assert process.stdout is not None
+        threading.Thread(target=_end_if_over, args=(process, is_over), daemon=True).start()
+        for line in process.stdout:
+            logged = LOG.match(line)
+            if logged is None:
+                shown.append(line.rstrip())
+            elif done := PERCENT.match(logged["text"]):
+                interface.progress(f"being converted, {done['percent']} done")
+        return shown, process.wait()
 
 
 def said(command: Sequence[str], seconds: float) -> list[str]:
@@ -81,10 +113,10 @@ def started(command: Sequence[str]) -> subprocess.Popen[str]:
         ) from None
 
 
-def _end_if_gone(process: subprocess.Popen[str], is_gone: Callable[[], bool]) -> None:
-    """End a conversion, by closing its standard input, if the user deletes the file."""
+def _end_if_over(process: subprocess.Popen[str], is_over: Callable[[], bool]) -> None:
+    """End a conversion, by closing its standard input, if nobody wants it any more."""
     while process.poll() is None:
-        if is_gone() and process.stdin is not None:
+        if is_over() and process.stdin is not None:
             process.stdin.close()
             return
         time.sleep(WATCH)

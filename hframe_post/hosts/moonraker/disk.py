@@ -20,6 +20,10 @@ class FailureError(Exception):
     """The reason why a file is not converted."""
 
 
+class BeyondError(FailureError):
+    """A conversion needs more memory or time than it may take."""
+
+
 class GoneError(Exception):
     """The user has deleted, renamed or replaced the file."""
 

@@ -7,23 +7,29 @@ import json
 import os
 import re
 import shutil
+import sys
+import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from .conversion import converted
-from .disk import FailureError, GoneError, alone, cause, settle, stamp
+from .conversion import converted, said
+from .disk import BeyondError, FailureError, GoneError, alone, cause, settle, stamp
+from .history import BROKEN, Event, add
 from .interface import Interface
 from .originals import settings_of
-from .recordings import conclude, prepare
-from .settings import Settings
+from .recordings import conclude, prepare, reuse
+from .settings import START, Settings
 from .upload import Upload, refuse
 
-__all__ = ["Settings", "again", "conclude", "prepare", "stale", "tidy", "upload"]
+__all__ = ["Settings", "again", "conclude", "page", "prepare", "reuse", "stale", "tidy", "upload"]
 
 OF_THE_FILE = re.compile(r"line \d+: ")  # how the reasons begin that a line of the file gives
+NOT_MEASURED = "plant.invented: "  # in the reason why a profile is not used before it is measured
 
 
 def upload(settings: Settings, path: str) -> int:
-    """Convert a new file. If it fails, it cannot be printed, unless the profile is the cause."""
+    """Convert a new file. If its own lines are the cause of a failure, it cannot be printed."""
     with alone(settings.folder):
         settings.originals.make_room()
         while stamp(Path(path)):  # otherwise it was deleted while it waited
@@ -40,17 +46,17 @@ def _uploaded(settings: Settings, path: Path) -> int | None:
     made = one.work.with_suffix(".converted")
     try:
         one.take()
-        text, new = converted(one.work, made, path.name, settings.command, interface, one.is_gone)
-        one.give_back(made if new else None, settings.originals)
+        text, found = converted(one.work, made, path.name, settings.command, interface, one.is_gone)
+        one.give_back(None if found is None else made, settings.originals)
     except (FailureError, GoneError, OSError) as error:
         fate = one.let_go() if one.is_gone() else "failed"
         if fate == "replaced":
             return None
         if fate != "failed":
             interface.report(f"its conversion was stopped, because it was {fate}")
-        elif one.work.exists() and (unusable := _unusable(settings, error)):
+        elif one.work.exists() and (harmless := _harmless(settings, error)):
             one.give_back(None, settings.originals)
-            interface.report(f"left as sliced: {unusable}", failed=True)
+            interface.report(f"left as sliced: {harmless}", failed=True)
         else:
             reason = f"not converted: {cause(error)}"
             interface.report(reason, failed=True)
@@ -58,17 +64,25 @@ def _uploaded(settings: Settings, path: Path) -> int | None:
         return 1
     finally:
         made.unlink(missing_ok=True)
+    _remember(settings, path, found)
     interface.report(text)
     return 0
 
 
-def _unusable(settings: Settings, error: Exception) -> str:
-    """Return why no file at all can be converted with the profile; empty: the file is the cause."""
+def _harmless(settings: Settings, error: Exception) -> str:
+    """Return why a file was not converted that may print as sliced; empty: it must not print.
+
+    It may if no file at all can be converted with the profile, or if it takes too much here.
+    """
+    if isinstance(error, BeyondError):
+        return cause(error)
     if not isinstance(error, FailureError) or OF_THE_FILE.match(cause(error)):
         return ""
     try:
         settings.present()
     except FailureError as of_profile:
+        if NOT_MEASURED in cause(of_profile):
+            return "this printer is not measured yet. To measure it, type HFRAME_CALIBRATE"
         return cause(of_profile) if shutil.which(settings.command[0]) else ""
     return ""
 
@@ -97,7 +111,7 @@ def _again(settings: Settings, path: Path) -> int:
         original = settings.originals.of(path)
         if not original.exists():
             raise FailureError("its sliced file is not kept: upload it again")
-        text, _ = converted(
+        text, found = converted(
             original, new, path.name, settings.command, interface, lambda: stamp(path) != before
         )
         settings.originals.replace(path, new, original)
@@ -109,8 +123,37 @@ def _again(settings: Settings, path: Path) -> int:
         return 1
     finally:
         new.unlink(missing_ok=True)
+    _remember(settings, path, found)
     interface.report(text.replace("converted", "converted again", 1))
     return 0
+
+
+def _remember(settings: Settings, path: Path, found: Mapping[str, Any] | None) -> None:
+    """Add a conversion to the history, if there was one. On a full disk it is left out."""
+    with contextlib.suppress(OSError, *BROKEN):
+        add(settings.history, Event.converted(_shown(path), found or {}))
+
+
+def page(settings: Settings) -> int:
+    """Print the page that shows the state of the profile and the history."""
+    os.chdir(settings.folder)  # where doctor tries to write
+    settings.history.mkdir(exist_ok=True)
+    reason = ""
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder, "page.html")
+        try:
+            program, profile = settings.program_and_profile()
+            config = profile.with_name("printer.cfg")
+            compared = ["--printer-cfg", str(config)] if config.is_file() else []
+            words = ["-p", str(profile), *compared, "--history", str(settings.history)]
+            said([*program, "doctor", *words, "--report", str(made)], START)
+        except FailureError as error:  # also if doctor finds a problem
+            reason = cause(error)
+        if made.exists():
+            sys.stdout.buffer.write(made.read_bytes())
+            return 0
+    Interface(settings.socket).report(f"there is no page: {reason}")
+    return 1
 
 
 def stale(settings: Settings, *names: str) -> int:
@@ -141,7 +184,11 @@ def tidy(settings: Settings) -> int:
 
 
 def _interface(settings: Settings, path: Path) -> Interface:
-    return Interface(settings.socket, os.fsencode(path.name).decode(errors="replace"))
+    return Interface(settings.socket, _shown(path))
+
+
+def _shown(path: Path) -> str:
+    return os.fsencode(path.name).decode(errors="replace")
 
 
 def _name(gcodes: Path, path: Path) -> str:

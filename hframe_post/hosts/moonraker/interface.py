@@ -7,7 +7,7 @@ import json
 import socket
 import time
 
-ENDPOINT = "/server/hframe_post/report"
+ENDPOINT, PAGE = "/server/hframe_post/report", "/server/hframe_post/page"
 QUIET = 5.0  # s between two reports of progress
 
 

@@ -31,8 +31,10 @@ class Measuring:
 
     async def measure(self, kind: str, axis: str = "") -> bool:
         """Record and update the profile; return whether it was written."""
-        if self._busy or self._stats().get("state") in ("printing", "paused"):
-            self._say("nothing is measured: the printer prints. Try again once it has ended", True)
+        printing = self._stats().get("state") in ("printing", "paused")
+        if self._busy or printing:
+            why = "it is being measured already" if self._busy else "the printer prints"
+            self._say(f"nothing is measured: {why}. Try again once that has ended", True)
             return False
         self._busy = True
         try:
@@ -42,8 +44,20 @@ class Measuring:
             job, began = json.loads(output)["job"], time.time()
             if not await self._played(job):
                 return False
-            self._say("recorded. The model is computed, which may take some minutes")
             status, _ = await self._run("conclude", kind, job, repr(began))
+            return status == 0
+        finally:
+            self._busy = False
+
+    async def reuse(self) -> bool:
+        """Update the profile from the owner's recordings; return whether it was written."""
+        if self._busy:
+            self._say("the printer is being measured: try again once that has ended", True)
+            return False
+        self._busy = True
+        try:
+            self._say("the model is computed, which may take some minutes")
+            status, _ = await self._run("reuse")
             return status == 0
         finally:
             self._busy = False

@@ -6,19 +6,22 @@ one axis stay until it is recorded again, so that the sensor may be moved in bet
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
 import shutil
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from .conversion import said
 from .disk import FOLDER, FailureError, cause
-from .interface import Interface
+from .found import RESULTS, found, offer
+from .history import Event, add
+from .interface import PAGE, Interface
 from .settings import Settings
 
 WRITING = {  # a command's words before the file of G-code
@@ -44,6 +47,8 @@ def prepare(settings: Settings, kind: str, axis: str = "") -> int:
     folder, interface = settings.folder / kind, Interface(settings.socket)
     try:
         program, profile = settings.program_and_profile()
+        if kind == "calibration" and (offered := offer(settings, profile)):
+            interface.report(offered)
         if kind == "calibration" and axis != "Y":
             shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(exist_ok=True)
@@ -78,21 +83,75 @@ def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
             for axis in _missing(folder):
                 interface.report(f"recorded. {OTHER_PLACE[axis]}")
                 return 1
-        inputs = [str(path) for path in sorted(folder.glob("*.csv")) if _is_wanted(folder, path)]
-        summary = folder / "summary.json"
-        page = profile.with_suffix(".html")
-        words = {"calibration": ["identify", "--report", str(page)], "check": ["check"]}[kind]
-        result = ("-p", str(profile), "--json", str(summary), "-o", str(profile))
-        said([*program, *words, *result, *inputs], MINUTES)
-        found = json.loads(summary.read_text("utf-8"))
+        interface.report("recorded. The model is computed, which may take some minutes")
+        inputs = [path for path in sorted(folder.glob("*.csv")) if _is_wanted(folder, path)]
     except (FailureError, OSError, ValueError) as error:
-        interface.report(f"the model stays as it was: {cause(error)}", failed=True)
-        return 1
-    told = {"calibration": _identified, "check": _checked}[kind](found)
+        return _refused(settings, kind, error)
+    return _updated(settings, kind, program, profile, inputs)
+
+
+def reuse(settings: Settings) -> int:
+    """Update the profile from recordings that the owner made before. Exit status 0: as above."""
+    try:
+        program, profile = settings.program_and_profile()
+        recordings = found(settings, profile)
+        if not recordings:
+            raise FailureError(
+                f"no raw_data_….csv in {settings.recordings}, and no .stdata in {RESULTS[0]} next "
+                "to printer.cfg. TEST_RESONANCES AXIS=X OUTPUT=raw_data records one"
+            )
+        config = profile.with_name("printer.cfg")  # it describes the tests
+        words = ["--printer-cfg", str(config)] if config.is_file() else []
+        (settings.folder / "calibration").mkdir(exist_ok=True)
+    except (FailureError, OSError) as error:
+        return _refused(settings, "calibration", error)
+    return _updated(settings, "calibration", program, profile, [*recordings], words)
+
+
+def _refused(settings: Settings, kind: str, error: Exception) -> int:
+    reason = f"the model stays as it was: {cause(error)}"
+    Interface(settings.socket).report(reason, failed=True)
+    _remember(settings, Event(kind, reason=reason))
+    return 1
+
+
+def _updated(
+    settings: Settings, kind: str, program: list[str], profile: Path, inputs: Sequence[Path],
+    more: Sequence[str] = (),
+) -> int:  # fmt: skip
+    """Update the profile from recordings and say what came out. more: options of identify."""
+    summary = settings.folder / kind / "summary.json"
+    page = profile.with_suffix(".html")
+    words = {"calibration": ["identify", "--report", str(page)], "check": ["check"]}[kind]
+    result = ("-p", str(profile), "--json", str(summary), "-o", str(profile))
+    try:
+        said([*program, *words, *more, *result, *map(str, inputs)], MINUTES)
+        known = json.loads(summary.read_text("utf-8"))
+    except (FailureError, OSError, ValueError) as error:
+        return _refused(settings, kind, error)
+    interface = Interface(settings.socket)
+    _remember(settings, Event(kind, hz=_resonances(known)))
+    told = {"calibration": _identified, "check": _checked}[kind](known)
     plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
-    for line in (*told, f"the model is written into {profile}{plots}"):
-        interface.report(line)
+    # Mainsail and Fluidd make it a link
+    shown = f'how the printer does: <a href="{PAGE}" target="_blank">{PAGE}</a>'
+    lines = (*told, f"the model is written into {profile}{plots}", shown)
+    interface.report("\n".join(lines))  # at once: some consoles show the newest message first
     return 0
+
+
+def _remember(settings: Settings, event: Event) -> None:
+    with contextlib.suppress(OSError):  # of a full disk: the console has said it
+        add(settings.history, event)
+
+
+def _resonances(found: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
+    """Return the main resonance of each axis that identify found, or check before and after."""
+    return {
+        AXES[name]: tuple(one["resonance"]["hz"] if "resonance" in one else [one["modes"][0]["hz"]])
+        for name, one in found["functions"].items()
+        if name in AXES and ("resonance" in one or one["modes"])
+    }
 
 
 def _is_written(folder: Path, profile: Path) -> bool:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from .conversion import said
 from .disk import FOLDER, NAME, FailureError
+from .history import HISTORY
 from .originals import SETTINGS, Originals
 
 START = 120.0  # s that the shortest command may take, on a slow host that prints
@@ -35,6 +36,10 @@ class Settings:
     @property
     def folder(self) -> Path:
         return Path(self.gcodes) / FOLDER
+
+    @property
+    def history(self) -> Path:
+        return self.folder / HISTORY
 
     @property
     def originals(self) -> Originals:

@@ -4,7 +4,7 @@
     raw_data_x_hotend_20250805_220709.csv                                   [adxl345 hotend]
     raw_data_axis=1.000,-1.000,0.000_b.csv
     adxl345-hotend-x-at-110.csv                                             ACCELEROMETER_MEASURE
-    adxl345-measure-at-110-t123456789.csv                                   HFRAME_RECORDED
+    adxl345-measure-at-110-t123456789.csv                                   _HFRAME_RECORDED
     resonances_20231016_101500_X.csv, belt_20231016_101500_A.csv            Shake&Tune, 2023
     shaketune-axis_X_20240620_101500.csv, inputshaper_20240620_101500_X.csv     2024
     axis_Y_20250805_220709, belt_A_…, axesmap_X_… (within .stdata)              since 2024-12

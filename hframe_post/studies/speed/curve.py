@@ -3,11 +3,13 @@
 Trials of the excerpt at a few accelerations and feed rates serve all bounds: for each bound, the
 accelerations that use it up are interpolated, as in the search. The whole print is then planned at
 these speeds, without compensation, so that its time is exact. A last trial of the excerpt gives the
-errors.
+errors. At the least bound and at the error that the file has today, the whole print is converted.
+How much greater its errors are than those of the excerpt is interpolated for the other bounds.
 """
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -36,9 +38,11 @@ from hframe_post.studies.speed.search import (
     NEAR,
     Bound,
     Searches,
+    fastest_whole,
     freedom_of,
     gentler,
     random_plants,
+    unwritten,
     with_slicer_limits,
 )
 from hframe_post.studies.speed.trial import (
@@ -57,6 +61,9 @@ BOUNDS = 5  # of the curve, in addition to today's error
 LOOSEST = 2.0  # times today's error
 START = 8e3  # mm/s² at which the plants with the greatest errors are found
 SAME = 0.004  # share of the time; a smaller gain is not shown
+
+
+Ratios = dict[str, list[float]]  # by feature and plant: errors of the whole print over an excerpt's
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +147,8 @@ class _Tracer:
         self._points: dict[Drive, list[tuple[SpeedSettings, Point]]] = {
             self._kept: [], self._raised: [],
         }  # fmt: skip
+        self._convert = unwritten(lines)
+        self._ratios: dict[Drive, dict[float, Ratios]] = {self._kept: {}, self._raised: {}}
         self._plants = self._worst((printer.plant, *random_plants(speed, printer)))
 
     def curve(self) -> Curve:
@@ -154,16 +163,20 @@ class _Tracer:
         bounds = np.geomspace(
             1.2 * lowest, max(min(LOOSEST * today, max(worst)), 2.0 * lowest), BOUNDS
         )
-        steps = list[Step]()
-        for bound in sorted({float(f"{1e3 * mm:.2g}") * 1e-3 for mm in (*bounds, today)}):
-            step = Step(
-                bound,
-                self._point(self._kept, kept, bound),
-                self._point(self._raised, raised, bound),
+        levels = sorted({_rounded(mm) for mm in (*bounds, today)})
+        found = {
+            level: Step(
+                level,
+                self._point(self._kept, kept, level),
+                self._point(self._raised, raised, level),
             )
-            if steps and _same(steps[-1], step):
-                continue
-            steps.append(step)
+            # what the whole print is at these two, the others need
+            for level in sorted(levels, key=lambda one: one not in (levels[0], _rounded(today)))
+        }
+        steps = list[Step]()
+        for level in levels:
+            if not (steps and _same(steps[-1], found[level])):
+                steps.append(found[level])
         return Curve(self.original, self._measure, self._shaping, own, self.limits, tuple(steps))
 
     def _worst(self, plants: tuple[Plant, ...]) -> tuple[Plant, ...]:
@@ -197,10 +210,27 @@ class _Tracer:
                     yield trial
 
     def _point(self, drive: Drive, trials: list[TrialPrint], within: float) -> Point:
-        """Return the print that uses up a bound, mm."""
-        bound = Bound(within, measure=self._measure)
+        """Return the print that uses up a bound, mm. The first two of a drive are converted."""
         if not trials:
             raise HframeError("no acceleration that was tried can be printed")
+        bound = Bound(within, measure=self._measure)
+        trial = self._used_up(drive, trials, bound, {})
+        if known := next((p for s, p in self._points[drive] if s == trial.settings), None):
+            return known
+        if len(self._ratios[drive]) < 2:
+            point = self._converted(drive, bound, trial.settings)
+        else:
+            ratios = _between(self._ratios[drive], within)
+            if _worst_error(_scaled(trial, ratios)) > LIMIT * within:
+                trial = self._used_up(drive, trials, bound, ratios)
+            point = self._printed(drive, trial, ratios)
+        self._points[drive].append((trial.settings, point))
+        return point
+
+    def _used_up(
+        self, drive: Drive, trials: list[TrialPrint], bound: Bound, ratios: Ratios
+    ) -> TrialPrint:
+        """Return a trial of the excerpt that uses up a bound, and add it to the others."""
 
         def distance(trial: TrialPrint) -> float:
             shares = bound.shares(trial)
@@ -210,22 +240,37 @@ class _Tracer:
         feeds: dict[str, float] = {}
         for _ in range(5):
             # the nearest one last, since that counts where several have the same feed rate
-            ordered = sorted(trials, key=distance, reverse=True)
+            scaled = (_scaled(trial, ratios) for trial in trials)
+            ordered = sorted(scaled, key=distance, reverse=True)
             searches = Searches(bound, drive.max_acceleration, ordered)
             feeds = feeds or searches.best_feeds()
             settings = searches.corrected(feeds)
-            if known := next((p for s, p in self._points[drive] if s == settings), None):
-                return known
             if trial is not None and settings == trial.settings:
                 break
             trial = self._tried(drive, settings, self._plants)
             trials.append(trial)
-            if NEAR * within <= _worst_error(trial) <= LIMIT * within:
+            worst = _worst_error(_scaled(trial, ratios))
+            if NEAR * bound.others <= worst <= LIMIT * bound.others:
                 break
         assert trial is not None
-        point = self._printed(drive, trial)
-        self._points[drive].append((trial.settings, point))
-        return point
+        return trial
+
+    def _converted(self, drive: Drive, bound: Bound, settings: SpeedSettings) -> Point:
+        """Return the whole print within a bound, and note its errors over those of the excerpt."""
+        whole, _ = fastest_whole(drive, bound, settings, self._plants, self._least, self._convert)
+        trial = self._tried(drive, whole.settings, self._plants)
+        self._ratios[drive][bound.others] = {
+            name: [
+                mm / max(other, 1e-9) for mm, other in zip(errors, trial.errors[name], strict=True)
+            ]
+            for name, errors in whole.errors.items()
+            if name in trial.errors
+        }
+        errors = self._errors(drive, whole.settings)
+        ours = {name: errors[0] for name, errors in whole.errors.items()}
+        return Point(
+            whole.seconds, _worst_error(whole), replace(errors, ours=ours), whole.limited_by
+        )
 
     def _tried(
         self, drive: Drive, settings: SpeedSettings, plants: tuple[Plant, ...]
@@ -238,7 +283,7 @@ class _Tracer:
             settings = gentler(settings)
         raise HframeError(trial.refused)
 
-    def _printed(self, drive: Drive, trial: TrialPrint) -> Point:
+    def _printed(self, drive: Drive, trial: TrialPrint, ratios: Ratios) -> Point:
         """Return the whole print at the settings of a trial, its layers given time to cool."""
         settings = trial.settings
         whole = drive.timed(settings)
@@ -249,7 +294,10 @@ class _Tracer:
             settings = slowed
             whole = drive.timed(settings)
         seconds = whole.seconds + self._least.missing(whole.layers)
-        return Point(seconds, _worst_error(trial), self._errors(drive, settings), whole.limited_by)
+        errors = self._errors(drive, settings)
+        ours = {name: mm * ratios.get(name, [1.0])[0] for name, mm in errors.ours.items()}
+        worst = _worst_error(_scaled(trial, ratios))
+        return Point(seconds, worst, replace(errors, ours=ours), whole.limited_by)
 
     def _errors(self, drive: Drive, settings: SpeedSettings | None) -> Errors:
         """Return the errors of the excerpt."""
@@ -272,12 +320,38 @@ class _Tracer:
         labels, lines = Labels(replace(piece.start.place), by_name=False), Lines()
         for judgement in judge(commands, self._plant, JUDGED_EVERY):
             layer, feature = labels.number(judgement.chunk)
-            for name, here in judged(judgement, layer, feature, labels):
+            for name, here in judged(judgement.at, layer, feature, labels):
                 for strategy, contour in judgement.contour.items():
                     errors[strategy].setdefault(name, ErrorStatistics()).add(contour[here])
             for strategy, (_, shares) in lines.pieces(judgement).items():
                 if strategy == self._strategy:
                     width.add(shares)
+
+
+def _rounded(mm: float) -> float:
+    return float(f"{1e3 * mm:.2g}") * 1e-3
+
+
+def _between(known: dict[float, Ratios], bound: float) -> Ratios:
+    """Return the ratios at a bound by those known at two."""
+    (low, first), (high, second) = sorted(known.items())
+    part = min(max(math.log(bound / low) / math.log(high / low), 0.0), 1.0)
+    return {
+        name: [a * (b / a) ** part for a, b in zip(first[name], second[name], strict=True)]
+        for name in first
+        if name in second
+    }
+
+
+def _scaled(trial: TrialPrint, ratios: Ratios) -> TrialPrint:
+    """Return a trial of the excerpt with the errors that the whole print has."""
+    errors = {
+        name: [mm * ratio for mm, ratio in zip(by_plant, ratios[name], strict=True)]
+        if name in ratios
+        else by_plant
+        for name, by_plant in trial.errors.items()
+    }
+    return replace(trial, errors=errors)
 
 
 def _worst_error(trial: TrialPrint) -> float:

@@ -17,6 +17,7 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import (
     Stages,
     continued,
+    following,
     parsed,
     prepared,
     sampled,
@@ -27,7 +28,6 @@ from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
-from hframe_post.model.responses import Plants
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import Pace, Paces, PieceStart, pace
 from hframe_post.planner.sliced import SlicedTime
@@ -73,12 +73,16 @@ class Original:
 
 
 class Drive:
-    """Trial prints of one file on one printer. measure: the statistic of the errors."""
+    """Trial prints of one file on one printer.
+
+    measure: the statistic of the errors. width: whether lines' width is one of them.
+    """
 
     def __init__(
-        self, lines: Source, printer: Printer, options: Options, measure: Measure, freedom: Freedom
-    ) -> None:
-        self._lines, self._printer = lines, printer
+        self, lines: Source, printer: Printer, options: Options, measure: Measure,
+        freedom: Freedom, width: bool = False,
+    ) -> None:  # fmt: skip
+        self._lines, self._printer, self._width = lines, printer, width
         self._kept: list[Item] | None = None
         self._measure, self._freedom = measure, freedom
         self._requested = options
@@ -122,7 +126,8 @@ class Drive:
 
     def excerpt(self, seconds: tuple[float, float] = SECONDS) -> list[Piece]:
         """Return pieces from all over the print. seconds: least and most to keep."""
-        return excerpt(self._items(), FIRST_LAYERS, seconds)
+        advance = firmware(self._printer).advance(self._printer)
+        return excerpt(self._items(), FIRST_LAYERS, seconds, advance)
 
     def useful_feeds(self, pieces: Iterable[Piece]) -> dict[str, float]:
         """Return the factor on each feature's feed rates beyond which nothing gets faster."""
@@ -137,12 +142,14 @@ class Drive:
     def try_pieces(
         self, pieces: Iterable[Piece], settings: SpeedSettings, plants: tuple[Plant, ...]
     ) -> TrialPrint:
-        sums, together, refused = self._sums(settings), Plants(plants), ""
+        sums, refused = self._sums(settings), ""
         stages, printed = self.print_pieces(pieces, settings)
         try:
             for piece, commands in printed:
-                meter = TrialMeter(sums, together, self._options.strategy, piece.start.place)
-                for _ in meter.samples(commands):
+                meter = TrialMeter(
+                    sums, plants, self._options.strategy, piece.start.place, self._width
+                )
+                for _ in meter.samples(stages.advanced(commands, piece.advance)):
                     pass
         except HframeError as error:
             refused = str(error)
@@ -165,7 +172,8 @@ class Drive:
             for piece in pieces:
                 items = iter(piece.items)
                 items = items if paces is None else pace(items, paces, piece.start)
-                yield piece, stages.commands(scheduled(items, printer, piece.start))
+                followed = following(printer, piece.advance)
+                yield piece, stages.commands(scheduled(items, printer, piece.start, followed))
 
         return stages, printed()
 
@@ -178,7 +186,7 @@ class Drive:
         """
         printer, options = self.configured(settings)
         sums = self._sums(settings)
-        meters = TrialMeters(sums, plants, options.strategy)
+        meters = TrialMeters(sums, plants, options.strategy, self._width)
         try:
             report = convert(printer, replace(options, meters=meters))
         except PrinterError:
@@ -262,7 +270,7 @@ class Drive:
         for judgement in judge(commands, printer.plant, JUDGED_EVERY):
             layer, feature = labels.number(judgement.chunk)
             add_layer_times(layers, layer)
-            for name, here in judged(judgement, layer, feature, labels):
+            for name, here in judged(judgement.at, layer, feature, labels):
                 errors = statistics.setdefault(name, ErrorStatistics())
                 errors.add(judgement.contour["none"][here])
         found = {name: measured(errors, self._measure) for name, errors in statistics.items()}

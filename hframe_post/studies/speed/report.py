@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -36,11 +37,13 @@ def speed_as_json(found: Fastest) -> dict[str, Any]:
             "before": round(original.seconds, 3), "after": round(trial.seconds, 3),
         },
         "measure": found.bound.measure,
+        "width_bound_percent": _percent([found.bound.width]),
         "features": {
             name: {
                 "bound_um": round(found.bound.limit(name) * 1e3, 4),
                 "predicted_um": round(errors[0] * 1e3, 4),
                 "under_model_error_um": round(max(errors) * 1e3, 4),
+                "width_percent": _percent(trial.widths.get(name)),
                 "uncompensated_um": round(original.errors.get(name, 0.0) * 1e3, 4),
                 "acceleration": round(trial.settings.acceleration[name], 1),
                 "feed": round(trial.settings.feed[name], 3),
@@ -75,6 +78,11 @@ def speed_as_text(found: Fastest) -> str:
             f"{found.bound.limit(name) * 1e3:.0f} permitted; {before:.0f} without hframe-post"
             f"{slower}"
         )
+    lines += [
+        f"width            {name} off by {100.0 * widths[0]:.1f} % {measure}, "
+        f"{100.0 * max(widths):.1f} with model uncertainty; {100.0 * found.bound.width:g} permitted"
+        for name, widths in sorted(trial.widths.items())
+    ]
     total = sum(trial.limited_by.values()) or 1.0
     causes = [
         f"{CAUSES[cause]} {100.0 * seconds / total:.0f} %"
@@ -88,6 +96,12 @@ def speed_as_text(found: Fastest) -> str:
     )
     lines.append(f"limited by       {', '.join(causes)} of the time")
     return "\n".join(lines)
+
+
+def _percent(shares: list[float] | None) -> float | None:
+    """Return the greatest share in percent; None where none is measured or limited."""
+    most = max(shares or [math.inf])
+    return round(100.0 * most, 3) if math.isfinite(most) else None
 
 
 def _error_of_most_visible(found: Fastest, measure: str) -> str:

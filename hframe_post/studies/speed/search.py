@@ -52,18 +52,22 @@ MIN_ACCELERATION = 200.0  # mm/s²
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """Greatest errors (mm): by kind of feature, and of all others."""
+    """Greatest errors (mm): by kind of feature, and of all others. width: of lines, as a share."""
 
     others: float
     kinds: dict[str, float] = field(default_factory=dict)
     measure: Measure = "p95"
+    width: float = math.inf
 
     def limit(self, name: str) -> float:
         return self.kinds.get(name, self.others)
 
     def shares(self, trial: TrialPrint) -> dict[str, float]:
         """Return the share of its bound that each feature uses up on its worst plant."""
-        return {name: max(errors) / self.limit(name) for name, errors in trial.errors.items()}
+        shares = {name: max(errors) / self.limit(name) for name, errors in trial.errors.items()}
+        for name, widths in trial.widths.items():
+            shares[name] = max(shares[name], max(widths) / self.width)
+        return shares
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +94,8 @@ def find_fastest(lines: Source, printer: Printer, options: Options, convert: Con
     bound = Bound(
         errors.get("", max(errors.values())),
         {name: error for name, error in errors.items() if name},
-        cast(Measure, speed.error_measure),
-    )
+        cast(Measure, speed.error_measure), speed.max_width_error or math.inf,
+    )  # fmt: skip
     freedom, near = freedom_of(speed, printer), random_plants(speed, printer)
     found = search(lines, printer, options, bound, freedom, near, convert)
     release_memory()
@@ -133,22 +137,28 @@ def search(
     freedom: by default, feed rates are not raised. near: plants in addition to the printer's on
     which the bound must hold. convert: see ``find_fastest``; by default nothing is written.
     """
-
-    def unwritten(printer: Printer, options: Options) -> Report:
-        return files.convert(lines(), None, printer, options)
-
     freedom = freedom or Freedom()
-    drive = Drive(lines, printer, options, bound.measure, freedom)
+    drive = Drive(lines, printer, options, bound.measure, freedom, bound.width < math.inf)
     original = drive.original()
     least = LayerTimes(
         {k: min(seconds, freedom.min_layer_time) for k, seconds in original.layers.items() if k}
     )
     settings, plants = _fastest_pieces(drive, bound, (printer.plant, *near), freedom.speed_up)
-    trial, report = _fastest_whole(drive, bound, settings, plants, least, convert or unwritten)
+    convert = convert or unwritten(lines)
+    trial, report = fastest_whole(drive, bound, settings, plants, least, convert)
     return Fastest(*drive.configured(trial.settings), bound, trial, original, report)
 
 
-def _fastest_whole(
+def unwritten(lines: Source) -> Convert:
+    """Return the conversion of a file whose output nobody needs."""
+
+    def convert(printer: Printer, options: Options) -> Report:
+        return files.convert(lines(), None, printer, options)
+
+    return convert
+
+
+def fastest_whole(
     drive: Drive, bound: Bound, settings: SpeedSettings, plants: tuple[Plant, ...],
     least: LayerTimes, convert: Convert,
 ) -> tuple[TrialPrint, Report]:  # fmt: skip
@@ -171,8 +181,22 @@ def _fastest_whole(
     worst = max(shares, key=lambda name: shares[name])
     raise HframeError(
         f"this print cannot be kept within that error: even at the lowest speed tried, {worst} has "
-        f"an error of {max(trial.errors[worst]) * 1e3:.0f} µm, model uncertainty included; allow "
-        "more in max_error below [speed], or with 'hframe-post convert --max-error'"
+        f"{_exceeded(bound, trial, worst)}"
+    )
+
+
+def _exceeded(bound: Bound, trial: TrialPrint, name: str) -> str:
+    """Return the error of a feature that exceeds its bound the most, and what to do."""
+    error, width = max(trial.errors[name]), max(trial.widths.get(name, [0.0]))
+    key, value = "max_error", f"an error of {error * 1e3:.0f} µm"
+    if width / bound.width > error / bound.limit(name):
+        key, value = (
+            "max_width_error",
+            f"lines that are off by {100.0 * width:.0f} % of their width",
+        )
+    return (
+        f"{value}, model uncertainty included; allow more in {key} below [speed], or with "
+        f"'hframe-post convert --{key.replace('_', '-')}'"
     )
 
 

@@ -14,6 +14,7 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers
 from hframe_post.model.plant import Plant
 from hframe_post.model.responses import Plants
 from hframe_post.planner.pacing import NAMES
+from hframe_post.prediction.line_width import Lines
 from hframe_post.prediction.predict import Judgement, judge_each
 from hframe_post.prediction.statistics import TRAVEL as NOT_EXTRUDED
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
@@ -62,13 +63,15 @@ class SpeedSettings:
 class TrialPrint:
     """Outcome of a trial print.
 
-    errors: by feature, mm, one for each plant, the model first; seconds: duration; layers: duration
-    by layer number; limited (NAMES, CAUSES): seconds by feature and by what limited the speed;
-    clamped: samples whose command exceeded a limit; refused: why it cannot be printed at all.
+    errors: by feature, mm, one for each plant, the model first; widths: by how much the width of
+    lines is off, as a share, the same way; seconds: duration; layers: duration by layer number;
+    limited (NAMES, CAUSES): seconds by feature and by what limited the speed; clamped: samples
+    whose command exceeded a limit; refused: why it cannot be printed at all.
     """
 
     settings: SpeedSettings
     errors: dict[str, list[float]]
+    widths: dict[str, list[float]]
     seconds: float
     layers: dict[int, float]
     limited: Array
@@ -89,40 +92,47 @@ class TrialSums:
     ) -> None:
         self._settings, self._freedom, self._measure = settings, freedom, measure
         self._max_acceleration = max_acceleration
-        self._statistics: dict[str, list[ErrorStatistics]] = {}
+        self._errors: dict[str, list[ErrorStatistics]] = {}
+        self._widths: dict[str, list[ErrorStatistics]] = {}
         self._samples = 0
         self._layers: dict[int, float] = {}
         self._limited = np.zeros((len(NAMES), len(CAUSES)))
 
-    def add(self, judgements: list[Judgement], labels: Labels, skipped: int) -> None:
-        """Add what each plant makes of a chunk. skipped: samples left out before it."""
+    def add(
+        self, judgements: list[Judgement], lines: list[Lines], labels: Labels, skipped: int
+    ) -> None:
+        """Add what each plant makes of a chunk.
+
+        lines: those of each plant, if their width counts. skipped: samples left out before it.
+        """
         if skipped:
             now = labels.place.layer
             self._samples += skipped
             self._layers[now] = self._layers.get(now, 0.0) + TS * skipped
             self._limited[NAMES.index(TRAVEL), CAUSES.index("travel")] += TS * skipped
         layer, feature = self._time(judgements[0].chunk, labels)
-        for name, here in judged(judgements[0], layer, feature, labels):
-            for judgement, errors in zip(
-                judgements, self._errors(name, len(judgements)), strict=True
-            ):
+        for name, here in judged(judgements[0].at, layer, feature, labels):
+            all_errors = _of_plants(self._errors, name, len(judgements))
+            for judgement, errors in zip(judgements, all_errors, strict=True):
                 (contour,) = judgement.contour.values()
                 errors.add(contour[here])
+        for k, (judgement, drawn) in enumerate(zip(judgements, lines, strict=False)):
+            for at, shares in drawn.pieces(judgement).values():
+                for name, here in judged(at, layer, feature, labels):
+                    _of_plants(self._widths, name, len(judgements))[k].add(shares[here])
 
     def join(self, later: TrialSums) -> None:
         """Add the sums of what is printed next."""
-        for name, statistics in later._statistics.items():
-            own = self._errors(name, len(statistics))
-            for errors, others in zip(own, statistics, strict=True):
-                errors.join(others)
+        both = (self._errors, later._errors), (self._widths, later._widths)
+        for own, others in both:
+            for name, statistics in others.items():
+                joined = zip(_of_plants(own, name, len(statistics)), statistics, strict=True)
+                for errors, other in joined:
+                    errors.join(other)
         self._samples += later._samples
         for layer, seconds in later._layers.items():
             self._layers[layer] = self._layers.get(layer, 0.0) + seconds
         self._limited += later._limited
-
-    def _errors(self, name: str, plants: int) -> list[ErrorStatistics]:
-        """Return the statistics of a feature, one for each plant."""
-        return self._statistics.setdefault(name, [ErrorStatistics() for _ in range(plants)])
 
     def add_time(self, samples: Iterable[Samples]) -> None:
         """Add the time of a whole print, and what limits it; no errors."""
@@ -140,14 +150,18 @@ class TrialSums:
 
     def trial(self, clamped: int, refused: str = "") -> TrialPrint:
         """Return the outcome; features of fewer than 50 samples have no error."""
-        errors = {
-            name: [measured(errors, self._measure) for errors in statistics]
-            for name, statistics in self._statistics.items()
-            if statistics[0].count >= 50
-        }
+        enough = {name for name, each in self._errors.items() if each[0].count >= 50}
+        errors, widths = (
+            {
+                name: [measured(errors, self._measure) for errors in statistics]
+                for name, statistics in found.items()
+                if name in enough
+            }
+            for found in (self._errors, self._widths)
+        )
         seconds = self._samples * TS
         return TrialPrint(
-            self._settings, errors, seconds, self._layers, self._limited, clamped, refused
+            self._settings, errors, widths, seconds, self._layers, self._limited, clamped, refused
         )
 
     def _causes(self, chunk: Samples, labels: Labels, layer: Integers, feature: Integers) -> Array:
@@ -180,10 +194,14 @@ class TrialMeter:
     """Judges commands on several plants, on their way to the output.
 
     sums: to which it adds. strategy: whose commands count. place: where in the print they begin.
+    width: whether it measures the width of lines, too.
     """
 
-    def __init__(self, sums: TrialSums, plants: Plants, strategy: str, place: Place) -> None:
-        self.sums, self._plants, self._strategy = sums, plants, strategy
+    def __init__(
+        self, sums: TrialSums, plants: tuple[Plant, ...], strategy: str, place: Place, width: bool
+    ) -> None:
+        self.sums, self._plants, self._strategy = sums, Plants(plants), strategy
+        self._lines = [Lines() for _ in plants if width]
         self._labels = Labels(replace(place), by_name=False)
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
@@ -197,21 +215,22 @@ class TrialMeter:
 
         for judgements in judge_each(chosen(), self._plants, JUDGED_EVERY):
             chunk = waiting.popleft()
-            self.sums.add(judgements, self._labels, chunk.first - end)
+            self.sums.add(judgements, self._lines, self._labels, chunk.first - end)
             end = chunk.end
             yield chunk
 
 
 @dataclass(frozen=True, slots=True)
 class TrialMeters:
-    """A meter for each span of a conversion. sums: of none yet."""
+    """A meter for each span of a conversion, or each piece of a print. sums: of none yet."""
 
     sums: TrialSums
     plants: tuple[Plant, ...]
     strategy: str
+    width: bool
 
     def begun(self, place: Place) -> TrialMeter:
-        return TrialMeter(deepcopy(self.sums), Plants(self.plants), self.strategy, place)
+        return TrialMeter(deepcopy(self.sums), self.plants, self.strategy, place, self.width)
 
 
 def add_layer_times(seconds: dict[int, float], layer: Integers) -> None:
@@ -221,11 +240,18 @@ def add_layer_times(seconds: dict[int, float], layer: Integers) -> None:
             seconds[number] = seconds.get(number, 0.0) + TS * float(samples)
 
 
+def _of_plants(
+    found: dict[str, list[ErrorStatistics]], name: str, plants: int
+) -> list[ErrorStatistics]:
+    """Return the statistics of a feature, one for each plant."""
+    return found.setdefault(name, [ErrorStatistics() for _ in range(plants)])
+
+
 def judged(
-    judgement: Judgement, layer: Integers, feature: Integers, labels: Labels
+    at: Integers, layer: Integers, feature: Integers, labels: Labels
 ) -> Iterator[tuple[str, Flags]]:
-    """Yield each adjusted feature, and which of the judged samples (k,) belong to it."""
-    here, later = feature[judgement.at], layer[judgement.at] > FIRST_LAYERS
+    """Yield each adjusted feature, and which of the samples ``at`` (k,) belong to it."""
+    here, later = feature[at], layer[at] > FIRST_LAYERS
     for number in np.unique(here).tolist():
         name = labels.features[number]
         if name != NOT_EXTRUDED and kind(name) in ADJUSTED:

@@ -12,7 +12,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Integers, X, Y, Z
 from hframe_post.firmware.code import Code
 from hframe_post.firmware.motion import MotionRules
-from hframe_post.gcode.lexer import Line, command
+from hframe_post.gcode.lexer import Line, name_and_arguments
 from hframe_post.stream.types import (
     Dwell,
     Handling,
@@ -226,8 +226,9 @@ class Machine:
         """Yield a line of the file, and what restores the stream's modes after it."""
         labels = self._code.labels_object(mark.text)
         yield Text(passed_on(mark.text, mark.index * TS), labels)
-        if self._inside and (coded := command(Line(0, mark.text))) is not None:
-            yield Text(self._code.modes_after(coded.name))
+        if self._inside:
+            name, _ = name_and_arguments(Line(0, mark.text))
+            yield Text(self._code.modes_after(name, mark.text))
 
     def _dwell(self, dwell: Dwell) -> Iterator[OutputCommand]:
         action = dwell.action

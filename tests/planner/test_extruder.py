@@ -1,0 +1,74 @@
+"""Accelerations with which the extruder can follow its advance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hframe_post.arrays import E, X
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.firmware.advance import Advance, ExtruderLimits, marlin_advance
+from hframe_post.planner.extruder import LOWEST, FollowedAdvance
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Extruder
+from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough
+from hframe_post.studies.inputs import rectangle
+from tests.planner.planning import STATE, moves
+from tests.quantities import below
+
+LIMITS = ExtruderLimits(40.0, 2000.0)
+GROWS = 0.8 * 2000.0 * 0.01  # mm/s of advance, averaged over 10 ms before and after
+
+
+def line(per_mm: list[float], acceleration: float = 8000.0, *marks: Mark) -> Moves:
+    """Return moves of 10 mm along x with this filament in each mm."""
+    points = np.zeros((len(per_mm) + 1, 4))
+    points[1:, X] = 10.0 * np.arange(1, len(per_mm) + 1)
+    points[1:, E] = np.cumsum(10.0 * np.array(per_mm))
+    return moves(points, acceleration=acceleration, marks=marks)
+
+
+def followed(K: float, *items: Item) -> list[Item]:
+    return list(FollowedAdvance(Advance(K, 0.04, marlin_advance), LIMITS, 1e4).items(items))
+
+
+def accelerations(items: list[Item]) -> list[float]:
+    return [a for item in items if isinstance(item, Moves) for a in item.acceleration.tolist()]
+
+
+def test_lines_accelerate_as_their_filament_allows_and_travel_as_asked() -> None:
+    found = accelerations(followed(0.1, line([0.03, 0.0, 0.06, -0.01, 0.001])))
+    wanted = [GROWS / (0.1 * 0.03), 8000.0, GROWS / (0.1 * 0.06), 8000.0, 8000.0]
+    np.testing.assert_allclose(found, wanted)
+
+
+def test_the_profile_limits_what_the_file_leaves_open() -> None:
+    stage = FollowedAdvance(Advance(0.03, 0.04, marlin_advance), LIMITS, 1e4)
+    found = accelerations(list(stage.items([line([0.03, 0.06], np.inf)])))
+    np.testing.assert_allclose(found, [np.inf, GROWS / (0.03 * 0.06)])
+    assert stage.share == 0.5
+    assert stage.least == found[1]
+
+
+def test_a_strange_advance_takes_no_more_than_three_quarters() -> None:
+    assert accelerations(followed(9.0, line([0.03]))) == [LOWEST * 8000.0]
+
+
+def test_lines_of_the_file_change_it() -> None:
+    stop = Passthrough(0, b"M900 K0.1", Handling.REST, STATE)
+    plain, marks = line([0.03]), (Mark(1, b"M900 K0.2"), Mark(2, b"M900 K0"))
+    marked = line([0.03, 0.03, 0.03], 8000.0, *marks)
+    first, stopped, second = followed(0.0, plain, stop, marked)
+    assert (first, stopped) == (plain, stop)
+    np.testing.assert_allclose(accelerations([second]), [GROWS / 0.003, GROWS / 0.006, 8000.0])
+
+
+@pytest.mark.parametrize("K", [0.05, 0.1])
+def test_the_line_is_even_where_the_extruder_would_be_outrun(K: float) -> None:
+    printer = replace(load("paper-marlin"), extruder=Extruder(K))
+    stream = SampleStream(rectangle(printer), printer, Options("racking", ("racking",)))
+    assert len(list(stream))
+    below(stream.report().width["racking"].rms, 0.05, "RMS error of the width")
