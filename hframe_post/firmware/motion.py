@@ -73,9 +73,10 @@ class MotionRules(ABC):
     """How a firmware moves on a printer: segments, feed rates, strokes, dwells.
 
     lines_per_second: lines that it can take in a second; inf if nothing limits them. steady:
-    segments over which time is kept inside a motion; 0: over a batch. stop_rules: how the command
-    passes from motion into lifts and retractions, and back. extruder: limits of an extruder whose
-    advance must be part of E; None: the firmware adds its own.
+    segments over which time is kept inside a motion; 0: over a batch. head_start: seconds by which
+    the first motion of a stream sets out sooner. stop_rules: how the command passes from motion
+    into lifts and retractions, and back. extruder: limits of an extruder whose advance must be part
+    of E; None: the firmware adds its own.
     """
 
     @property
@@ -85,6 +86,10 @@ class MotionRules(ABC):
     @property
     def steady(self) -> int:
         return 0
+
+    @property
+    def head_start(self) -> float:
+        return 0.0
 
     @property
     def stop_rules(self) -> StopRules:

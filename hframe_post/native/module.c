@@ -30,6 +30,7 @@
     EACH(marlin_blocks)                                                                       \
     EACH(marlin_feed_rates)                                                                   \
     EACH(marlin_segment_ends)                                                                 \
+    EACH(marlin_slow_ends)                                                                    \
     EACH(marlin_times)                                                                        \
     EACH(misses)                                                                              \
     EACH(motion_lines)                                                                        \

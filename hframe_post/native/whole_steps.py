@@ -10,12 +10,17 @@ from hframe_post.native import kernel
 IDLE = 24  # samples without a step, more of which are a rest
 
 
-def motor_steps(cells: Integers, matrix: Array) -> Integers:
-    """Return the motors' steps (n − 1, 2) between places (n, 2) in whole steps of x and y.
+def motor_places(cells: Integers, matrix: Array) -> Integers:
+    """Return the motors' places (n, 2) at places (n, 2) of x and y, all in whole steps.
 
     matrix (2, 2): from x, y to the motors.
     """
-    return np.asarray(np.diff(cells @ matrix.astype(np.int64).T, axis=0))
+    return cells @ matrix.astype(np.int64).T
+
+
+def motor_steps(cells: Integers, matrix: Array) -> Integers:
+    """Return the motors' steps (n − 1, 2) between places (n, 2) of x and y in whole steps."""
+    return np.asarray(np.diff(motor_places(cells, matrix), axis=0))
 
 
 def most_steps(steps: Integers) -> Integers:
@@ -48,14 +53,13 @@ def segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool
     return ends
 
 
-def with_late_starts(ends: Integers, steps: Integers) -> tuple[Integers, Integers]:
+def with_late_starts(ends: Integers, places: Integers) -> tuple[Integers, Integers]:
     """Return ends (k,), one more where a rest goes on until the command sets out; and whose place.
 
-    The places (k,) are the samples that the segments end at the place of. steps (n, 2): of the
-    motors. A command that swings by a few steps first comes back to where it rested. Marlin cannot
-    follow it there, and one segment for all of that would be slow and far off.
+    The second, (k,), are the samples that the segments end at the place of. places (n + 1, 2): of
+    the motors. A command that swings by a few steps first comes back to where it rested. Marlin
+    cannot follow it there, and one segment for all of that would be slow and far off.
     """
-    places = np.vstack([np.zeros((1, 2), dtype=np.int64), np.cumsum(steps, axis=0)])
     starts = np.append(0, ends[:-1])
     moving = most_steps(places[ends] - places[starts]) > 0
     rested = np.append(True, ~moving[:-1])  # so does motion that a batch begins with, perhaps
@@ -68,6 +72,36 @@ def with_late_starts(ends: Integers, steps: Integers) -> tuple[Integers, Integer
             at.append(int(starts[k]))
     rows = np.searchsorted(ends, found)
     return np.insert(ends, rows, found), np.insert(ends, rows, at)
+
+
+def without_reversals(vertices: Integers, off: Array, matrix: Array, least: int) -> Integers:
+    """Return vertices (k, 2) in whole steps, none of which is left straight back, if possible.
+
+    There Marlin stops, and takes 8 ms or more for the next step. So the vertex after it goes a step
+    aside, where the command is: off (k, 2), what is missing to it. matrix (2, 2): from x, y to the
+    motors, which make ``least`` steps in both segments at that vertex.
+    """
+    ways = vertices[1:] - vertices[:-1]
+    dot = (ways[1:] * ways[:-1]).sum(axis=1)
+    cross = ways[1:, 0] * ways[:-1, 1] - ways[1:, 1] * ways[:-1, 0]
+    moved = vertices.copy()
+    for first in np.flatnonzero((dot < 0) & (cross == 0)).tolist():
+        k = first + 1
+        while k < len(moved) - 2 and _turns_back(*(moved[k - 1 : k + 2].tolist())):
+            way = np.abs(moved[k + 1] - moved[k])
+            aside = int(way[1] <= way[0])  # the axis that moves less
+            around = moved[k : k + 3].copy()
+            around[1, aside] += 1 if off[k + 1, aside] >= 0.0 else -1
+            if most_steps(motor_steps(around, matrix)).min() < least:
+                break
+            k += 1
+            moved[k] = around[1]
+    return moved
+
+
+def _turns_back(before: list[int], at: list[int], after: list[int]) -> bool:
+    x, y, u, v = at[0] - before[0], at[1] - before[1], after[0] - at[0], after[1] - at[1]
+    return x * v == y * u and x * u + y * v < 0
 
 
 def _edges_of_rest(path: Integers) -> Integers:

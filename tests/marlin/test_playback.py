@@ -191,9 +191,8 @@ def test_rectangle_keeps_time_and_place(
     below(np.ptp(late), 2e-3, "range of the lateness, s")
     below(rms(off), 0.012, "RMS distance to the command, mm")
     below(off.max(), 0.06, "greatest distance to the command, mm")
-    if own["planner"] != "2.0":  # in which two steps wait after a turn
-        _, starting = rectangle.lateness(0, rectangle.run.sets_out, 0.4)
-        below(starting[:100].max(), 0.0605, "distance in the first 0.1 s, mm")
+    _, starting = rectangle.lateness(0, rectangle.run.sets_out, 0.4)
+    below(starting[:100].max(), 0.0605, "distance in the first 0.1 s, mm")
 
 
 SWING = [b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 E2 F1800\n", b"G1 X130 Y93 E2 F1200\n"]

@@ -121,6 +121,10 @@ def right() -> dict[str, Arguments]:
             floats(5, 4), floats(5, 2), floats(5), 5, 0.4, floats(4), zeros(5), floats(5),
         ],
         "marlin_segment_ends": [zeros(8, 2), 8, 2, 2, 24, 1, 1, zeros(54), zeros(8)],
+        "marlin_slow_ends": [
+            floats(9, 2), zeros(9, 2), zeros(9, 2), 8, numbers(1, 3, 0, 4), numbers(4, 4), 2, 2, 1,
+            floats(63), zeros(9), bits(9),
+        ],
         "marlin_times": [
             n, steps, floats(n), floats(n), floats(n + 1), floats(n), floats(n), 0.0, 0, stepper,
             floats(n),

@@ -41,6 +41,7 @@ from hframe_post.native import (
     ramps,
     sampling,
     segments,
+    slow_segments,
     whole_steps,
 )
 from hframe_post.native.linear import product, recursion, windows_product
@@ -374,6 +375,22 @@ def motor_steps(rng: Rng) -> Iterator[Call]:
     yield whole_steps.segment_ends, steps, least, apart, stall, bool(rng.random() < 0.5)
 
 
+def slow_motion(rng: Rng) -> Iterator[Call]:
+    """Motion as slow as a step in several samples; it turns, and rests now and then."""
+    n, hz = size(rng, 400), rng.uniform(0.0, 30.0, 2)
+    t = 1e-3 * np.arange(n + 1)[:, None]
+    points = (
+        rng.uniform(0.0, 40.0, 2) * np.sin(2.0 * np.pi * hz * t) + rng.uniform(-1e3, 1e3, 2) * t
+    )
+    points[: int(rng.integers(0, n + 1))] *= rng.choice([0.0, 1.0])
+    cells = np.rint(points).astype(np.int64)
+    matrix = Kinematics(str(rng.choice(["corexy", "cartesian"]))).matrix
+    motors = whole_steps.motor_places(cells, matrix)
+    least, apart = int(rng.integers(1, 9)), int(rng.integers(1, 7))
+    ends = whole_steps.segment_ends(np.diff(motors, axis=0), least, apart, 8, rng.random() < 0.5)
+    yield slow_segments.slow_segment_ends, points, cells, motors, ends, least, apart
+
+
 def rounded_segments(rng: Rng) -> Iterator[Call]:
     """Some segments are shorter than a unit, or extrude alone, next to lines of the file."""
     n, still = size(rng, 60), int(rng.integers(0, 41))
@@ -415,6 +432,7 @@ CASES: dict[Case, tuple[str, ...]] = {
     joined_blocks: ("marlin_times", "marlin_feed_rates"),
     moves_in_steps: ("marlin_blocks",),
     motor_steps: ("marlin_segment_ends",),
+    slow_motion: ("marlin_slow_ends",),
     rounded_segments: ("motion_segments",),
     lines: ("motion_lines",),
 }

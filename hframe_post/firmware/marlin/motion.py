@@ -24,7 +24,13 @@ from hframe_post.firmware.motion import SPARED, MotionRules, NextTo, Stroke, Way
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.blocks import BlockLimits, Blocks, blocks_between
 from hframe_post.native.ramps import speeds, whole_feeds
-from hframe_post.native.whole_steps import motor_steps, segment_ends, with_late_starts
+from hframe_post.native.slow_segments import slow_segment_ends
+from hframe_post.native.whole_steps import (
+    motor_places,
+    segment_ends,
+    with_late_starts,
+    without_reversals,
+)
 from hframe_post.printer.settings import Printer
 
 SLOWEST_STROKE = 0.3  # of the speed that the file asks for
@@ -66,6 +72,10 @@ class MarlinMotion(MotionRules):
     def steady(self) -> int:
         # whole steps and ticks leave blocks that no rate fits; their neighbours make up for it
         return 0 if self.planner.fixed_time else 50
+
+    @property
+    def head_start(self) -> float:
+        return self.planner.stall  # else the command is ahead by a step, in 2.0 by two
 
     @property
     def extruder(self) -> ExtruderLimits:
@@ -139,16 +149,20 @@ class MarlinMotion(MotionRules):
 
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
         """Return segments on whole steps. A line of the file waits for the end of its segment."""
-        cells = np.rint(points[:, :Z] / self.code.steps.belt).astype(np.int64)
-        apart = 1.0 / (TS * SPARED * self.lines_per_second)
-        steps = motor_steps(cells, self.kinematics.matrix)
-        ends = segment_ends(
-            steps, self.code.table.min_steps_per_segment,
-            max(1, int(np.ceil(round(apart, 6)))), round(self.planner.stall / TS), last,
-        )  # fmt: skip
-        ends, of_place = with_late_starts(ends, steps)
+        in_steps = points[:, :Z] / self.code.steps.belt
+        cells = np.rint(in_steps).astype(np.int64)
+        apart = max(1, math.ceil(round(1.0 / (TS * SPARED * self.lines_per_second), 6)))
+        least, stall = self.code.table.min_steps_per_segment, round(self.planner.stall / TS)
+        motors = motor_places(cells, self.kinematics.matrix)
+        ends = segment_ends(np.diff(motors, axis=0), least, apart, stall, last)
+        ends = slow_segment_ends(in_steps, cells, motors, ends, least, apart)
+        ends, of_place = with_late_starts(ends, motors)
         at = points[ends]
-        at[:, :Z] = cells[of_place] * self.code.steps.belt
+        vertices = np.vstack([cells[:1], cells[of_place]])
+        if stall and not self.code.table.classic_jerk:
+            off = in_steps[np.append(0, of_place)] - vertices
+            vertices = without_reversals(vertices, off, self.kinematics.matrix, least)
+        at[:, :Z] = vertices[1:] * self.code.steps.belt
         return ends, at
 
     def possible_times(self, at: Array, T: Array, before: float) -> Array:
