@@ -27,7 +27,9 @@ def test_the_beginning_sets_what_the_stream_would_set() -> None:
 
 def test_they_set_and_restore_the_averaging_of_pressure_advance() -> None:
     text = macros(replace(load("paper"), extruder=Extruder(0.05)))
-    begin, end = (text.split(f"[gcode_macro {name}]")[1] for name in ("HFRAME_BEGIN", "HFRAME_END"))
+    begin, end = (
+        text.split(f"[gcode_macro {name}]")[1] for name in ("_HFRAME_BEGIN", "_HFRAME_END")
+    )
     assert "SMOOTH_TIME=0.02\n" in begin.split("\n\n")[0]
     own = "SMOOTH_TIME={own.extruder.pressure_advance_smooth_time}\n"
     assert own in end.split("\n\n")[0]
