@@ -99,6 +99,7 @@ DONE = {
     "measure -o m.gcode": Done(
         "", r"(m(-x|-y)?\.gcode ){1,2}(m\.measure(-x|-y)?-at-\d+\.csv ?){1,3}"
     ),
+    "bands --gcode b.gcode": Done("  hframe-post bands -p ", r"(b(-[xy])?\.gcode ?){1,2}"),
     "sweep -o s.gcode": Done("", rf"(s\.gcode )?(s\.{NAMES}\.(csv|gcode) ?)+"),
     "klipper-macros": Done("    _HFRAME_CANCEL_PRINT {rawparams}"),
     "calibrate-marlin -o c.gcode": Done("The part .lines. is 10000", "c.gcode"),
