@@ -106,9 +106,11 @@ class Printer(Server):
         )
         (self.data / "config/hframe.cfg").touch()
         self.profile = self.data / "config/printer.toml"
-        if not sensor:
+        if sensor:
+            self.set_up("--moonraker", "--kinematics", kinematics)
+        else:
             shutil.copy(ROOT / "tests/measured.toml", self.profile)
-        self.set_up("--moonraker", "--kinematics", kinematics)
+            self.set_up("--moonraker")
         self.as_set_up = self.config.read_text()
         # while the gate exists, conversions wait: no test depends on who is faster
         self.gate = folder / "gate"
