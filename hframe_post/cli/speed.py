@@ -31,8 +31,8 @@ def speed(
     """Print how long a file would take within each error, and what limits its speed.
 
     Each row is a print that 'hframe-post convert --max-error' would make, with the file's feed
-    rates and with --speed-up max. Times are of the whole file; errors are predicted on one or two
-    minutes from all over it. Nothing is converted.
+    rates and with --speed-up max. Two of them are converted, for the errors of the whole print; the
+    others follow from these and from one or two minutes from all over it. Nothing is written.
 
     \b
     Example:
