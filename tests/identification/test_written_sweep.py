@@ -12,11 +12,6 @@ from hframe_post.arrays import TS, Array
 from hframe_post.errors import LimitError
 from hframe_post.identification.recordings.accelerometer import GRAVITY
 from hframe_post.identification.recordings.alignment import acceleration
-from hframe_post.identification.recordings.clock_sync import (
-    Resampler,
-    clock_from_windows,
-    moving_samples,
-)
 from hframe_post.identification.recordings.excitation import read_command
 from hframe_post.identification.recordings.self_alignment import self_aligned
 from hframe_post.identification.recordings.sweep import SweepRun
@@ -139,11 +134,9 @@ def test_a_clock_that_is_far_off_is_found(drift: float) -> None:
     command = played(printer, at(1, 110.0, 110.0), 10.0)[0].command
     chip = Chip(noise=20.0, rate=800.0, rate_error=drift, drift=drift, lead=3.0, filtered=True)
     recording = chip.record(replace(MACHINE, y=Axis((Mode(52.6, 0.13),))), command, 0)
-    sensor = Resampler(recording.t, recording.a - recording.a.mean(axis=0))
-    swept = acceleration(command[:, 1])
-    start, found = clock_from_windows(swept, moving_samples(swept), sensor)
-    assert start == pytest.approx(3.0 * (1.0 + drift), abs=0.03)
-    assert found == pytest.approx(drift, abs=6e-4)
+    found = self_aligned(acceleration(command[:, 1]), recording)
+    assert found.start == pytest.approx(3.0 * (1.0 + drift), abs=0.03)
+    assert found.drift == pytest.approx(drift, abs=1e-4)
 
 
 def test_a_clock_that_windows_call_right_is_refined() -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import cast
 
@@ -164,17 +165,19 @@ class _Tracer:
             1.2 * lowest, max(min(LOOSEST * today, max(worst)), 2.0 * lowest), BOUNDS
         )
         levels = sorted({_rounded(mm) for mm in (*bounds, today)})
-        found = {
-            level: Step(
-                level,
-                self._point(self._kept, kept, level),
-                self._point(self._raised, raised, level),
-            )
-            # what the whole print is at these two, the others need
-            for level in sorted(levels, key=lambda one: one not in (levels[0], _rounded(today)))
-        }
+        found = dict[float, Step]()
+        # what the whole print is at these two, the others need
+        for level in sorted(levels, key=lambda one: one not in (levels[0], _rounded(today))):
+            with suppress(HframeError):  # the whole print may have more than the excerpt
+                found[level] = Step(
+                    level,
+                    self._point(self._kept, kept, level),
+                    self._point(self._raised, raised, level),
+                )
+        if not found:
+            raise HframeError("this print can be kept within no error that was tried")
         steps = list[Step]()
-        for level in levels:
+        for level in sorted(found):
             if not (steps and _same(steps[-1], found[level])):
                 steps.append(found[level])
         return Curve(self.original, self._measure, self._shaping, own, self.limits, tuple(steps))
