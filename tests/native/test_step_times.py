@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hframe_post.native.block_times import block_times, step_times
 from tests.native.cases import single_blocks
 
 
+@pytest.mark.slow
 def test_the_last_step_of_a_block_is_its_end() -> None:
     """On all planners, with each kind of timer; no step comes before the one that precedes it."""
     rng = np.random.default_rng(0)
