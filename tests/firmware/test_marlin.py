@@ -397,6 +397,7 @@ def test_density_follows_the_serial_line(marlin: Printer) -> None:
     assert fast == card
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lines", "cuts"),
     [

@@ -23,6 +23,7 @@ def found() -> Calibration:
     return calibration(load("paper-marlin"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("planner", "tick"),
     few([

@@ -41,6 +41,7 @@ me: {{active: true, apikey: null, groups: [admins], password: {SECRET}, permissi
 """
 
 
+@pytest.mark.slow
 def test_the_plugin_is_installed_for_a_measured_printer(tmp_path: Path) -> None:
     done = run("octoprint-plugin", "-p", PROFILE, "--folder", tmp_path)
     plugin = (tmp_path / "plugins/hframe_post/__init__.py").read_text()

@@ -139,6 +139,7 @@ def test_a_clock_that_is_far_off_is_found(drift: float) -> None:
     assert found.drift == pytest.approx(drift, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_clock_that_windows_call_right_is_refined() -> None:
     """They are 20 ms off over the sweep, and below that none."""
     command = played(ender(acceleration=500.0), at(1, 110.0, 110.0), 10.0)[0].command

@@ -27,6 +27,7 @@ def test_loops_refuse_what_does_not_fit(library: ModuleType) -> None:
     assert calls.endswith("all loops survived")
 
 
+@pytest.mark.slow
 def test_an_argument_of_another_kind_layout_or_length_is_an_error(library: ModuleType) -> None:
     s, points, room = np.arange(3.0), np.zeros((3, 4)), (np.empty((2, 4)), np.empty(2, np.int64))
     right = [s, points, 2, s[:2], 2, *room]
