@@ -18,6 +18,23 @@ from hframe_post.identification.recordings.accelerometer import GRAVITY, Recordi
 from hframe_post.model.plant import Filter, Plant, Response
 from hframe_post.model.transfer_function import TransferFunction
 
+# printer.cfg of the Sovol SV08 whose recordings are among the tests
+SV08_CONFIG = """
+[printer]
+kinematics: corexy
+max_velocity: 500
+max_accel: 20000
+[stepper_x]
+position_max: 350
+[stepper_y]
+position_max: 360
+[extruder]
+nozzle_diameter: 0.4
+[resonance_tester]
+accel_chip: adxl345
+probe_points: 175, 175, 30
+accel_per_hz: 90
+"""
 SIXTEEN_BITS, THIRTEEN_BITS = (2 * 16 * GRAVITY / 2**bits for bits in (16, 13))
 
 

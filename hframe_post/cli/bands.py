@@ -102,12 +102,12 @@ def _find(
         with Outputs([*sources, *([output] if output else [])]) as reports:
             write_json = open_json(reports, json_file)
             motors, aside = shaking(recordings, profile.kinematics)
-            report = BandsReport.of(motors)
+            report = BandsReport.from_motors(motors)
             write_json(report.as_json())
         for one in aside:
             say(f"left aside   {one.label}: {one.reason}")
         click.echo(report.as_text(), err=str(json_file) == "-")
         if file is not None:
             if not report.avoid:
-                raise IdentificationError("there is no band to avoid: the profile is not changed")
+                raise IdentificationError("no band was found, so the profile was not changed")
             file.write(with_bands(printer, report.avoid).encode())

@@ -54,6 +54,7 @@ def test_one_failure_stops_no_other_and_the_bytes_are_those_of_single_runs(
     assert "\x1b" not in done.stderr.decode()
 
 
+@pytest.mark.slow
 def test_errors_are_ranges_where_the_profile_is_uncertain(tmp_path: Path) -> None:
     """In the line of a file, in its summary, and in what convert says of it."""
     profile, summary = tmp_path / "unsure.toml", tmp_path / "s.json"

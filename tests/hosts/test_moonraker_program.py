@@ -30,28 +30,12 @@ from hframe_post.printer.profile import load
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT, SAMPLES
 from tests.hosts.moonraker import WAIT, until, waiting_for
+from tests.recordings import SV08_CONFIG
 
 COMMAND = (sys.executable, "-m", "hframe_post", "-p", str(ROOT / "tests/measured.toml"))
 PART = RECTANGLE.read_bytes()
 CUBE = (SAMPLES / "cube.gcode").read_bytes()
 RECORDED = ROOT / "tests/identification/data/raw_data_y_20250601_120000.csv.xz"  # of a Sovol SV08
-CONFIG = """
-[printer]
-kinematics: corexy
-max_velocity: 500
-max_accel: 20000
-[stepper_x]
-position_max: 350
-[stepper_y]
-position_max: 360
-[extruder]
-nozzle_diameter: 0.4
-[adxl345]
-[resonance_tester]
-accel_chip: adxl345
-probe_points: 175, 175, 30
-accel_per_hz: 90
-"""
 OUTSIDE = PART + b'G1 X9000 Y10 F6000 ; "far" away\n'
 
 
@@ -467,7 +451,7 @@ def test_where_the_bed_moves_the_sensor_is_moved_in_between(part: Path, reports:
     assert len([*(gcodes / FOLDER / "calibration").glob("adxl345-measure-x-*")]) == 2
     recorded(told, job)  # nothing that could be identified
     assert reports[-1]["failed"]
-    assert "the model stays as it was: " in reports[-1]["text"]
+    assert "the model was not changed: " in reports[-1]["text"]
     assert profile.read_text() == 'extends = "example-cartesian"\n'
 
 
@@ -476,7 +460,7 @@ def test_recordings_that_the_owner_has_made_are_offered_and_used(
     part: Path, reports: list[Any]
 ) -> None:
     config, folder = part.with_name("printer.cfg"), part.with_name("ShakeTune_results")
-    config.write_text(CONFIG)
+    config.write_text(f"{SV08_CONFIG}[adxl345]\n")
     home = str(part.parent)
     assert run("setup", config, "-o", home, HOME=home, XDG_CONFIG_HOME=home).returncode == 0
     profile = part.with_name("printer.toml")

@@ -74,6 +74,7 @@ def test_the_shift_of_a_mode_is_found(change: float) -> None:
     assert (found.hz[1] - found.hz[0]) / HERE_HZ == pytest.approx(change, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=SLOW) for k in (1, 2))])
 def test_no_shift_is_found_for_modes_that_stay(seed: int) -> None:
     assert shift(0.0, seed) is None

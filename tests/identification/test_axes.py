@@ -66,6 +66,7 @@ def test_noisy_responses_of_known_plants_are_recovered(k: int) -> None:
     assert found.G.dc_gain == pytest.approx(at_rest(G), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_what_a_distortion_accounts_for_does_not_bend_the_model() -> None:
     """A belt that gets softer at resonance: a peak that leans over."""
     right = exact(PEAK_HZ, 0.06)

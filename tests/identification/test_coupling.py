@@ -321,6 +321,7 @@ def test_what_is_shared_is_compensated_and_what_changes_is_not() -> None:
         assert after < 0.5 * before
 
 
+@pytest.mark.slow
 def test_a_coupling_that_changes_along_x_is_found_from_three_places() -> None:
     printer = Coupled(racking=2e-8)
     found = at_places(tuple((printer, x) for x in (80.0, 140.0, 200.0)))

@@ -116,6 +116,7 @@ def test_a_sum_of_modes_is_found_with_gain_and_lag() -> None:
     assert 0.1 < np.sqrt(np.mean(z**2)) < 3.0
 
 
+@pytest.mark.slow
 def test_what_rings_for_long_is_held_as_long() -> None:
     omega = 2.0 * np.pi * TS * HZ
     true = axis_mode(22.5, 0.035).response(omega)

@@ -25,33 +25,17 @@ from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
 from tests.identification.bench import AXES, Recorded, check_refused, invoked
-from tests.recordings import write_klipper
+from tests.recordings import SV08_CONFIG, write_klipper
 from tests.resonance_recordings import LIS2DW, drawn_sensor, klipper, linear_printer
 
 REAL = Path(__file__).parent / "data" / "raw_data_y_20250601_120000.csv.xz"
 BELT = REAL.parent / "belt_b_of_2023.csv.xz"
-CONFIG = """
-[printer]
-kinematics: corexy
-max_velocity: 500
-max_accel: 20000
-[stepper_x]
-position_max: 350
-[stepper_y]
-position_max: 360
-[extruder]
-nozzle_diameter: 0.4
-[resonance_tester]
-accel_chip: adxl345
-probe_points: 175, 175, 30
-accel_per_hz: 90
-"""
 
 
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
     path = tmp_path / "printer.cfg"
-    path.write_text(CONFIG)
+    path.write_text(SV08_CONFIG)
     return path
 
 
@@ -157,11 +141,11 @@ def test_what_axes_map_mirrored_is_undone(tmp_path: Path, config: Path) -> None:
     held.mkdir()
     shutil.copy(REAL, held)
     (plain,) = from_folders([held], KlipperConfig(config), travel).runs
-    config.write_text(f"{CONFIG}[adxl345]\naxes_map: -x, z, y\n")
+    config.write_text(f"{SV08_CONFIG}[adxl345]\naxes_map: -x, z, y\n")
     (undone,) = from_folders([held], KlipperConfig(config), travel).runs
     x, y, z = plain.nozzle.a.T
     np.testing.assert_array_equal(undone.nozzle.a, np.column_stack([-x, z, y]))
-    config.write_text(f"{CONFIG}[adxl345]\naxes_map: x, y\n")
+    config.write_text(f"{SV08_CONFIG}[adxl345]\naxes_map: x, y\n")
     with pytest.raises(IdentificationError, match="invalid axis map"):
         from_folders([held], KlipperConfig(config), travel)
 
@@ -180,7 +164,7 @@ def test_a_real_belt_of_2023_is_taken(tmp_path: Path, config: Path) -> None:
     rows = np.column_stack([23637.0 + 1e-4 * steps[:, 0], np.rint(LIS2DW * steps[:, 1:]), z])
     np.savetxt(held / "belt_20231129_B.csv", rows, "%.4f,%.0f,%.0f,%.0f",
                header="time,accel_x,accel_y,accel_z", comments="#")  # fmt: skip
-    config.write_text(CONFIG.replace("accel_per_hz: 90", "accel_per_hz: 75\nmax_freq: 40"))
+    config.write_text(SV08_CONFIG.replace("accel_per_hz: 90", "accel_per_hz: 75\nmax_freq: 40"))
     travel = parse(text_from_klipper(KlipperConfig(config)), "mine").travel
     gathered = from_folders([held], KlipperConfig(config), travel)
     (used,) = gathered.used
@@ -200,7 +184,7 @@ def test_a_real_belt_of_2023_is_taken(tmp_path: Path, config: Path) -> None:
 
 @pytest.mark.slow
 def test_exchanged_files_and_unusual_settings_are_noticed(tmp_path: Path, config: Path) -> None:
-    config.write_text(CONFIG.replace("accel_per_hz: 90", "hz_per_sec: 2\nmax_freq: 100"))
+    config.write_text(SV08_CONFIG.replace("accel_per_hz: 90", "hz_per_sec: 2\nmax_freq: 100"))
     travel = parse(text_from_klipper(KlipperConfig(config)), "mine").travel
     chip = replace(drawn_sensor(4, "lis2dw-394"), lead=0.4)
     tests = [klipper(way, hz_per_sec=2.0, max_freq=100.0) for way in ((1.0, 0.0), (0.0, 1.0))]

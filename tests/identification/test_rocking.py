@@ -33,12 +33,13 @@ def test_the_mode_of_the_frame_is_reported_and_not_compensated() -> None:
     assert np.abs(found.plant(0.0).Gxx.response(low) - over_bed).max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("on_bed", "shared"),
     [
         (FRAME, True),
-        pytest.param(HEAD, False, marks=pytest.mark.slow),
-        pytest.param(None, None, marks=pytest.mark.slow),
+        (HEAD, False),
+        (None, None),
     ],
 )
 def test_a_second_sensor_tells_whether_the_bed_rocks_as_well(

@@ -288,9 +288,8 @@ def corrected(machine: Machine, profile: Printer, seed: int) -> tuple[Printer, s
     return replace(profile, plant=plant), set(found)
 
 
-@pytest.mark.parametrize(
-    "fault", ["", *(pytest.param(f, marks=pytest.mark.slow) for f in ("friction", "play", "third"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["", "friction", "play", "third"])
 def test_a_verification_finds_what_drifted_and_nothing_more(fault: str) -> None:
     """The second round finds nothing, and no round makes the rectangle worse."""
     size = {"friction": 150.0, "play": 0.006, "third": 0.02}

@@ -172,6 +172,7 @@ def nozzle_error(run: Played, path: Array, plant: Plant) -> float:
     return float(np.sqrt(np.square(contour_error(path, nozzle, moving)).mean()))
 
 
+@pytest.mark.slow
 @pytest.mark.klipper
 def test_couplings_are_cancelled_through_klipper(tmp_path: Path) -> None:
     paper = profile.load("paper")

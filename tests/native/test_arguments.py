@@ -53,6 +53,7 @@ def test_an_argument_of_another_kind_layout_or_length_is_an_error(library: Modul
             library.follow(*right, *[1] * more)
 
 
+@pytest.mark.slow
 def test_another_thread_runs_during_a_loop(library: ModuleType) -> None:
     """Python itself would not switch threads for an hour."""
     n, before = 10_000, sys.getswitchinterval()

@@ -57,6 +57,7 @@ def items(lines: list[bytes], options: ReadOptions) -> list[Any]:
     return read_items
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None,
           suppress_health_check=[HealthCheck.function_scoped_fixture])  # fmt: skip
 @given(

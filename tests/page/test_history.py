@@ -23,7 +23,7 @@ def built(folder: Path) -> Path:
     for event in (
         Event("calibration", now - 9 * DAY, {"x": (43.4,)}),
         Event("check", now - 5 * DAY, {"x": (43.0, 40.0)}),
-        Event("check", now - 1 * DAY, reason="the model stays as it was"),
+        Event("check", now - 1 * DAY, reason="the model was not changed"),
         Event("conversion", now, name=EVIL, rms_um=(90.0, 2.5), seconds=(1135.0, 1129.0)),
     ):
         add(folder, event)
@@ -43,7 +43,7 @@ def test_it_shows_drift_checks_and_prints(tmp_path: Path) -> None:
     # a calibration counts with what the check after it found in its model
     assert x["y"] == [0.0, pytest.approx(100.0 * (40.0 / 43.0 - 1.0), abs=0.01)]
     assert [text for _, text in drift["rows"]] == [
-        "check: the model stays as it was", "check: x 43.0 → 40.0 Hz", "calibration: x 43.4 Hz"
+        "check: the model was not changed", "check: x 43.0 → 40.0 Hz", "calibration: x 43.4 Hz"
     ]  # fmt: skip
     cards = {card["what"]: (card["value"], card["kind"]) for card in data["cards"]}
     assert cards["Uncertainty today"] == ("unknown", "")

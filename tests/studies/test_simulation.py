@@ -99,6 +99,7 @@ def test_only_filament_makes_a_feature() -> None:
     assert dry.as_json()["features"].keys() <= {TRAVEL, BEFORE}
 
 
+@pytest.mark.slow
 def test_cuts_change_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
     paper = profile.load("paper")
     study = Study(paper.plant, {0.05: draws(paper.plant, 0.05, 2, 0)}, paper.steps)

@@ -208,7 +208,7 @@ class HframePost:
         async with self._one_page:
             status, page = await self.run("page")
         if status != 0:
-            raise self.server.error("the console says why there is no page", 500)
+            raise self.server.error("the page was not made: the console says why", 500)
         return page
 
     async def _to_convert(self, name: str) -> list[str]:

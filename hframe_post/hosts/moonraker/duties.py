@@ -152,7 +152,7 @@ def page(settings: Settings) -> int:
         if made.exists():
             sys.stdout.buffer.write(made.read_bytes())
             return 0
-    Interface(settings.socket).report(f"there is no page: {reason}")
+    Interface(settings.socket).report(f"the page was not made: {reason}")
     return 1
 
 

@@ -109,7 +109,7 @@ def reuse(settings: Settings) -> int:
 
 
 def _refused(settings: Settings, kind: str, error: Exception) -> int:
-    reason = f"the model stays as it was: {cause(error)}"
+    reason = f"the model was not changed: {cause(error)}"
     Interface(settings.socket).report(reason, failed=True)
     _remember(settings, Event(kind, reason=reason))
     return 1
@@ -131,11 +131,11 @@ def _updated(
         return _refused(settings, kind, error)
     interface = Interface(settings.socket)
     _remember(settings, Event(kind, hz=_resonances(known)))
-    told = {"calibration": _identified, "check": _checked}[kind](known)
+    result_lines = {"calibration": _identified, "check": _checked}[kind](known)
     plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
     # Mainsail and Fluidd make it a link
     shown = f'how the printer does: <a href="{PAGE}" target="_blank">{PAGE}</a>'
-    lines = (*told, f"the model is written into {profile}{plots}", shown)
+    lines = (*result_lines, f"the model is written into {profile}{plots}", shown)
     interface.report("\n".join(lines))  # at once: some consoles show the newest message first
     return 0
 

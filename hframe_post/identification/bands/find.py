@@ -15,7 +15,7 @@ STEP = 0.5  # mm/s, between speeds
 AROUND = 1.6  # factor on the speed, up and down, within which the usual shaking is the median
 PEAK, EDGE = 1.5, 1.25  # times the usual shaking: at the worst speed of a band, at its ends
 WIDEST = 1.45  # greatest over least speed of a band; what is wider cannot be avoided
-FAINT = 0.3  # of the strongest: a peak that is fainter is no band
+FAINT = 0.3  # of the strongest peak; fainter ones do not count
 SLOWEST = 20.0  # mm/s at the belt
 MOST = 4  # bands of a motor
 

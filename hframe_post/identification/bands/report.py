@@ -22,7 +22,7 @@ class BandsReport:
     avoid: tuple[tuple[int, int], ...]
 
     @classmethod
-    def of(cls, motors: Sequence[MotorShaking]) -> BandsReport:
+    def from_motors(cls, motors: Sequence[MotorShaking]) -> BandsReport:
         found = bands(motors)
         return cls(tuple(motors), tuple(found), to_avoid(found))
 

@@ -24,7 +24,7 @@ from scipy import signal
 from hframe_post.arrays import Array
 from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.identification.recordings.accelerometer import Recording, from_table
-from hframe_post.identification.recordings.folder import Aside, files_in
+from hframe_post.identification.recordings.folder import Aside, files_in, reason_of
 from hframe_post.identification.recordings.formats import read_tables
 from hframe_post.identification.recordings.packed import unpacked
 from hframe_post.model.kinematics import Kinematics
@@ -103,7 +103,7 @@ def _recordings(paths: Sequence[Path], aside: list[Aside]) -> Iterator[tuple[str
         try:
             tables = read_tables(path, unpacked(path), None)
         except HframeError as error:
-            aside.append(Aside(label, str(error).removeprefix(f"{path}: ")))
+            aside.append(Aside(label, reason_of(path, error)))
             continue
         for table in tables:
             name = table.name or path.name
@@ -111,7 +111,7 @@ def _recordings(paths: Sequence[Path], aside: list[Aside]) -> Iterator[tuple[str
             try:
                 yield which, name, from_table(path, table)
             except HframeError as error:
-                aside.append(Aside(which, str(error).removeprefix(f"{path}: ")))
+                aside.append(Aside(which, reason_of(path, error)))
 
 
 def _energy(recording: Recording) -> float:

@@ -209,7 +209,7 @@ def _read(
             return [RunMotion.read(path)]
         tables = read_tables(path, content, columns)
     except (HframeError, OSError) as error:
-        return [Aside(label, _reason(path, error))]
+        return [Aside(label, reason_of(path, error))]
     found: list[RunMotion | Measurement | Aside] = []
     for table in tables:
         which = f"{label}: {table.name}" if len(tables) > 1 else label
@@ -217,7 +217,7 @@ def _read(
         try:
             recording = from_table(path, table)
         except HframeError as error:
-            found.append(Aside(which, _reason(path, error)))
+            found.append(Aside(which, reason_of(path, error)))
             continue
         digest = _digest(table.values.tobytes())
         found.append(Measurement(which, path, recording, name, digest))
@@ -233,7 +233,8 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
 
 
-def _reason(path: Path, error: Exception) -> str:
+def reason_of(path: Path, error: Exception) -> str:
+    """Return why a file is not used, without its name."""
     if isinstance(error, OSError):
         return error.strerror or str(error)
     return str(error).removeprefix(str(path)).removeprefix(":").strip().removeprefix("is ")

@@ -156,7 +156,9 @@ class _Tracer:
         own = Point(self._kept.own_seconds(), 0.0, self._errors(self._kept, None))
         today = max(self.original.errors.values(), default=0.0)
         if not (own.errors.ours and today):
-            raise HframeError("this print has no features whose speed may change")
+            raise HframeError(
+                "no feature of this print may change its speed: the first layer keeps its own"
+            )
         kept = [*self._trials(self._kept, [dict.fromkeys(ADJUSTED, 1.0)])]
         raised = [*kept, *self._trials(self._raised, self._feeds())]
         worst = [_worst_error(trial) for trial in raised]

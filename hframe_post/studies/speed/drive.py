@@ -182,7 +182,7 @@ class Drive:
     ) -> tuple[TrialPrint, Report | None]:
         """Convert the whole file; return what it is on each plant, and its report.
 
-        There is no report if the print is refused. Raises PrinterError.
+        The report is None if the print is refused. Raises PrinterError.
         """
         printer, options = self.configured(settings)
         sums = self._sums(settings)

@@ -99,7 +99,7 @@ def speed_as_text(found: Fastest) -> str:
 
 
 def _percent(shares: list[float] | None) -> float | None:
-    """Return the greatest share in percent; None where none is measured or limited."""
+    """Return the greatest share in percent; None if nothing is measured or limited."""
     most = max(shares or [math.inf])
     return round(100.0 * most, 3) if math.isfinite(most) else None
 
