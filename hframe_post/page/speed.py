@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -15,6 +16,7 @@ from hframe_post.studies.speed.curve_report import (
     recommended,
     shown_feature,
 )
+from hframe_post.studies.speed.prints import Point
 from hframe_post.writers.stream.print_time import duration
 
 TODAY = "as sliced, today"
@@ -39,21 +41,29 @@ def speed_page(found: speeds.Curve, printer: Printer, name: str) -> bytes:
     charts = [_times(found, today), _errors(found, wall)]
     return page(
         name, "What the print would take within each error.", cards,
-        [Section("Time against error", charts)],
+        [Section("Time against error", charts, [_row(step) for step in found.steps])],
         [f"advice  {text}" for text in advice(found)],
-        [("profile", printer.name), *(_row(step) for step in found.steps)],
+        [("profile", printer.name), ("limits", _limits(found))],
     )  # fmt: skip
 
 
 def _row(step: speeds.Step) -> tuple[str, str]:
     kept, raised = (
-        f"{duration(point.seconds)} ({causes(point)})" for point in (step.kept, step.raised)
+        f"{duration(point.seconds)} (lines' width off by {100.0 * point.errors.width:.1f} %; "
+        f"limited by {causes(point)})"
+        for point in (step.kept, step.raised)
     )
-    return f"{1e3 * step.bound:.3g} µm", f"{kept}; with --speed-up max {raised}"
+    return f"--max-error {1e3 * step.bound:.3g}um", f"{kept}. With --speed-up max: {raised}"
+
+
+def _limits(found: speeds.Curve) -> str:
+    limits = found.limits
+    text = f"flow {limits.flow:g} mm³/s, layers of at least {limits.min_layer_time:g} s"
+    return text if math.isinf(found.width) else f"{text}, line width {100.0 * found.width:g} %"
 
 
 def _times(found: speeds.Curve, today: float) -> Chart:
-    def line(label: str, of: Callable[[speeds.Step], speeds.Point], colour: str) -> Curve:
+    def line(label: str, of: Callable[[speeds.Step], Point], colour: str) -> Curve:
         points = [(1e3 * step.bound, of(step).seconds / 60.0) for step in found.steps]
         return _curve(label, points, colour)
 

@@ -25,7 +25,8 @@ from hframe_post.stream.features import kind
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.speed.drive import Drive
 from hframe_post.studies.speed.report import speed_as_text
-from hframe_post.studies.speed.search import LIMIT, NEAR, Bound, Fastest, Searches, search
+from hframe_post.studies.speed.search import Fastest, search
+from hframe_post.studies.speed.steps import LIMIT, NEAR, Bound, Searches
 from hframe_post.studies.speed.trial import (
     ADJUSTED,
     FIRST_LAYERS,

@@ -18,6 +18,11 @@ class LayerTimes:
 
     least: dict[int, float]
 
+    @classmethod
+    def from_file(cls, layers: dict[int, float], min_layer_time: float) -> LayerTimes:
+        """Return the times of a file with these layers, s: no layer needs more than its own."""
+        return cls({k: min(seconds, min_layer_time) for k, seconds in layers.items() if k})
+
     def short(self, settings: SpeedSettings, layers: dict[int, float]) -> bool:
         """Return whether these layers take too little time, and can be slowed."""
         present, slowed = settings.layer_feed, self.slowed(settings, layers).layer_feed

@@ -84,6 +84,7 @@ class Drive:
     ) -> None:  # fmt: skip
         self._lines, self._printer, self._width = lines, printer, width
         self._kept: list[Item] | None = None
+        self.moves = 1  # of the file, once it was read
         self._measure, self._freedom = measure, freedom
         self._requested = options
         self._options = replace(options, predict=(), clamp=True, paces=None)
@@ -132,6 +133,11 @@ class Drive:
     def useful_feeds(self, pieces: Iterable[Piece]) -> dict[str, float]:
         """Return the factor on each feature's feed rates beyond which nothing gets faster."""
         return useful_feeds(pieces, self._printer.limits.velocity, self._freedom.flow)
+
+    @property
+    def speed_up(self) -> float:
+        """Return the greatest factor on the file's feed rates."""
+        return self._freedom.speed_up
 
     def freed(self, freedom: Freedom) -> Drive:
         """Return trial prints of the same file with another freedom."""
@@ -288,5 +294,6 @@ class Drive:
             if moves <= MOST_KEPT:
                 kept.append(item)
             yield item
+        self.moves = moves
         if moves <= MOST_KEPT:
             self._kept = kept
