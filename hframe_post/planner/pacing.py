@@ -22,6 +22,10 @@ from hframe_post.stream.types import FileLimits, Item, Moves, Passthrough, froze
 
 NO_LIMITS = FileLimits((math.inf,) * 4, (math.inf,) * 4)
 NAMES = (*KINDS, OTHER, TRAVEL)
+UNCHANGED = ("bridge", "ironing", "interface", "skirt")  # features printed as the file says
+ADJUSTED = tuple(name for name in (*KINDS, OTHER) if name not in UNCHANGED)
+FIRST_LAYERS = 1  # are printed as the file says, too
+CORNER = 4e-3  # s: speed at square corners over acceleration; no other gave faster prints
 PACED_TOGETHER = 4096  # moves and other items
 SAME_HEIGHT = 1e-3  # mm by which first layers of objects printed one by one may differ
 

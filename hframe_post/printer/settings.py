@@ -325,6 +325,17 @@ class Printer:
         return []
 
     @property
+    def fastest_path(self) -> tuple[float, float]:
+        """Return acceleration, mm/s², and corner speed, mm/s, at most of a print made faster.
+
+        The path may use half of the belts' acceleration; compensation needs the rest.
+        """
+        belts = self.motors.belt_acceleration * self.kinematics.max_speed_ratio
+        most = self.speed.acceleration
+        corner = self.limits.square_corner_velocity if most else math.inf
+        return min(0.5 * belts, most or math.inf), corner
+
+    @property
     def known_speed(self) -> Speed:
         """Return ``speed`` with a model error of at least the plant's uncertainty."""
         known = max(self.speed.model_error, self.uncertainty or 0.0)

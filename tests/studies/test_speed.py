@@ -17,7 +17,7 @@ from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError
 from hframe_post.library import convert, load_printer
 from hframe_post.model.plant import Plant
-from hframe_post.planner.pacing import NAMES
+from hframe_post.planner.pacing import ADJUSTED, FIRST_LAYERS, NAMES, UNCHANGED
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Extruder, Printer
@@ -28,10 +28,7 @@ from hframe_post.studies.speed.report import speed_as_text
 from hframe_post.studies.speed.search import Fastest, search
 from hframe_post.studies.speed.steps import LIMIT, NEAR, Bound, Searches
 from hframe_post.studies.speed.trial import (
-    ADJUSTED,
-    FIRST_LAYERS,
     JUDGED_EVERY,
-    UNCHANGED,
     Freedom,
     SpeedSettings,
     TrialPrint,

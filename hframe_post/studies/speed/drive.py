@@ -29,7 +29,7 @@ from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.pacing import Pace, Paces, PieceStart, pace
+from hframe_post.planner.pacing import CORNER, FIRST_LAYERS, Pace, Paces, PieceStart, pace
 from hframe_post.planner.sliced import SlicedTime
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
@@ -38,7 +38,6 @@ from hframe_post.stream.features import TRAVEL
 from hframe_post.stream.types import Item, Moves, Planned, Samples
 from hframe_post.studies.inputs import SECONDS, Piece, Section, excerpt, sections, useful_feeds
 from hframe_post.studies.speed.trial import (
-    FIRST_LAYERS,
     JUDGED_EVERY,
     Freedom,
     Measure,
@@ -49,12 +48,9 @@ from hframe_post.studies.speed.trial import (
     TrialSums,
     add_layer_times,
     judged,
-    measured,
 )
 
-# Searches for the following gave no faster prints than these values.
-JERK = 1e7  # mm/s³
-CORNER = 4e-3  # s: speed at square corners over acceleration
+JERK = 1e7  # mm/s³; searches for another gave no faster prints
 MOST_KEPT = 300_000  # moves of a file that are kept between trials; 20 MB
 FEW = 0.3  # share of the time of layers that are planned again on their own
 TRAVEL_SHARE = 4.0  # acceleration of travel over that of the gentlest feature
@@ -90,11 +86,7 @@ class Drive:
         self._options = replace(options, predict=(), clamp=True, paces=None)
         self._compensator = prepared(printer)
         self._at_stops = StopSolvers(self._compensator, options.strategies, printer)
-        # The path may use half of the belts' acceleration; compensation needs the rest.
-        belts = printer.motors.belt_acceleration * printer.kinematics.max_speed_ratio
-        most = printer.speed.acceleration
-        self.max_acceleration = min(0.5 * belts, most or math.inf)
-        self._max_corner = printer.limits.square_corner_velocity if most else math.inf
+        self.max_acceleration, self._max_corner = printer.fastest_path
 
     def configured(self, settings: SpeedSettings) -> tuple[Printer, Options]:
         """Return a printer and options that print with these settings."""
@@ -279,7 +271,7 @@ class Drive:
             for name, here in judged(judgement.at, layer, feature, labels):
                 errors = statistics.setdefault(name, ErrorStatistics())
                 errors.add(judgement.contour["none"][here])
-        found = {name: measured(errors, self._measure) for name, errors in statistics.items()}
+        found = {name: errors.measured(self._measure) for name, errors in statistics.items()}
         return Original(sliced.seconds, layers, found)
 
     def _items(self, paces: Paces | None = None) -> Iterator[Item]:

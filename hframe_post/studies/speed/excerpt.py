@@ -8,10 +8,11 @@ import numpy as np
 
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant
+from hframe_post.planner.pacing import ADJUSTED
 from hframe_post.studies.inputs import Piece
 from hframe_post.studies.speed.drive import Drive
 from hframe_post.studies.speed.steps import Bound, Searches, gentler
-from hframe_post.studies.speed.trial import ADJUSTED, SpeedSettings, TrialPrint
+from hframe_post.studies.speed.trial import SpeedSettings, TrialPrint
 
 START = 8e3  # mm/s² of the first trial
 MAX_FEEDS = 8  # how many feed rates are tried

@@ -34,7 +34,6 @@ from hframe_post.studies.speed.trial import (
     SpeedSettings,
     TrialPrint,
     judged,
-    measured,
 )
 
 FEWEST = 2  # conversions, since the errors of all others lie between
@@ -88,7 +87,7 @@ class ExcerptErrors:
                 commands = shape(commands, {SHAPER: self._shaping})
             self._judge(piece, commands, errors, width)
         found = {
-            strategy: {name: measured(one, self._measure) for name, one in by_name.items()}
+            strategy: {name: one.measured(self._measure) for name, one in by_name.items()}
             for strategy, by_name in errors.items()
         }
         return Errors(found.get(self._strategy, {}), found.get(SHAPER, {}), width.rms)

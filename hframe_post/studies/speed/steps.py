@@ -10,9 +10,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
-from hframe_post.planner.pacing import NAMES
+from hframe_post.planner.pacing import ADJUSTED, NAMES
 from hframe_post.studies.speed.trial import (
-    ADJUSTED,
     CAUSES,
     Measure,
     SpeedSettings,
@@ -83,13 +82,22 @@ class Searches:
         """Return each feature's best feed rate, or a lower one if not two lower ones were tried.
 
         Where a plant is slightly off the model, the path is missed at speed, and a slower feature
-        may accelerate more.
+        may accelerate more, unless it already accelerates as the motors do.
         """
         feeds = self.best_feeds()
         for name, times in self._times().items():
-            if min(times) > FEED_STEP**1.5 * feeds[name]:
+            if min(times) > FEED_STEP**1.5 * feeds[name] and not self._free(name, feeds[name]):
                 feeds[name] = max(FEED_STEP * min(times), MIN_FEED)
         return feeds
+
+    def _free(self, name: str, feed: float) -> bool:
+        """Return whether a feature is within its bound at this feed and the motors' limit."""
+        return any(
+            trial.settings.feed[name] == feed
+            and trial.settings.acceleration[name] >= self._max_acceleration
+            and self._bound.shares(trial).get(name, 1.0) < 1.0
+            for trial in self.trials
+        )
 
     def _times(self) -> dict[str, dict[float, float]]:
         """Estimate the seconds of each feature at each feed rate tried, with its bound used up.
