@@ -47,9 +47,10 @@ class Saving:
 
     def as_text(self) -> str:
         """Return a line for the summary."""
+        micrometres = float(f"{1e3 * self.error:.2g}")
         return (
             f"could take       about {duration(self.seconds)} less within the error that it has "
-            f"without compensation: --max-error {1e3 * self.error:.2g}um"
+            f"without compensation: --max-error {micrometres:g}um"
         )
 
 

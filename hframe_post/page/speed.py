@@ -40,7 +40,8 @@ def speed_page(found: speeds.Curve, printer: Printer, name: str) -> bytes:
     ]  # fmt: skip
     charts = [_times(found, today), _errors(found, wall)]
     return page(
-        name, "What the print would take within each error.", cards,
+        name, "What the print would take within each error, what limits it, and how far the "
+        "lines' width is off.", cards,
         [Section("Time against error", charts, [_row(step) for step in found.steps])],
         [f"advice  {text}" for text in advice(found)],
         [("profile", printer.name), ("limits", _limits(found))],
@@ -49,8 +50,7 @@ def speed_page(found: speeds.Curve, printer: Printer, name: str) -> bytes:
 
 def _row(step: speeds.Step) -> tuple[str, str]:
     kept, raised = (
-        f"{duration(point.seconds)} (lines' width off by {100.0 * point.errors.width:.1f} %; "
-        f"limited by {causes(point)})"
+        f"{duration(point.seconds)} ({causes(point)}; {100.0 * point.errors.width:.1f} %)"
         for point in (step.kept, step.raised)
     )
     return f"--max-error {1e3 * step.bound:.3g}um", f"{kept}. With --speed-up max: {raised}"

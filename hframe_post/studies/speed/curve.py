@@ -36,7 +36,7 @@ from hframe_post.studies.speed.trial import Measure
 
 BOUNDS = 5  # of the curve, in addition to today's error
 LOOSEST = 2.0  # times today's error
-GENTLE = 500.0  # mm/s² whose error is about the least bound
+GENTLE = 1e3  # mm/s² whose error is about the least bound
 SAME = 0.004  # share of the time; a smaller gain is not shown
 
 
