@@ -59,6 +59,7 @@ def _row(step: speeds.Step) -> tuple[str, str]:
 def _limits(found: speeds.Curve) -> str:
     limits = found.limits
     text = f"flow {limits.flow:g} mm³/s, layers of at least {limits.min_layer_time:g} s"
+    text += f" at {limits.min_print_speed:g} mm/s or more"
     return text if math.isinf(found.width) else f"{text}, line width {100.0 * found.width:g} %"
 
 

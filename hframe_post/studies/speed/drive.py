@@ -106,7 +106,7 @@ class Drive:
         )  # fmt: skip
         paces = Paces(
             kinds, self._freedom.flow, FIRST_LAYERS, settings.layer_feed,
-            self._freedom.filament_acceleration,
+            self._freedom.filament_acceleration, self._freedom.min_speed,
         )  # fmt: skip
         return replace(self._printer, limits=limits), replace(self._requested, paces=paces)
 

@@ -77,7 +77,9 @@ def with_slicer_limits(printer: Printer, lines: Iterable[bytes]) -> Printer:
     said, limits = slicer_settings(lines), printer.limits
     flow = min(limits.flow, max(said.flow or math.inf, 0.1))
     layer_time = limits.min_layer_time if said.layer_time is None else min(said.layer_time, 600.0)
-    return replace(printer, limits=replace(limits, flow=flow, min_layer_time=layer_time))
+    slowest = limits.min_print_speed if said.min_speed is None else said.min_speed
+    limits = replace(limits, flow=flow, min_layer_time=layer_time, min_print_speed=slowest)
+    return replace(printer, limits=limits)
 
 
 def freedom_of(speed: Speed, printer: Printer) -> Freedom:
@@ -85,7 +87,7 @@ def freedom_of(speed: Speed, printer: Printer) -> Freedom:
     limits = printer.limits
     return Freedom(
         speed.speed_up, limits.filament_velocity, limits.min_layer_time,
-        speed.filament_acceleration or math.inf,
+        speed.filament_acceleration or math.inf, limits.min_print_speed,
     )  # fmt: skip
 
 

@@ -34,13 +34,14 @@ class Freedom:
 
     speed_up: greatest factor on the file's feed rates; flow: greatest feed of filament (mm/s)
     where the feed rate is raised; min_layer_time: s; filament_acceleration: greatest (mm/s²) where
-    the acceleration is raised.
+    the acceleration is raised; min_speed: mm/s, below which no layer is slowed.
     """
 
     speed_up: float = 1.0
     flow: float = np.inf
     min_layer_time: float = 0.0
     filament_acceleration: float = np.inf
+    min_speed: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
