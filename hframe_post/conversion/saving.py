@@ -27,10 +27,11 @@ from hframe_post.stream.features import TRAVEL, Place
 from hframe_post.stream.types import Item, Moves, Passthrough
 from hframe_post.writers.stream.print_time import duration
 
-FAST = 8e3  # mm/s²; higher accelerations gain little
 EVERY = 5  # layers, of which one is planned
 ENOUGH = 3  # layers that must have been planned
 WORTH_SECONDS, WORTH_SHARE = 60.0, 0.01  # from which a saving is shown
+# mm, RMS, at 95 % or peak; within a smaller error, what is not known of the model slows the print
+ENOUGH_ERROR = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +43,9 @@ class Saving:
 
     @classmethod
     def worth_a_line(cls, lost: float, seconds: float, error: float) -> Saving | None:
-        """Return the saving of a print that takes these seconds, or None if it is small."""
-        return cls(lost, error) if lost >= max(WORTH_SECONDS, WORTH_SHARE * seconds) else None
+        """Return the saving of a print that takes these seconds; None if small or not certain."""
+        worth = lost >= max(WORTH_SECONDS, WORTH_SHARE * seconds) and error >= ENOUGH_ERROR
+        return cls(lost, error) if worth else None
 
     def as_text(self) -> str:
         """Return a line for the summary."""
@@ -58,8 +60,7 @@ class FasterTime:
     """Compares the times of layers that pass, as sliced and made faster on this printer."""
 
     def __init__(self, printer: Printer) -> None:
-        most, corner = printer.fastest_path
-        acceleration = min(FAST, most)
+        acceleration, corner = printer.fastest_path
         fast = Pace(acceleration, min(CORNER * acceleration, corner), 1.0)
         self._paces = Paces(dict.fromkeys((*ADJUSTED, TRAVEL), fast), first_layers=FIRST_LAYERS)
         self._rules = rules = firmware(printer).limits(printer)
