@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
@@ -37,7 +38,7 @@ COMMAND = (sys.executable, "-m", "hframe_post", "-p", str(ROOT / "tests/measured
 PART = RECTANGLE.read_bytes()
 CUBE = (SAMPLES / "cube.gcode").read_bytes()
 RECORDED = ROOT / "tests/identification/data/raw_data_y_20250601_120000.csv.xz"  # of a Sovol SV08
-OUTSIDE = PART + b'G1 X9000 Y10 F6000 ; "far" away\n'
+OUTSIDE = PART + b'G1 X9000 Y10 F6000 <b> ; "far" away\n'
 
 
 @pytest.fixture
@@ -148,12 +149,22 @@ def test_a_file_that_fails_begins_with_its_reason_until_it_can_be_converted(
         refusal, rest = part.read_bytes().split(b"\n", 1)
         assert refusal.startswith(REFUSAL.encode() + b"not converted: line ")
         assert refusal.count(b'"') == 2
+        assert b"<" not in refusal  # Klipper's console shows it
         assert rest == OUTSIDE
         assert kept(part) == []
     assert all(each["failed"] for each in reports)
     part.write_bytes(part.read_bytes().replace(OUTSIDE, PART))
     assert processed(part) == 0
     assert part.read_bytes().startswith(b"; processed by hframe-post")
+
+
+def test_a_console_shows_names_as_they_are_and_links_pages() -> None:
+    name = "<img src=x onerror=run()> & _G28 PAUSE.gcode"
+    shown = as_html(f"{name}: {page_of(name)}")
+    assert shown.startswith("&lt;img src=x onerror=run()&gt; &amp; _G28 PAUSE.gcode: <a href=")
+    (address,) = re.findall('href="([^"]*)"', shown)
+    assert parse_qs(urlsplit(address).query) == {"file": [name]}
+    assert not re.search("[A-Z_][A-Z0-9_.]", address)  # what Fluidd takes for a command
 
 
 # hframe-post in a process that has taken its memory up to some 50 MB

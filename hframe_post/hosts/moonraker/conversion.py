@@ -40,7 +40,7 @@ def converted(
     """
     deadline = time.monotonic() + 3600.0 * LONGEST
     arguments = (source, target, name, command, interface, is_gone, deadline)
-    if with_page and "--report" not in command:
+    if with_page and not any(word.startswith("--report") for word in command):
         with contextlib.suppress(FailureError):  # also of what a page needs more: memory, room
             return _converted(*arguments, ["--report", str(target.with_suffix(PAGE_SUFFIX))])
     return _converted(*arguments, [])

@@ -23,6 +23,7 @@ SETTINGS = re.compile(rb"; processed by hframe-post [^\n]*, settings (?P<setting
 HEAD = 4096  # bytes of a converted file that tell it from others
 SUFFIX, PAGE_SUFFIX = ".original", ".html"
 LEAST_FREE = 0.05  # of the disk, that kept files leave
+FREE_FOR_PAGE = 100_000_000  # bytes: with less, the converted file may not fit next to it
 
 
 def settings_of(path: Path) -> str:
@@ -102,12 +103,12 @@ class Originals:
             path.unlink()
 
     def has_room(self) -> bool:
-        """Return whether anything may be kept at all."""
-        return self._most > 0 and not self._is_disk_full()
+        """Return whether there is room for a page next to what is converted."""
+        return self._most > 0 and not self._is_disk_full(FREE_FOR_PAGE)
 
     def _kept(self) -> list[Path]:
         return [path for path in self._folder.iterdir() if path.suffix in (SUFFIX, PAGE_SUFFIX)]
 
-    def _is_disk_full(self) -> bool:
+    def _is_disk_full(self, least: int = 0) -> bool:
         disk = shutil.disk_usage(self._folder)
-        return disk.free < LEAST_FREE * disk.total
+        return disk.free < max(LEAST_FREE * disk.total, least)
