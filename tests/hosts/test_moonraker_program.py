@@ -140,6 +140,7 @@ def test_it_writes_the_bytes_of_the_command_line(part: Path, reports: list[Any])
     assert not any(each["failed"] for each in reports)
 
 
+@pytest.mark.slow
 def test_a_file_that_fails_begins_with_its_reason_until_it_can_be_converted(
     part: Path, reports: list[Any]
 ) -> None:
