@@ -76,6 +76,10 @@ class Firmware(ABC):
     def code(self, printer: Printer) -> Code:
         """Return its G-code on a printer. Raises PrinterError without the firmware's table."""
 
+    def reads(self, printer: Printer) -> Dialect:
+        """Return what its build on this printer reads. Default: what all builds do."""
+        return self.dialect
+
     def moves(self, printer: Printer) -> WrittenMoves:
         """Return how it plays moves as they are written. Raises PrinterError without its table."""
         return WrittenMoves(self.code(printer))

@@ -28,6 +28,11 @@ def junction_deviation(square_corner_velocity: Array | float, acceleration: Arra
     return np.asarray((math.sqrt(2.0) - 1.0) * squared / acceleration)
 
 
+def square_corner_velocity(deviation: float, acceleration: float) -> float:
+    """Return the speed through a right angle, mm/s, for a junction deviation in mm."""
+    return math.sqrt(deviation * acceleration / (math.sqrt(2.0) - 1.0))
+
+
 def junction_speeds(
     delta: Array,
     length: Array,

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hframe_post.errors import HframeError
+from hframe_post.native.corners import square_corner_velocity
 from hframe_post.printer.decoding import file_text
 from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, gentle, motors, sweep
 
@@ -238,7 +239,7 @@ def _corner(settings: MarlinSettings, acceleration: Known) -> Known:
     if not deviation:
         return _least(settings, "M205", "XY")
     a = as_float(acceleration)
-    speed = math.sqrt(a * deviation * math.sqrt(0.5) / (1.0 - math.sqrt(0.5)))
+    speed = square_corner_velocity(deviation, a)
     return Known(float(f"{speed:.3g}"), f"of M205 J{deviation:g} at {a:g} mm/s²")
 
 
