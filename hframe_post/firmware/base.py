@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from hframe_post.arrays import Array
 from hframe_post.firmware.advance import Advance
@@ -123,10 +123,13 @@ class Firmware(ABC):
         return
 
 
-def unlimited(limits: Limits, **others: float) -> Limits:
+def unlimited(limits: Limits, **others: Any) -> Limits:
     """Return the limits without those of jerk and braking, which only this tool has.
 
     others: replace those of these names.
     """
-    without = {"jerk": 1e12, "deceleration": math.inf, "travel_velocity": 0.0}
-    return replace(limits, **(without | {"travel_acceleration": 0.0} | others))
+    own = replace(limits, **others)
+    return replace(
+        own, jerk=1e12, deceleration=math.inf, travel_velocity=0.0, travel_acceleration=0.0,
+        acceleration_by_axis=False,
+    )  # fmt: skip

@@ -164,6 +164,14 @@ def test_answers_of_real_boards(answers: Path, board: str) -> None:
     assert read == pytest.approx(READ[board], rel=1e-3)
 
 
+@pytest.mark.parametrize(("kinematics", "diagonal"), [("cartesian", 2.0**0.5), ("corexy", 1.0)])
+def test_m201_limits_each_motor(answers: Path, kinematics: str, diagonal: float) -> None:
+    """On a cartesian printer, x and y each have it. On a CoreXY, a diagonal has no more."""
+    limits = profile(MarlinSettings([answers]), kinematics).limits
+    assert limits.acceleration_by_axis == (diagonal > 1.0)
+    assert limits.deceleration == pytest.approx(diagonal * limits.acceleration, abs=1.0)
+
+
 def test_trajectory_and_smoothing_of_2026_are_known(answers: Path) -> None:
     line = "echo:  M494 T2 X0.02 Y0.03 Z0 E0.01"
     table = profile(changed(answers, "echo:; Linear Advance:", line)).firmware.marlin
