@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -22,6 +22,10 @@ from hframe_post.printer.settings import Limits, Printer
 
 MOST = 1e6  # mm/s², as much as limits may be
 
+# seconds (n,) of moves: mm that their leading motor makes, their length, speeds at both ends and
+# between, acceleration, (n,) each
+Durations = Callable[[Array, Array, Array, Array, Array, Array], Array]
+
 
 @dataclass(frozen=True, slots=True)
 class FirmwareLimits:
@@ -30,7 +34,7 @@ class FirmwareLimits:
     limits: of any move. printing, travel: accelerations until the file sets others. motors:
     accelerations of A and B until the file sets others, if motors are limited; belts (2, 2): from
     x, y to A, B. cruise_ratio: of a move that brakes as soon as it has accelerated, the share that
-    must be at constant speed.
+    must be at constant speed. durations: of moves; None: those of exact ramps.
     """
 
     limits: Limits
@@ -39,6 +43,7 @@ class FirmwareLimits:
     motors: tuple[float, float] = (math.inf, math.inf)
     belts: Array | None = None
     cruise_ratio: float = 0.0
+    durations: Durations | None = None
 
 
 class Firmware(ABC):

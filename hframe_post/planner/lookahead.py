@@ -17,6 +17,7 @@ Rules:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -31,6 +32,7 @@ from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, P
 BATCH = 4096  # moves planned at once; more if none of their speeds is final
 LONGEST_QUEUE = 16 * BATCH
 MELTED = 50.0  # mm/s of filament, more than any hot end melts
+SHORT = 1.0  # mm; only into shorter moves must an arc fit, on a board with junction deviation
 Z_SHARE = 1 / 3  # of z acceleration while x and y move: the firmware ramps inside segments
 
 
@@ -103,8 +105,9 @@ class Lookahead:
             yield self._take(moves, *runs)
 
     def _caps(self, moves: _Limited) -> Array:
-        corner = self._limits.extruder_corner_velocity
-        caps = greatest_speeds(moves.points, moves.limits, corner)
+        limits = self._limits
+        shorter = SHORT if math.isfinite(limits.junction_deviation) else math.inf
+        caps = greatest_speeds(moves.points, moves.limits, limits.extruder_corner_velocity, shorter)
         caps[0] = self._speed
         return caps
 

@@ -331,6 +331,22 @@ def test_a_file_takes_as_long_as_sliced_as_the_board_takes(marlin: Printer) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("planner", GENERATIONS)
+def test_a_slow_board_takes_as_long_for_a_layer_as_sliced_as_is_told(planner: str) -> None:
+    """At 500 mm/s², what its planner makes of ramps is up to 1 % of the time."""
+    slinger = with_own(load("example-ender"), planner=planner)
+    build = built(slinger, planner=planner, cartesian=True, junction_deviation=0.08)
+    board, told = [], []
+    for layers in (1, 2):
+        lines = layers_of_cube(layers)
+        runs = Machine(replace(build)).read(b"M201 X500 Y500 Z100 E5000\n" + b"".join(lines))
+        board.append(sum(run.duration for run in runs))
+        told.append(converted(lines, slinger, Options("none"))[1].time.before)
+    layer = board[1] - board[0]
+    near(told[1] - told[0], layer, 0.008 * layer, "a layer as sliced, s")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("planner", ["2.1", "2.1-dev", "ft-motion"])
 def test_four_minutes_of_cube(marlin: Printer, planner: str) -> None:
     cube = played(layers_of_cube(9), with_own(marlin, planner=planner), planner=planner)

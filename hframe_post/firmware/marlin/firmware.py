@@ -100,7 +100,7 @@ class Marlin(Firmware):
         own = unlimited(printer.limits, velocity=velocity, acceleration=MOST, **corner)
         return FirmwareLimits(
             own, table.acceleration, table.travel_acceleration, table.max_acceleration,
-            printer.kinematics.matrix,
+            printer.kinematics.matrix, durations=self.code(printer).durations,
         )  # fmt: skip
 
     def shaper_settings(self, shaping: Shaping) -> str:

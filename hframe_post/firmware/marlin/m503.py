@@ -216,6 +216,7 @@ def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Kno
             **by_axis,
             **gentle(acceleration, diagonal),
             "square_corner_velocity": corner,
+            **_deviation(settings),
             "z_velocity": settings.word("M203", "Z"),
             "z_acceleration": settings.word("M201", "Z"),
             "extruder_velocity": settings.word("M203", "E"),
@@ -246,6 +247,11 @@ def _corner(settings: MarlinSettings, acceleration: Known) -> Known:
     a = as_float(acceleration)
     speed = square_corner_velocity(deviation, a)
     return Known(float(f"{speed:.3g}"), f"of M205 J{deviation:g} at {a:g} mm/s²")
+
+
+def _deviation(settings: MarlinSettings) -> dict[str, Known]:
+    deviation = settings.word("M205", "J", 0.0)
+    return {"junction_deviation": deviation} if deviation.value else {}
 
 
 def _steps(settings: MarlinSettings) -> dict[str, Known]:
