@@ -21,7 +21,9 @@ import numpy as np
 
 from hframe_post.arrays import Array, E
 
-GENTLE = math.sqrt(0.5)  # cosine of the turns with which an arc must fit into short moves
+# cosine of the turns with which an arc must fit into short moves: Marlin takes √½, but then rounding
+# decides at the 45° of infill
+GENTLE = 0.71
 
 
 def junction_deviation(square_corner_velocity: Array | float, acceleration: Array | float) -> Array:

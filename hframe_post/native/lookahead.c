@@ -46,7 +46,7 @@ LOOP(limit_moves, FLOATS(0, COLUMNS * (COUNT(4) + 1)), FLOATS(1, COUNT(4)), FLOA
      FLOATS(3, COUNT(4)), COUNT(4), (const struct rules *)FLOATS(5, sizeof(struct rules) / sizeof(double)),
      (struct limited *)OUT_FLOATS(6, OF_MOVE * COUNT(4)))
 
-#define GENTLE 0.70710678118654752 /* cosine of the turns with which an arc must fit into short moves */
+#define GENTLE 0.71 /* as in corners.py */
 
 /* Return the greatest speed between two moves, as corners.py finds it. */
 static double junction_speed(const double *one, const double *other, struct limited a,
