@@ -21,8 +21,8 @@ import numpy as np
 
 from hframe_post.arrays import Array, E
 
-# cosine of the turns with which an arc must fit into short moves: Marlin takes √½, but then rounding
-# decides at the 45° of infill
+# cosine of the turns with which an arc must fit into short moves: Marlin takes √½, with which
+# rounding decides at the 45° of infill
 GENTLE = 0.71
 
 
