@@ -73,9 +73,12 @@ class MarlinMotion(MotionRules):
         # whole steps and ticks leave blocks that no rate fits; their neighbours make up for it
         return 0 if self.planner.fixed_time else 50
 
-    @property
-    def head_start(self) -> float:
-        return self.planner.stall  # else the command is ahead by a step, in 2.0 by two
+    def head_start(self, at: Array) -> Array:
+        # else the command is ahead of the first segment that makes a step by the slow ones
+        longer = np.zeros(len(at) - 1)
+        moving = np.any(np.diff(np.rint(at[:, :Z] / self.code.steps.belt), axis=0), axis=1)
+        longer[moving.argmax()] = self.planner.stall
+        return longer
 
     @property
     def extruder(self) -> ExtruderLimits:
