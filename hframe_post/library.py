@@ -33,7 +33,8 @@ from hframe_post.errors import (
 )
 from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.gcode.lines import Input, Source
-from hframe_post.model.plant import Plant, nozzle
+from hframe_post.model.nozzle import nozzle
+from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.prediction.doubts import Doubts

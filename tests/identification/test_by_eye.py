@@ -30,7 +30,7 @@ from hframe_post.identification.by_eye.waves import (
     mode_response,
     printed_mode,
 )
-from hframe_post.model.plant import FiniteFilter
+from hframe_post.model.filters import FiniteFilter
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests import ruler

@@ -22,8 +22,8 @@ from scipy.signal import find_peaks
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
+from hframe_post.model.filters import FiniteFilter
 from hframe_post.model.impulse_response import LONGEST, ImpulseResponse
-from hframe_post.model.plant import FiniteFilter
 
 RULER = 0.3  # mm by which a distance may be read wrong
 MISCOUNT = 0.6  # waves by which their number may be
