@@ -99,7 +99,8 @@ def following(printer: Printer, advance: Advance | None = None) -> FollowedAdvan
     own = firmware(printer)
     if (limits := own.motion(printer, None).extruder) is None:
         return None
-    return FollowedAdvance(advance or own.advance(printer), limits, printer.limits.acceleration)
+    most = printer.limits.diagonal * printer.limits.acceleration
+    return FollowedAdvance(advance or own.advance(printer), limits, most)
 
 
 def sampled(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from hframe_post.arrays import Array
 from hframe_post.firmware.advance import Advance
@@ -22,6 +22,10 @@ from hframe_post.printer.settings import Limits, Printer
 
 MOST = 1e6  # mm/s², as much as limits may be
 
+# seconds (n,) of moves: mm that their leading motor makes, their length, speeds at both ends and
+# between, acceleration, (n,) each
+Durations = Callable[[Array, Array, Array, Array, Array, Array], Array]
+
 
 @dataclass(frozen=True, slots=True)
 class FirmwareLimits:
@@ -30,7 +34,7 @@ class FirmwareLimits:
     limits: of any move. printing, travel: accelerations until the file sets others. motors:
     accelerations of A and B until the file sets others, if motors are limited; belts (2, 2): from
     x, y to A, B. cruise_ratio: of a move that brakes as soon as it has accelerated, the share that
-    must be at constant speed.
+    must be at constant speed. durations: of moves; None: those of exact ramps.
     """
 
     limits: Limits
@@ -39,6 +43,7 @@ class FirmwareLimits:
     motors: tuple[float, float] = (math.inf, math.inf)
     belts: Array | None = None
     cruise_ratio: float = 0.0
+    durations: Durations | None = None
 
 
 class Firmware(ABC):
@@ -75,6 +80,10 @@ class Firmware(ABC):
     @abstractmethod
     def code(self, printer: Printer) -> Code:
         """Return its G-code on a printer. Raises PrinterError without the firmware's table."""
+
+    def reads(self, printer: Printer) -> Dialect:
+        """Return what its build on this printer reads. Default: what all builds do."""
+        return self.dialect
 
     def moves(self, printer: Printer) -> WrittenMoves:
         """Return how it plays moves as they are written. Raises PrinterError without its table."""
@@ -119,10 +128,13 @@ class Firmware(ABC):
         return
 
 
-def unlimited(limits: Limits, **others: float) -> Limits:
+def unlimited(limits: Limits, **others: Any) -> Limits:
     """Return the limits without those of jerk and braking, which only this tool has.
 
     others: replace those of these names.
     """
-    without = {"jerk": 1e12, "deceleration": math.inf, "travel_velocity": 0.0}
-    return replace(limits, **(without | {"travel_acceleration": 0.0} | others))
+    own = replace(limits, **others)
+    return replace(
+        own, jerk=1e12, deceleration=math.inf, travel_velocity=0.0, travel_acceleration=0.0,
+        acceleration_by_axis=False,
+    )  # fmt: skip

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
+import numpy as np
+
 from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.firmware.advance import ExtruderLimits
 from hframe_post.stream.types import Position, StopRules
@@ -73,10 +75,9 @@ class MotionRules(ABC):
     """How a firmware moves on a printer: segments, feed rates, strokes, dwells.
 
     lines_per_second: lines that it can take in a second; inf if nothing limits them. steady:
-    segments over which time is kept inside a motion; 0: over a batch. head_start: seconds by which
-    the first motion of a stream sets out sooner. stop_rules: how the command passes from motion
-    into lifts and retractions, and back. extruder: limits of an extruder whose advance must be part
-    of E; None: the firmware adds its own.
+    segments over which time is kept inside a motion; 0: over a batch. stop_rules: how the command
+    passes from motion into lifts and retractions, and back. extruder: limits of an extruder whose
+    advance must be part of E; None: the firmware adds its own.
     """
 
     @property
@@ -87,9 +88,12 @@ class MotionRules(ABC):
     def steady(self) -> int:
         return 0
 
-    @property
-    def head_start(self) -> float:
-        return 0.0
+    def head_start(self, at: Array) -> Array:
+        """Return the seconds (k,) that segments between places at (k + 1, 4), mm, last longer.
+
+        They are a stream's first motion, which so sets out sooner.
+        """
+        return np.zeros(len(at) - 1)
 
     @property
     def stop_rules(self) -> StopRules:

@@ -53,7 +53,7 @@ class ReadOptions:
         own = printer.firmware
         vocabulary = Vocabulary.with_names(own.harmless, own.returns, own.other_tools or ())
         return cls(
-            firmware(printer).dialect, limits, extrusion, printer.travel, vocabulary,
+            firmware(printer).reads(printer), limits, extrusion, printer.travel, vocabulary,
             printer.retraction,
         )  # fmt: skip
 
@@ -226,7 +226,7 @@ class State:
             if "S" in words or "T" in words:
                 self.axes = replace(self.axes, travel=words.get("T", math.inf))
         elif name == "M205":
-            self.corner = min((words[axis] for axis in "XY" if axis in words), default=self.corner)
+            self.corner = self._dialect.corner(words, self.corner)
         elif name == "M201":
             x, y, z, e = map(words.get, AXES, self.axes.acceleration)
             self.axes = replace(self.axes, acceleration=(x, y, z, e))

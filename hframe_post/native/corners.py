@@ -21,11 +21,20 @@ import numpy as np
 
 from hframe_post.arrays import Array, E
 
+# cosine of the turns with which an arc must fit into short moves: Marlin takes √½, with which
+# rounding decides at the 45° of infill
+GENTLE = 0.71
+
 
 def junction_deviation(square_corner_velocity: Array | float, acceleration: Array | float) -> Array:
     """Return the junction deviation, mm, for a speed through a right angle; same shapes."""
     squared = np.square(square_corner_velocity)
     return np.asarray((math.sqrt(2.0) - 1.0) * squared / acceleration)
+
+
+def square_corner_velocity(deviation: float, acceleration: float) -> float:
+    """Return the speed through a right angle, mm/s, for a junction deviation in mm."""
+    return math.sqrt(deviation * acceleration / (math.sqrt(2.0) - 1.0))
 
 
 def junction_speeds(
@@ -34,11 +43,14 @@ def junction_speeds(
     acceleration: Array,
     deviations: Array | float,
     extruder_corner_velocity: float,
+    shorter: float = math.inf,
 ) -> Array:
     """Return the greatest speed (n − 1,) between n consecutive moves, mm/s.
 
     delta (n, 4): x, y, z, e of each; length (n,): mm of path in x, y, z; acceleration (n,);
     deviations (n,) or one for all. Of two neighbours, the lower deviation·acceleration counts.
+    shorter: arcs must fit into moves that are shorter, mm. If it is finite, as in Marlin, they must
+    where the path turns by less than 45° only.
     """
     # not delta / length: in a reversal, 1 − cosθ consists of rounding, which must be Klipper's
     unit = delta[:, :E] * (1.0 / length)[:, None]
@@ -48,6 +60,10 @@ def junction_speeds(
     turn, fit = deviations * acceleration, 0.5 * length * acceleration
     with np.errstate(divide="ignore", invalid="ignore"):
         v2 = np.minimum(turn[:-1], turn[1:]) * sin_half / (1.0 - sin_half)
-        v2 = np.fmin(v2, np.minimum(fit[:-1], fit[1:]) * sin_half / cos_half)
+        arc = np.minimum(fit[:-1], fit[1:]) * sin_half / cos_half
+        if math.isfinite(shorter):
+            short = (cosine <= -GENTLE) & (np.minimum(length[:-1], length[1:]) < shorter)
+            arc = np.where(short, arc, math.inf)
+        v2 = np.fmin(v2, arc)
         extruder = extruder_corner_velocity / np.abs(np.diff(delta[:, E] / length))
     return np.asarray(np.fmin(np.sqrt(v2), extruder))

@@ -46,9 +46,11 @@ LOOP(limit_moves, FLOATS(0, COLUMNS * (COUNT(4) + 1)), FLOATS(1, COUNT(4)), FLOA
      FLOATS(3, COUNT(4)), COUNT(4), (const struct rules *)FLOATS(5, sizeof(struct rules) / sizeof(double)),
      (struct limited *)OUT_FLOATS(6, OF_MOVE * COUNT(4)))
 
+#define GENTLE 0.71 /* as in corners.py */
+
 /* Return the greatest speed between two moves, as corners.py finds it. */
 static double junction_speed(const double *one, const double *other, struct limited a,
-                             struct limited b, double extruder_corner)
+                             struct limited b, double extruder_corner, double shorter)
 {
     double one_scale = 1.0 / a.length, other_scale = 1.0 / b.length, along[E];
     for (int c = 0; c < E; c++)
@@ -57,6 +59,8 @@ static double junction_speed(const double *one, const double *other, struct limi
     double sin_half = sqrt(0.5 * (1.0 - cosine)), cos_half = sqrt(0.5 * (1.0 + cosine));
     double turn = lesser(a.deviation * a.acceleration, b.deviation * b.acceleration);
     double fit = lesser(0.5 * a.length * a.acceleration, 0.5 * b.length * b.acceleration);
+    if (shorter < INFINITY && (cosine > -GENTLE || !(lesser(a.length, b.length) < shorter)))
+        fit = INFINITY;
     double v2 = fmin(turn * sin_half / (1.0 - sin_half), fit * sin_half / cos_half);
     return fmin(sqrt(v2), extruder_corner / fabs(other[E] / b.length - one[E] / a.length));
 }
@@ -68,8 +72,8 @@ static int is_steep(const double *delta, double steep)
 
 /* Fill caps (n + 1), the greatest speed at each vertex of points (n + 1, 4). */
 static int64_t junctions(const double *points, const struct limited *moves, int64_t n,
-                         double extruder_corner, double below_cruise, double steep, double creep,
-                         double *caps)
+                         double extruder_corner, double shorter, double below_cruise, double steep,
+                         double creep, double *caps)
 {
     double delta[2][COLUMNS];
     for (int64_t k = 0; k < n; k++, points += COLUMNS) {
@@ -79,7 +83,7 @@ static int64_t junctions(const double *points, const struct limited *moves, int6
         caps[k] = caps[k + 1] = cruise;
         if (k == 0)
             continue;
-        double v = junction_speed(before, now, moves[k - 1], moves[k], extruder_corner);
+        double v = junction_speed(before, now, moves[k - 1], moves[k], extruder_corner, shorter);
         if (is_steep(before, steep) || is_steep(now, steep) || v < creep)
             v = 0.0;
         caps[k] = lesser(v, lesser(below_cruise * moves[k - 1].cruise, cruise));
@@ -89,7 +93,7 @@ static int64_t junctions(const double *points, const struct limited *moves, int6
 
 LOOP(junctions, FLOATS(0, COLUMNS * (COUNT(2) + 1)),
      (const struct limited *)FLOATS(1, OF_MOVE * COUNT(2)), COUNT(2), REAL(3), REAL(4), REAL(5),
-     REAL(6), OUT_FLOATS(7, COUNT(2) + 1))
+     REAL(6), REAL(7), OUT_FLOATS(8, COUNT(2) + 1))
 
 /* Return the greatest speed reached from v0 within a length. */
 static double reachable(double v0, double length, double a, double jerk)

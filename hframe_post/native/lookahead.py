@@ -72,16 +72,23 @@ def _least_limits(
     return length, cruise, acceleration, np.minimum(deviations, deviation)
 
 
-def greatest_speeds(points: Array, moves: Array, extruder_corner_velocity: float) -> Array:
-    """Return the greatest speed at each vertex, (n + 1,), without limits at the ends."""
+def greatest_speeds(
+    points: Array, moves: Array, extruder_corner_velocity: float, shorter: float = math.inf
+) -> Array:
+    """Return the greatest speed at each vertex, (n + 1,), without limits at the ends.
+
+    shorter: see ``junction_speeds``.
+    """
     if (compiled := kernel("junctions")) is not None:
         caps = np.empty(len(points))
-        constants = extruder_corner_velocity, BELOW_CRUISE, STEEP, CREEP
+        constants = extruder_corner_velocity, shorter, BELOW_CRUISE, STEEP, CREEP
         compiled(points, moves, len(moves), *constants, caps)
         return caps
     delta = np.diff(points, axis=0)
     length, cruise, acceleration, deviation = moves.T
-    inner = junction_speeds(delta, length, acceleration, deviation, extruder_corner_velocity)
+    inner = junction_speeds(
+        delta, length, acceleration, deviation, extruder_corner_velocity, shorter
+    )
     dx, dy, dz, _ = np.square(delta).T
     steep = dz > STEEP * STEEP * (dx + dy)
     inner[steep[:-1] | steep[1:] | (inner < CREEP)] = 0.0

@@ -53,25 +53,50 @@ def segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool
     return ends
 
 
-def with_late_starts(ends: Integers, places: Integers) -> tuple[Integers, Integers]:
-    """Return ends (k,), one more where a rest goes on until the command sets out; and whose place.
+def with_late_starts(
+    ends: Integers, cells: Integers, matrix: Array, least: int, apart: int
+) -> tuple[Integers, Integers]:
+    """Return ends (k,), more where the command swings before it sets out, and vertices (k + 1, 2).
 
-    The second, (k,), are the samples that the segments end at the place of. places (n + 1, 2): of
-    the motors. A command that swings by a few steps first comes back to where it rested. Marlin
-    cannot follow it there, and one segment for all of that would be slow and far off.
+    cells (n + 1, 2): places of x and y; matrix, least, apart: see the others. A command that swings
+    by less than ``least`` steps first comes back to where it rested. One segment for all of that
+    would be slow and far off. So the rest goes on until then; or, if it swings by more than half
+    of ``least``, a segment of so many steps goes there.
     """
+    places = motor_places(cells, matrix)
     starts = np.append(0, ends[:-1])
     moving = most_steps(places[ends] - places[starts]) > 0
     rested = np.append(True, ~moving[:-1])  # so does motion that a batch begins with, perhaps
-    found, at = list[int](), list[int]()
+    found, at = list[int](), list[Integers]()
     for k in (moving & rested).nonzero()[0].tolist():
-        away = np.abs(places[starts[k] : ends[k]] - places[starts[k]]).max(axis=1) > 1
-        back = int((~away).nonzero()[0][-1])
-        if away[:back].any():
-            found.append(int(starts[k]) + back)
-            at.append(int(starts[k]))
+        start, end = int(starts[k]), int(ends[k])
+        away = np.abs(places[start:end] - places[start]).max(axis=1)
+        back = int((away <= 1).nonzero()[0][-1])
+        if not (away[:back] > 1).any():
+            continue
+        peak = int((away[:back] == away[:back].max()).nonzero()[0][-1])
+        out = int((away[:peak] <= 1).nonzero()[0][-1])
+        way = _lengthened(cells[start + peak] - cells[start], matrix, least)
+        onward = most_steps(motor_steps(np.stack([cells[start] + way, cells[end]]), matrix))[0]
+        swings = 2 * away[peak] > least and min(peak - out, end - start - peak) >= apart
+        if swings and onward >= least:
+            found += [start + out, start + peak]
+            at += [cells[start], cells[start] + way]
+        else:
+            found.append(start + back)
+            at.append(cells[start])
     rows = np.searchsorted(ends, found)
-    return np.insert(ends, rows, found), np.insert(ends, rows, at)
+    vertices = np.insert(cells[ends], rows, np.array(at).reshape(-1, 2), axis=0)
+    return np.insert(ends, rows, found), np.vstack([cells[:1], vertices])
+
+
+def _lengthened(way: Integers, matrix: Array, least: int) -> Integers:
+    """Return a way (2,) in steps of x and y as long as ``least`` steps of a motor, or one more."""
+    exact = way * (least / np.abs(motor_places(way, matrix)).max())
+    away = np.sign(way).astype(np.int64)
+    longer = np.rint(exact).astype(np.int64)
+    short = np.abs(motor_places(longer, matrix)).max() < least
+    return np.asarray(longer + away if short else longer)
 
 
 def without_reversals(vertices: Integers, off: Array, matrix: Array, least: int) -> Integers:

@@ -17,6 +17,7 @@ Rules:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -24,13 +25,14 @@ import numpy as np
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.native.lookahead import Runs, find_runs, greatest_speeds, limit_moves
-from hframe_post.planner.pacing import with_travel_limits
+from hframe_post.planner.pacing import by_axis, with_travel_limits
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, Plan, Planned
 
 BATCH = 4096  # moves planned at once; more if none of their speeds is final
 LONGEST_QUEUE = 16 * BATCH
 MELTED = 50.0  # mm/s of filament, more than any hot end melts
+SHORT = 1.0  # mm; only into shorter moves must an arc fit, on a board with junction deviation
 Z_SHARE = 1 / 3  # of z acceleration while x and y move: the firmware ramps inside segments
 
 
@@ -44,7 +46,7 @@ def plan(
     queue = Lookahead(limits, batch, longest)
     for item in with_travel_limits(items, limits):
         if isinstance(item, Moves):
-            queue.append(item)
+            queue.append(by_axis(item, limits) if limits.acceleration_by_axis else item)
             while (ready := queue.take_final()) is not None:
                 yield ready
         elif isinstance(item, Passthrough) and item.handling is Handling.CARRY and queue.count:
@@ -103,8 +105,9 @@ class Lookahead:
             yield self._take(moves, *runs)
 
     def _caps(self, moves: _Limited) -> Array:
-        corner = self._limits.extruder_corner_velocity
-        caps = greatest_speeds(moves.points, moves.limits, corner)
+        limits = self._limits
+        shorter = SHORT if math.isfinite(limits.junction_deviation) else math.inf
+        caps = greatest_speeds(moves.points, moves.limits, limits.extruder_corner_velocity, shorter)
         caps[0] = self._speed
         return caps
 
@@ -154,9 +157,10 @@ def _joined(parts: list[_Limited]) -> _Limited:
 def _limited(moves: Moves, limits: Limits) -> _Limited:
     """Return the moves with the printer's limits, lowered by those of the file."""
     rules = np.array([
-        limits.velocity, limits.fastest, limits.acceleration, limits.hardest, limits.z_velocity,
-        limits.extruder_velocity, MELTED, Z_SHARE * limits.z_acceleration,
-        Z_SHARE * limits.extruder_acceleration, limits.square_corner_velocity,
+        limits.velocity, limits.fastest, limits.diagonal * limits.acceleration,
+        limits.diagonal * limits.hardest, limits.z_velocity, limits.extruder_velocity, MELTED,
+        Z_SHARE * limits.z_acceleration, Z_SHARE * limits.extruder_acceleration,
+        limits.square_corner_velocity,
         limits.junction_deviation, *moves.limits.velocity, *moves.limits.acceleration,
     ])  # fmt: skip
     table = limit_moves(moves.points, moves.speed, moves.acceleration, moves.corner, rules)

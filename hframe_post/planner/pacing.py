@@ -60,6 +60,19 @@ def with_travel_limits(items: Iterable[Item], limits: Limits) -> Iterator[Item]:
         yield replace(item, speed=frozen(speed), acceleration=frozen(acceleration))
 
 
+def by_axis(moves: Moves, limits: Limits) -> Moves:
+    """Return the moves with accelerations that keep x and y each to the profile's.
+
+    Where the file asks for none, it is the profile's along the path.
+    """
+    delta = np.diff(moves.points, axis=0)
+    most = np.where(delta[:, E] == 0.0, limits.hardest, limits.acceleration)
+    share = np.abs(delta[:, :Z]).max(axis=1) / lengths(delta[:, :E])
+    asked = np.minimum(moves.acceleration, most / share)
+    own = np.where(np.isfinite(moves.acceleration), asked, most)
+    return replace(moves, acceleration=frozen(own))
+
+
 @dataclass(frozen=True, slots=True)
 class Pace:
     """Speeds of one kind of feature: mm/s², mm/s at square corners, and a factor on the feed."""

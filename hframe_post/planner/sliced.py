@@ -81,7 +81,12 @@ class SlicedTime:
         top = np.minimum(cruise, reached)
         if self._bands is not None:
             self._add_in_bands(plan, top, self._bands)
-        return float(_seconds(d, v_s, v_e, top, a).sum())
+        durations, belts = self._rules.durations, self._rules.belts
+        if durations is None or belts is None:
+            return float(_seconds(d, v_s, v_e, top, a).sum())
+        lead = np.abs(np.diff(plan.points[:, :Z], axis=0) @ belts.T).max(axis=1)
+        lead = np.add.reduceat(lead, plan.ends[:-1])
+        return float(durations(lead, d, v_s, v_e, cruise, a).sum())
 
     def _add_in_bands(self, plan: Plan, top: Array, bands: MotorBands) -> None:
         """Add a plan's outer walls to the time in bands. top: greatest speed of each run."""

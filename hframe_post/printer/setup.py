@@ -7,6 +7,7 @@ repeats the value: `update.updated` sees from it what was changed since.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -50,6 +51,8 @@ Tables = dict[str, dict[str, Known]]  # settings by table; a table without any d
 
 # What an inexact model leaves is excited by the path, mostly where it brakes before a corner
 RAMP = 0.01  # s in which max_accel is reached: a third less error for 1 % (at most 8 %) more time
+# mm/s²; below it long ramps cost time only, 1 % at 500 mm/s², so they get shorter in proportion
+SLOW = 2000.0
 BRAKING = 5000.0  # mm/s²: on fast printers a third less error for 1 % more time
 CLOCK = Known(1e5, "for files of steps: at most one step per tick")
 
@@ -59,11 +62,15 @@ def as_float(known: Known) -> float:
     return known.value
 
 
-def gentle(acceleration: Known) -> dict[str, Known]:
-    """Return deceleration and jerk of the path, low enough for a model that is a little off."""
+def gentle(acceleration: Known, diagonal: float = 1.0) -> dict[str, Known]:
+    """Return deceleration and jerk of the path, low enough for a model that is a little off.
+
+    diagonal: how many times the acceleration a path may have along a diagonal.
+    """
     most = as_float(acceleration)
     origin = "low, for small errors; 'hframe-post tune' finds yours"
-    values = {"deceleration": min(most, BRAKING), "jerk": float(f"{most / RAMP:.3g}")}
+    jerk = float(f"{most / (RAMP * min(1.0, most / SLOW)):.3g}")
+    values = {"deceleration": min(float(math.ceil(diagonal * most)), BRAKING), "jerk": jerk}
     return {name: Known(value, origin) for name, value in values.items()}
 
 

@@ -214,8 +214,8 @@ def rectangle(printer: Printer) -> list[bytes]:
     x = max(min(printer.plant.x_c, high - width - clear), low + clear)
     y = round(sum(printer.travel.y) / 2.0) - 10
     corners = ((x + width, y), (x + width, y + 20), (x, y + 20), (x, y))
-    lines = ["G28", "M83", "M204 S10000", "M205 X0 Y0"]
-    lines += ["SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY=0"]  # what Klipper obeys of these two
+    lines = ["G28", "M83", "M204 S10000", "M205 X0 Y0 J0"]  # Marlin with either kind of corners
+    lines += ["SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY=0"]  # Klipper
     lines += ["G1 Z0.2 F600", f"G0 X{x:g} Y{y:g} F9000", ";LAYER:0", ";TYPE:WALL-OUTER"]
     lines += [
         f"G1 X{x:g} Y{y:g} E{length:g}"

@@ -86,6 +86,9 @@ def test_limits_are_those_of_printer_cfg_and_belts_allow_its_diagonal(config: Pa
     set_up(config)
     slow = load(str(config.parent / "printer.toml"))
     assert slow.sweep.amplitude == slow.limits.deceleration == 3000.0
+    edited(config, "max_accel: 3000", "max_accel: 1000")
+    set_up(config)
+    assert load(str(config.parent / "printer.toml")).limits.jerk == 2e5  # within 5 ms
 
 
 def test_again_it_says_what_changed_and_keeps_what_was_changed_by_hand(config: Path) -> None:

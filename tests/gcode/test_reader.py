@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from hframe_post.firmware.registry import FIRMWARES, firmware_named
 from hframe_post.gcode import batching, curves
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
+from hframe_post.printer.profile import load
 from hframe_post.stream.types import Handling, Mark, MoveAtRest, Moves, Passthrough
 from tests.gcode.reading import HOME, carried, ends, items, moves
 
@@ -109,6 +111,31 @@ def test_limits_of_the_file() -> None:
     assert math.isinf(ignoring.corner[0])
     assert math.isinf(ignoring.limits.velocity[0])
     assert ignoring.speed[1] == 50
+
+
+@pytest.mark.parametrize(
+    ("own", "line", "corner"),
+    [
+        ({}, "M205 X8 Y6", math.inf),
+        ({}, "M205 X8 J0.02", 21.97),  # √(0.02 · 10 000 / 0.414)
+        ({}, "M205 J0", 0.0),
+        ({"junction_deviation": 0.0, "jerk": (8.0, 8.0), "jerk_e": 5.0}, "M205 X8 Y6 J0.02", 6.0),
+    ],
+)
+def test_a_board_obeys_its_own_kind_of_corners(
+    own: dict[str, object], line: str, corner: float
+) -> None:
+    """Marlin is built with junction deviation (J) or with jerk (X, Y) and ignores the other."""
+    printer = load("paper-marlin")
+    table = printer.firmware.marlin
+    assert table is not None
+    tables = (replace(table, **own),)  # type: ignore[arg-type]
+    printer = replace(printer, firmware=replace(printer.firmware, tables=tables))
+    lines = [f"{text}\n".encode() for text in (*HOME, line, "G1 X1")]
+    (block,) = (
+        item for item in read(lines, ReadOptions.from_printer(printer)) if isinstance(item, Moves)
+    )
+    assert block.corner[0] == pytest.approx(corner, rel=1e-3)
 
 
 def test_set_velocity_limit() -> None:

@@ -191,7 +191,9 @@ class Machine:
             build.travel_acceleration = words.get("T", words.get("S", build.travel_acceleration))
             build.retract_acceleration = words.get("R", build.retract_acceleration)
         elif command == "M205" and not build.classic_jerk:
-            build.junction_deviation = words.get("J", build.junction_deviation)
+            asked = words.get("J", build.junction_deviation)
+            if 0.01 <= asked <= 0.3:  # it ignores others
+                build.junction_deviation = asked
 
     def _rounded(self, axis: int, value: float) -> int:
         mm = (self.build.belt, self.build.belt, self.build.z, self.build.e)[axis]

@@ -208,6 +208,21 @@ def test_a_start_that_swings_by_a_few_steps_is_waited_for(marlin: Printer, plann
     below(off[:100].max(), 0.06, "distance in the first 0.1 s, mm")
 
 
+@pytest.mark.parametrize("swing", [2.0, 4.0, 5.0])
+def test_a_start_is_off_by_no_more_than_half_a_segment(marlin: Printer, swing: float) -> None:
+    """Steps by which the command swings first: Marlin needs 6, so it makes none of 2 and 6 of 4."""
+    step = marlin.steps.belt if marlin.steps else 0.0
+    n = np.arange(24)
+    lobe = swing * np.sin(np.pi * n / 24.0) ** 2
+    x = np.concatenate([np.zeros(60), lobe, -0.02 * np.arange(60.0) ** 2])
+    points = np.column_stack([100 + x * step, np.full(len(x), 100.0), np.zeros((len(x), 2))])
+    points[:, :Z] = step * np.rint(points[0, :Z] / step) + points[:, :Z] - points[0, :Z]
+    rules = MarlinMotion.from_printer(marlin)
+    ends, at = rules.segments(points, np.zeros(len(x), bool), last=True)
+    made = np.interp(np.arange(len(x)), np.append(0, ends), np.append(points[0, 0], at[:, 0]))
+    below(np.abs(made - points[:, 0]).max() / step, 3.5, "distance to the command, steps")
+
+
 def test_while_fixed_time_motion_fills_its_queue_z_moves_by_six_steps_up(marlin: Printer) -> None:
     """With the acceleration of z it dips by 21 steps, and snaps back as x sets out."""
     run = played(laps(1), with_own(marlin, planner="ft-motion"), planner="ft-motion").run
@@ -328,6 +343,22 @@ def test_a_file_takes_as_long_as_sliced_as_the_board_takes(marlin: Printer) -> N
         told.append(converted(laps(count), marlin)[1].time.before)
     of_ten = board[1] - board[0]
     near(told[1] - told[0], of_ten, 0.008 * of_ten, "ten laps as sliced, s")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("planner", GENERATIONS)
+def test_a_slow_board_takes_as_long_for_a_layer_as_sliced_as_is_told(planner: str) -> None:
+    """At 500 mm/s², what its planner makes of ramps is up to 1 % of the time."""
+    slinger = with_own(load("example-ender"), planner=planner)
+    build = built(slinger, planner=planner, cartesian=True, junction_deviation=0.08)
+    board, told = [], []
+    for layers in (1, 2):
+        lines = layers_of_cube(layers)
+        runs = Machine(replace(build)).read(b"M201 X500 Y500 Z100 E5000\n" + b"".join(lines))
+        board.append(sum(run.duration for run in runs))
+        told.append(converted(lines, slinger, Options("none"))[1].time.before)
+    layer = board[1] - board[0]
+    near(told[1] - told[0], layer, 0.008 * layer, "a layer as sliced, s")
 
 
 @pytest.mark.slow

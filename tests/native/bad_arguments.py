@@ -96,7 +96,7 @@ def right() -> dict[str, Arguments]:
         "joined_pieces": [
             zeros(10, 6, dtype=np.float32), 10, 6, 2, 6, 1.0, 0.1, 0.1, 3, zeros(6),
         ],
-        "junctions": [floats(6, 4), floats(5, 4), 5, 1.0, 1.0, 1.0, 1.0, floats(6)],
+        "junctions": [floats(6, 4), floats(5, 4), 5, 1.0, 1.0, 1.0, 1.0, 1.0, floats(6)],
         "klipper_durations": [
             floats(6, 4), 5, floats(5), bits(6), 1.0, 1.0, floats(8), floats(62), floats(5),
         ],

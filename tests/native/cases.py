@@ -89,6 +89,7 @@ def queue(rng: Rng) -> Iterator[Call]:
     yield lookahead.limit_moves, points, speed, acceleration, corner, rules
     moves = lookahead.limit_moves(points, speed, acceleration, corner, rules)
     yield lookahead.greatest_speeds, points, moves, 1.0
+    yield lookahead.greatest_speeds, points, moves, 1.0, 1.0
     caps = lookahead.greatest_speeds(points, moves, 1.0)
     last = float(caps[-1]) * rng.choice([0.0, 1.0])
     yield lookahead.find_runs, moves, caps, 10.0**power, 10.0 ** rng.uniform(2.0, 4.0), last

@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, E
-from hframe_post.native.lookahead import reachable_speed
+from hframe_post.native.lookahead import greatest_speeds, reachable_speed
 from hframe_post.planner.lookahead import BATCH, plan
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
@@ -480,3 +480,21 @@ def test_sharp_corner_far_along_the_queue_is_slow(seed: int) -> None:
     assert len(sharp) > 20
     assert [int(k) for k in sharp if int(k) not in found] == []
     assert all(found[int(k)] <= cap[k] * (1 + 1e-6) for k in sharp)
+
+
+@pytest.mark.parametrize(("turn", "fits"), [(90.0, False), (40.0, True)])
+def test_boards_with_junction_deviation_fit_arcs_into_short_gentle_turns_only(
+    turn: float, fits: bool
+) -> None:
+    """As Marlin: its corner of 90° is as fast between short moves as between long ones."""
+    angle, a, deviation, length = np.radians(turn), 500.0, 0.08, 0.2
+    way = length * np.array([[1.0, 0.0], [np.cos(angle), np.sin(angle)]])
+    points = np.column_stack([np.cumsum(np.vstack([[0.0, 0.0], way]), axis=0), np.zeros((3, 2))])
+    table = np.tile([length, 300.0, a, deviation], (2, 1))
+    half = (np.pi - angle) / 2.0  # of the angle between the moves
+    arc = np.sqrt(deviation * a * np.sin(half) / (1.0 - np.sin(half)))
+    within = np.sqrt(0.5 * length * a * np.tan(half))
+    assert within < arc
+    assert greatest_speeds(points, table, 1.0)[1] == pytest.approx(within)
+    marlin = greatest_speeds(points, table, 1.0, shorter=1.0)[1]
+    assert marlin == pytest.approx(within if fits else arc)

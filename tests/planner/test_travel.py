@@ -1,7 +1,8 @@
-"""Travel gets the profile's limits of travel if it has any, and nothing else changes."""
+"""Limits of travel and of diagonals, where the profile has them; nothing else changes."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -81,3 +82,16 @@ def test_travel_is_planned_with_its_limits_and_extrusion_is_not() -> None:
 def test_a_ramp_that_would_never_end_is_refused() -> None:
     with pytest.raises((ValueError, PrinterError), match="travel_acceleration"):
         replace(LIMITS, travel_velocity=1e4, travel_acceleration=100.0)
+
+
+@pytest.mark.parametrize("asked", [math.inf, 1500.0, 600.0])
+def test_a_diagonal_may_have_the_acceleration_of_both_axes(asked: float) -> None:
+    """As a board whose M201 limits each axis, and whose M204 the file sets."""
+    own = replace(LIMITS, acceleration=500.0, acceleration_by_axis=True)
+    corners = [(0, 0, 0.2, 0), (40, 0, 0.2, 1), (80, 40, 0.2, 2), (80, 80, 0.2, 3)]
+    (planned,) = plan([moves(corners, acceleration=asked)], own)
+    assert isinstance(planned, Plan)
+    line = planned.line[planned.ends[:-1]]
+    found = [planned.acceleration[line == k].max() for k in planned.line]
+    diagonal = 500.0 if math.isinf(asked) else min(asked, math.sqrt(2.0) * 500.0)
+    np.testing.assert_allclose(found, [500.0, diagonal, 500.0])

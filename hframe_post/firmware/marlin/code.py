@@ -13,6 +13,7 @@ from hframe_post.firmware.code import Code, coordinates, plain
 from hframe_post.firmware.marlin.planner import Planner, make_planner
 from hframe_post.firmware.motion import VELOCITY_HEADROOM
 from hframe_post.native.block_times import Timer
+from hframe_post.native.blocks import Blocks
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Limits, Motors, Printer, Steps
 from hframe_post.stream.types import ModalState
@@ -64,6 +65,12 @@ class MarlinCode(Code):
         t = self.table
         timer = Timer(t.timer_hz, t.timer_extra_tick, t.adaptive_step_smoothing)
         return make_planner(t.planner, timer, t.classic_jerk, t.s_curve_acceleration)
+
+    def durations(self, lead: Array, d: Array, v_s: Array, v_e: Array, v: Array, a: Array) -> Array:
+        """Return the seconds (n,) of moves as the board steps them; see ``Durations``."""
+        steps = np.maximum(np.rint(lead / self.steps.belt), 1.0)
+        blocks = Blocks(steps, d, np.floor(a * steps / d))
+        return self.planner.reached(blocks, v_s, v_e, v)
 
     @property
     def motion_mode(self) -> str:

@@ -6,6 +6,7 @@ These are imported where they are needed: most printers run Klipper.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from hframe_post.firmware.base import MOST, Firmware, FirmwareLimits, unlimited
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
 from hframe_post.model.shapers import Shaping
+from hframe_post.native.corners import square_corner_velocity
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Printer
 
@@ -65,6 +67,18 @@ class Marlin(Firmware):
 
         return MarlinCode.from_printer(printer)
 
+    def reads(self, printer: Printer) -> Dialect:
+        """Return what its build reads: one with junction deviation ignores M205 X and Y."""
+        table = printer.firmware.marlin
+        if table is None or table.classic_jerk:
+            return self.dialect
+        acceleration = printer.limits.acceleration
+
+        def corner(words: Words, before: float) -> float:
+            return square_corner_velocity(words["J"], acceleration) if "J" in words else before
+
+        return replace(self.dialect, corner=corner)
+
     def moves(self, printer: Printer) -> MarlinMoves:
         from hframe_post.firmware.marlin.written_moves import MarlinMoves
 
@@ -86,7 +100,7 @@ class Marlin(Firmware):
         own = unlimited(printer.limits, velocity=velocity, acceleration=MOST, **corner)
         return FirmwareLimits(
             own, table.acceleration, table.travel_acceleration, table.max_acceleration,
-            printer.kinematics.matrix,
+            printer.kinematics.matrix, durations=self.code(printer).durations,
         )  # fmt: skip
 
     def shaper_settings(self, shaping: Shaping) -> str:

@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hframe_post.errors import HframeError
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.native.corners import square_corner_velocity
 from hframe_post.printer.decoding import file_text
 from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, gentle, motors, sweep
 
@@ -210,13 +212,18 @@ def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Kno
     printing = settings.word("M204", "P")
     acceleration = min(printing, highest, key=as_float)
     corner = _corner(settings, acceleration)
+    diagonal, by_axis = 1.0, dict[str, Known]()
+    if Kinematics(kinematics).bed_moves:  # a motor for each axis
+        diagonal, by_axis = math.sqrt(2.0), {"acceleration_by_axis": Known(True, "as M201 does")}
     tables: Tables = {
         "travel": travel,
         "limits": {
             "velocity": velocity,
             "acceleration": acceleration,
-            **gentle(acceleration),
+            **by_axis,
+            **gentle(acceleration, diagonal),
             "square_corner_velocity": corner,
+            **_deviation(settings),
             "z_velocity": settings.word("M203", "Z"),
             "z_acceleration": settings.word("M201", "Z"),
             "extruder_velocity": settings.word("M203", "E"),
@@ -245,8 +252,13 @@ def _corner(settings: MarlinSettings, acceleration: Known) -> Known:
     if not deviation:
         return _least(settings, "M205", "XY")
     a = as_float(acceleration)
-    speed = math.sqrt(a * deviation * math.sqrt(0.5) / (1.0 - math.sqrt(0.5)))
+    speed = square_corner_velocity(deviation, a)
     return Known(float(f"{speed:.3g}"), f"of M205 J{deviation:g} at {a:g} mm/s²")
+
+
+def _deviation(settings: MarlinSettings) -> dict[str, Known]:
+    deviation = settings.word("M205", "J", 0.0)
+    return {"junction_deviation": deviation} if deviation.value else {}
 
 
 def _steps(settings: MarlinSettings) -> dict[str, Known]:

@@ -73,9 +73,12 @@ class MarlinMotion(MotionRules):
         # whole steps and ticks leave blocks that no rate fits; their neighbours make up for it
         return 0 if self.planner.fixed_time else 50
 
-    @property
-    def head_start(self) -> float:
-        return self.planner.stall  # else the command is ahead by a step, in 2.0 by two
+    def head_start(self, at: Array) -> Array:
+        # else the command is ahead of the first segment that makes a step by the slow ones
+        longer = np.zeros(len(at) - 1)
+        moving = np.any(np.diff(np.rint(at[:, :Z] / self.code.steps.belt), axis=0), axis=1)
+        longer[moving.argmax()] = self.planner.stall
+        return longer
 
     @property
     def extruder(self) -> ExtruderLimits:
@@ -153,15 +156,15 @@ class MarlinMotion(MotionRules):
         cells = np.rint(in_steps).astype(np.int64)
         apart = max(1, math.ceil(round(1.0 / (TS * SPARED * self.lines_per_second), 6)))
         least, stall = self.code.table.min_steps_per_segment, round(self.planner.stall / TS)
-        motors = motor_places(cells, self.kinematics.matrix)
+        matrix = self.kinematics.matrix
+        motors = motor_places(cells, matrix)
         ends = segment_ends(np.diff(motors, axis=0), least, apart, stall, last)
         ends = slow_segment_ends(in_steps, cells, motors, ends, least, apart)
-        ends, of_place = with_late_starts(ends, motors)
+        ends, vertices = with_late_starts(ends, cells, matrix, least, apart)
         at = points[ends]
-        vertices = np.vstack([cells[:1], cells[of_place]])
         if stall and not self.code.table.classic_jerk:
-            off = in_steps[np.append(0, of_place)] - vertices
-            vertices = without_reversals(vertices, off, self.kinematics.matrix, least)
+            off = in_steps[np.append(0, ends)] - vertices
+            vertices = without_reversals(vertices, off, matrix, least)
         at[:, :Z] = vertices[1:] * self.code.steps.belt
         return ends, at
 

@@ -76,6 +76,15 @@ class SteppedPlanner:
         v_s, v_e, rates = self._played(blocks, joint, v)
         return v_s, v_e, block_times(blocks, *rates, self.stepper)
 
+    def reached(self, blocks: Blocks, v_s: Array, v_e: Array, v: Array) -> Array:
+        """Return the seconds (k,) of blocks at v (k,), between speeds (k,) that they can reach."""
+        per_mm = blocks.n / blocks.d
+        if self.stepper.development:
+            least = np.minimum(_development_entry(blocks), v)
+            v_s, v_e = np.maximum(v_s, least), np.maximum(v_e, least)
+        rates = v_s * per_mm, np.ceil(v * per_mm), v_e * per_mm
+        return block_times(blocks, *rates, self.stepper)
+
     def travelled(self, blocks: Blocks, joint: Array, v: Array) -> Array:
         """Return mm of path (m,) every 1 ms: the mean of the steps made in the ms around it.
 
@@ -137,11 +146,14 @@ class FixedTimePlanner:
         return ramps.ends(v, blocks.corners, before, _development_entry(blocks))[0]
 
     def stroke(self, blocks: Blocks, joint: Array, v: Array) -> tuple[Array, Array, Array]:
+        v_s, v_e = _reachable(blocks, joint, v, _development_entry(blocks))
+        return v_s, v_e, self.reached(blocks, v_s, v_e, v)
+
+    def reached(self, blocks: Blocks, v_s: Array, v_e: Array, v: Array) -> Array:
         n, d, a, _ = blocks
         a = a * d / n
-        v_s, v_e = _reachable(blocks, joint, v, _development_entry(blocks))
         v = np.minimum(v, np.sqrt(a * d + (v_s**2 + v_e**2) / 2.0))
-        return v_s, v_e, (d + ((v - v_s) ** 2 + (v - v_e) ** 2) / (2.0 * a)) / v
+        return np.asarray((d + ((v - v_s) ** 2 + (v - v_e) ** 2) / (2.0 * a)) / v)
 
     def travelled(self, blocks: Blocks, joint: Array, v: Array) -> Array:
         """Return mm of path (m,) at every 1 ms, where it looks up its place."""

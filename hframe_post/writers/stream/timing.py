@@ -154,7 +154,7 @@ class Timing:
             first = float(lengths(at[1:2, :E] - at[:1, :E])[0])
             T[0] = self._lift.stroke.time_of_next(first, float(T[0]))
         if self._fresh:
-            T[0] += self._rules.head_start
+            T = T + self._rules.head_start(at)
         late, passed = abs(self.lag), T.cumsum()
         share = min(CATCH_UP, late / min(float(passed[-1]), 1.0))  # over 1 s, if there is one
         made_up = np.minimum(share * passed, late)
