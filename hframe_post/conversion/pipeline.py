@@ -239,8 +239,7 @@ class PlannedFile:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         items = parsed(self._input.lines(self._lines), self._printer, self._options)
         items = self._times.timed("read", self._input.items(items))
-        items = self._times.timed("plan", self._sliced.items(items))
-        items = self._path.items(items)
+        items = self._path.items(self._sliced.items(items))
         plans = scheduled(items, self._printer, followed=self._following)
         return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))
 
