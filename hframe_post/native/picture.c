@@ -5,10 +5,10 @@ struct table { /* n columns; rows: x, y, the line's, layer's and feature's numbe
     int64_t rows, n;
 };
 
-INSIDE const float *row(struct table of, int64_t k) { return of.values + of.n * k; }
+static const float *row(struct table of, int64_t k) { return of.values + of.n * k; }
 
 /* Return whether in each of some rows b is as near to the line from a to c as ``most``. */
-INSIDE int near_line(struct table of, int64_t low, int64_t high, int64_t a, int64_t b, int64_t c,
+static int near_line(struct table of, int64_t low, int64_t high, int64_t a, int64_t b, int64_t c,
                      float share, float most)
 {
     for (int64_t k = low; k < high; k++) {
@@ -20,7 +20,7 @@ INSIDE int near_line(struct table of, int64_t low, int64_t high, int64_t a, int6
 }
 
 /* Return whether piece b may be joined to the next one, c; a is the one before. */
-INSIDE int straight(struct table of, int64_t numbers, int64_t ways, int64_t a, int64_t b, int64_t c,
+static int straight(struct table of, int64_t numbers, int64_t ways, int64_t a, int64_t b, int64_t c,
                     float length2, float near, float off)
 {
     const float *x = row(of, X), *y = row(of, Y);
