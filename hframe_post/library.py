@@ -245,6 +245,9 @@ def speed_curve(source: Source, printer: Printer, options: Options = DEFAULT) ->
     """
     from hframe_post.studies.speed.curve import curve
 
+    if options.max_width_error is not None:
+        speed = replace(printer.speed, max_width_error=options.max_width_error)
+        printer, options = replace(printer, speed=speed), replace(options, max_width_error=None)
     return curve(Input(source).again, printer, replace(options, predict=()).resolved(printer))
 
 
