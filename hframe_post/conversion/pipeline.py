@@ -244,9 +244,9 @@ class PlannedFile:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         items = parsed(self._input.lines(self._lines), self._printer, self._options)
         items = self._times.timed("read", self._input.items(items))
-        items = self._times.timed("plan", self._sliced.items(items))
+        items = self._sliced.items(items)
         if self._faster is not None:
-            items = self._times.timed("plan", self._faster.items(items))
+            items = self._faster.items(items)
         items = self._path.items(items)
         plans = scheduled(items, self._printer, followed=self._following)
         return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))

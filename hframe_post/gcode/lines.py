@@ -10,6 +10,7 @@ import shutil
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from io import IOBase
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -106,7 +107,7 @@ def lines_of(file: IO[bytes]) -> Iterator[bytes]:
             yield from lines_of(text)
     elif first:
         yield first
-        yield from iter(lambda: file.readline(MAX_LINE_BYTES + 2), b"")
+        yield from iter(partial(file.readline, MAX_LINE_BYTES + 2), b"")
 
 
 def _check_start(first: bytes) -> None:
@@ -133,12 +134,10 @@ class Input:
     def binary(self) -> bool:
         return self.path is not None and is_binary(self.path)
 
-    def lines(self, progress: Callable[[int], object] | None = None) -> Iterator[bytes]:
-        """Yield the lines. progress: called with the number of bytes of each."""
-        for line in self._opened():
-            if progress is not None:
-                progress(len(line))
-            yield line
+    def lines(self, progress: Callable[[int], object] | None = None) -> Iterable[bytes]:
+        """Return the lines. progress: called with the number of bytes of each."""
+        lines = self._opened()
+        return lines if progress is None else _reported(lines, progress)
 
     def again(self) -> Iterable[bytes]:
         """Return the lines from the first. Raises ArgumentError if they can be read only once."""
@@ -151,6 +150,12 @@ class Input:
             return _lines_in(self.path)
         source = cast(IO[bytes] | Iterable[bytes], self._source)
         return lines_of(cast(IO[bytes], source)) if isinstance(source, IOBase) else source
+
+
+def _reported(lines: Iterable[bytes], progress: Callable[[int], object]) -> Iterator[bytes]:
+    for line in lines:
+        progress(len(line))
+        yield line
 
 
 def _lines_in(path: Path) -> Iterator[bytes]:

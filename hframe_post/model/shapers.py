@@ -27,7 +27,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from math import comb
 from typing import Any
 
@@ -83,12 +83,19 @@ class Shaper:
 
 def shaper(name: str, hz: float, damping: float) -> Shaper:
     """Return the shaper of that name for a mode of a damping ratio. Raises HframeError."""
+    A, periods = _impulses(name, damping)
+    T = periods / hz
+    return Shaper(A, T - A @ T)
+
+
+@lru_cache(maxsize=64)  # a search tries many frequencies with each damping ratio
+def _impulses(name: str, damping: float) -> tuple[Array, Array]:
+    """Return amplitudes with sum 1, and times in periods, of the impulses. Raises HframeError."""
     kind, parameters = _parsed(name)
     if damping > kind.most_damping:
         raise HframeError(f"{name} is for a damping ratio of at most {kind.most_damping:g}")
     amplitudes, periods = kind.impulses(damping, **parameters)
-    A, T = np.array(amplitudes) / sum(amplitudes), np.array(periods) / hz
-    return Shaper(A, T - A @ T)
+    return np.array(amplitudes) / sum(amplitudes), np.array(periods)
 
 
 def most_damping(name: str) -> float:

@@ -14,14 +14,14 @@ static int64_t within(int64_t k, int64_t n) { return k < 0 ? 0 : k < n ? k : n -
 static double square(struct vector v) { return v.x * v.x + v.y * v.y; }
 
 /* Return the way to a point from sample k. */
-static struct vector from_sample(struct path path, struct vector a, int64_t k)
+INSIDE struct vector from_sample(struct path path, struct vector a, int64_t k)
 {
     const double *p = path.places + path.columns * k;
     return (struct vector){a.x - p[X], a.y - p[Y]};
 }
 
 /* Return the way to a point from the nearest place on the segment between samples p and q. */
-static struct vector from_segment(struct path path, struct vector a, int64_t p, int64_t q)
+INSIDE struct vector from_segment(struct path path, struct vector a, int64_t p, int64_t q)
 {
     const double *from = path.places + path.columns * p, *to = path.places + path.columns * q;
     double dx = to[X] - from[X], dy = to[Y] - from[Y];
@@ -32,20 +32,22 @@ static struct vector from_segment(struct path path, struct vector a, int64_t p, 
     return (struct vector){a.x - dx * share, a.y - dy * share};
 }
 
-/* Return the sample nearest to the point: try some around ``at``, then the neighbours of the best. */
-static int64_t nearest(struct path path, struct vector a, int64_t at, int64_t reach, int64_t coarse)
+/* Return the sample nearest to the point: try some around ``at``, then the neighbours of the best.
+ * inside: whether the path has all of these samples; a constant, so that most calls need no bounds. */
+INSIDE int64_t nearest(struct path path, struct vector a, int64_t at, int64_t reach, int64_t coarse,
+                       int inside)
 {
     int64_t found = at - reach, best_k = 0;
     double best = INFINITY;
     for (int64_t k = at - reach; k <= at + reach; k += coarse) {
-        double distance2 = square(from_sample(path, a, within(k, path.n)));
+        double distance2 = square(from_sample(path, a, inside ? k : within(k, path.n)));
         if (distance2 < best)
             best = distance2, found = k;
     }
     int64_t candidates[] = {found - 1, found, found + 1, at - 1, at, at + 1};
     best = INFINITY;
     for (int i = 0; i < 6; i++) {
-        int64_t k = within(candidates[i], path.n);
+        int64_t k = inside ? candidates[i] : within(candidates[i], path.n);
         double distance2 = square(from_sample(path, a, k));
         if (distance2 < best)
             best = distance2, best_k = k;
@@ -91,7 +93,9 @@ static int64_t deviation(const double *places, int64_t columns, int64_t n, const
             off[i] = from_segment(path, a, low, high);
             continue;
         }
-        int64_t k = nearest(path, a, at[i], reach, coarse);
+        int inside = at[i] > reach && at[i] < n - reach - 1;
+        int64_t k = inside ? nearest(path, a, at[i], reach, coarse, 1)
+                           : nearest(path, a, at[i], reach, coarse, 0);
         struct vector before = from_segment(path, a, k, within(k - 1, n));
         struct vector after = from_segment(path, a, k, within(k + 1, n));
         off[i] = square(before) < square(after) ? before : after;

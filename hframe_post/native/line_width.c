@@ -37,12 +37,12 @@ static int64_t line_pieces(const double *path, const double *nozzle, const doubl
             drawing = 0;
             continue;
         }
-        double passed = floor((now.way - begin) / piece);
+        double passed = (now.way - begin) / piece;
         if (!drawing)
             drawing = 1, from = now, begin = now.way, number = 0.0;
-        else if (passed != number) {
+        else if (passed < number || passed >= number + 1.0) { /* seldom, so floor is called seldom */
             end(&pieces, k, now, from, piece);
-            from = now, number = passed;
+            from = now, number = floor(passed);
         }
         double vx = q[X] - q[X - 2], vy = q[Y] - q[Y - 2], way = sqrt(vx * vx + vy * vy);
         now.way += way;

@@ -28,7 +28,7 @@ from hframe_post.version import __version__
 LEVEL = 4  # of compression of text: a third of the time of 6, for 3 to 20 % more bytes
 PACKED_LEVEL = 2  # of pieces: two thirds of the time of 4, for 5 % more bytes
 LARGEST_TEXT = 1_650_000  # bytes of compressed G-code that a page carries
-MOST_LINES = LARGEST_TEXT // 4  # a line takes 8 to 12 bytes, so more of them are not tried
+TRIED_LINES = 10_000  # after which a text that will take a tenth more than that is given up
 LINES_TOGETHER = 1000
 WORST = 10  # places
 APART = 2.0  # mm between two of them, seen from above
@@ -76,7 +76,7 @@ def page(
         "coarse": picture.finest if picture.coarser else None,
     }
     packed = _packed(pieces, columns)
-    text = _compressed(lines) if report.read.lines <= MOST_LINES else b""
+    text = _compressed(lines, report.read.lines)
     return filled("page", data, SEGMENTS=_coded(packed), TEXT=_coded(text))
 
 
@@ -84,13 +84,15 @@ def _coded(content: bytes) -> str:
     return base64.b64encode(content).decode()
 
 
-def _compressed(lines: Iterable[bytes]) -> bytes:
-    """Return the text compressed, or nothing if it is too long."""
-    squeeze, parts, size, left = zlib.compressobj(LEVEL), list[bytes](), 0, iter(lines)
+def _compressed(lines: Iterable[bytes], count: int) -> bytes:
+    """Return the text compressed, or nothing if it is too long. count: of its lines."""
+    squeeze, parts, left = zlib.compressobj(LEVEL), list[bytes](), iter(lines)
+    read = size = 0
     while some := [line.rstrip(b"\r\n") for line in islice(left, LINES_TOGETHER)]:
         parts.append(squeeze.compress(b"\n".join([*some, b""])))
-        size += len(parts[-1])
-        if size > LARGEST_TEXT:
+        read, size = read + len(some), size + len(parts[-1])
+        hopeless = read >= TRIED_LINES and size * count > 1.1 * LARGEST_TEXT * read
+        if hopeless or size > LARGEST_TEXT:
             return b""
     return b"".join([*parts, squeeze.flush()])
 

@@ -86,8 +86,8 @@ def _least(Q: Array, x: Candidates, y: Candidates) -> Shaping:
     """Return the best of all pairs."""
     n, (xs, a_x), (ys, a_y) = 2 * REACH + 1, x, y
     squares = 2.0 * a_x @ Q[:n, n:] @ a_y.T
-    squares += np.einsum("ij,jk,ik->i", a_x, Q[:n, :n], a_x)[:, None]
-    squares += np.einsum("ij,jk,ik->i", a_y, Q[n:, n:], a_y)
+    squares += (a_x @ Q[:n, :n] * a_x).sum(axis=1)[:, None]
+    squares += (a_y @ Q[n:, n:] * a_y).sum(axis=1)
     i, j = np.unravel_index(squares.argmin(), squares.shape)
     return Shaping(xs[i], ys[j], float(np.sqrt(max(squares[i, j], 0.0))))
 
