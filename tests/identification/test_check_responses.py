@@ -115,6 +115,7 @@ def test_modes_that_move_by_themselves_are_followed(seed: int) -> None:
     now = replace(MACHINE, x=replace(MACHINE.x, modes=tuple(modes)))
     found = checked(now, CHIP, profile(), seed, axes=[X])["Gxx"]
     assert found.certain
+    assert found.modes[-1] == pytest.approx((80.0, modes[-1].hz), rel=0.02)
     assert off(measured(found.G), now) < min(0.08, 0.5 * off(measured(profile().plant.Gxx), now))
 
 

@@ -111,7 +111,7 @@ def drift(model: Linear, recorded: Recorded) -> Drift:
     new = found.response
     before, now, apart = left_unseen(G, new, recorded.unseen, band)
     seen = (found.seen or peak.certain) and apart > STEPS
-    return Drift(new, seen, (before, now), peak)
+    return Drift(new, seen, (before, now), peak, found.modal.modes)
 
 
 def _impulse_response(G: Linear) -> ImpulseResponse:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.signal import find_peaks
 
-from hframe_post.arrays import TS, Array
+from hframe_post.arrays import TS
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.checking.run import at_hz, scaling
 from hframe_post.identification.estimation.kernel import Mode
@@ -35,11 +35,10 @@ DEGREE = 5  # of the spline through a response
 
 @dataclass(frozen=True, slots=True)
 class ModalDrift:
-    """A response after its modes drifted, and these: before, Hz, and now."""
+    """A response after its modes drifted. modes: Hz of each before and now, by frequency."""
 
     G: ImpulseResponse
-    before: Array
-    now: Array
+    modes: tuple[tuple[float, float], ...]
 
 
 def drifted(G: ImpulseResponse, stretch: float, part: FrequencyResponse, late: float) -> ModalDrift:
@@ -56,7 +55,7 @@ def drifted(G: ImpulseResponse, stretch: float, part: FrequencyResponse, late: f
 
     stretched = _as_long_as(G, at_stretched(G) if not G.elsewhere else G.everywhere(at_stretched))
     modes = replace(old, omega=old.omega / stretch)
-    alike = ModalDrift(stretched, old.hz, modes.hz)
+    alike = ModalDrift(stretched, _pairs(old, modes))
     H = at_hz(stretched, part.hz)
     shown = replace(part, H=part.H * modes.response(part.hz) / H)
     around = (old.delay + late - NEAR, old.delay + late + NEAR)
@@ -69,7 +68,11 @@ def drifted(G: ImpulseResponse, stretch: float, part: FrequencyResponse, late: f
     left, left_now = (nearest(one)[2] for one in (H, at_hz(found, part.hz)))
     if len(now.hz) < len(modes.hz) or not _likelier(left, left_now, len(part.hz), len(now.hz)):
         return alike
-    return ModalDrift(found, old.hz, now.hz)
+    return ModalDrift(found, _pairs(old, now))
+
+
+def _pairs(old: Modes, now: Modes) -> tuple[tuple[float, float], ...]:
+    return tuple(sorted(zip(old.hz.tolist(), now.hz.tolist(), strict=True)))
 
 
 def _likelier(left: float, left_now: float, frequencies: int, modes: int) -> bool:
