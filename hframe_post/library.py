@@ -33,7 +33,8 @@ from hframe_post.errors import (
 )
 from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.gcode.lines import Input, Source
-from hframe_post.model.plant import Plant, nozzle
+from hframe_post.model.nozzle import nozzle
+from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.prediction.doubts import Doubts
@@ -244,6 +245,9 @@ def speed_curve(source: Source, printer: Printer, options: Options = DEFAULT) ->
     """
     from hframe_post.studies.speed.curve import curve
 
+    if options.max_width_error is not None:
+        speed = replace(printer.speed, max_width_error=options.max_width_error)
+        printer, options = replace(printer, speed=speed), replace(options, max_width_error=None)
     return curve(Input(source).again, printer, replace(options, predict=()).resolved(printer))
 
 

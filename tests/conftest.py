@@ -48,6 +48,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--update-golden", action="store_true", help="rewrite tests/golden")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files of this folder: they hold the longest tests.
+
+    One that began last would leave the other processes without work.
+    """
+    items.sort(key=lambda item: item.path.parent != ROOT / "tests")
+
+
 def pytest_configure() -> None:
     """Let the processes that tests start heed signals that this one was started to ignore.
 

@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from hframe_post.arrays import TS, Array
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
-from hframe_post.model.plant import Filter, Plant, Response
+from hframe_post.model.filters import Filter
+from hframe_post.model.nozzle import Response
+from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
 
 # printer.cfg of the Sovol SV08 whose recordings are among the tests

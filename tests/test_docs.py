@@ -59,8 +59,16 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+LONG = "api.md"  # it converts, simulates, tunes and identifies
+
+
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if SNIPPETS[page]], ids=lambda page: page.name
+    "page",
+    [
+        pytest.param(page, marks=[pytest.mark.slow] * (page.name == LONG), id=page.name)
+        for page in PAGES
+        if SNIPPETS[page]
+    ],
 )
 def test_snippets_run(page: Path, files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All snippets of a page share a namespace, as in a reader's session."""

@@ -30,7 +30,7 @@ def build(folder: Path) -> Path:
         place = Path(temporary)
         venv.create(place / "venv", with_pip=True)
         python = place / "venv" / ("Scripts" if sys.platform == "win32" else "bin") / "python"
-        run(python, "-m", "pip", "install", "-q", f"{ROOT}[{EXTRAS}]", BUILDER)
+        run(python, "-m", "pip", "install", "-q", "--no-compile", f"{ROOT}[{EXTRAS}]", BUILDER)
         entry = place / "hframe-post.py"
         entry.write_text(ENTRY)
         excluded = [word for name in UNUSED for word in ("--exclude-module", name)]

@@ -22,7 +22,7 @@ from hframe_post.writers.files import Outputs
 @click.command()
 @click.argument("source", metavar="IN.GCODE", type=click.Path(path_type=Path))
 @printer_option
-@conversion_options("limits", "extrusion")
+@conversion_options("limits", "extrusion", "max_width_error")
 @json_option
 @page_option
 def speed(

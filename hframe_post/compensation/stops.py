@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import Array, E, Z, moved
-from hframe_post.model.plant import Response
+from hframe_post.model.nozzle import Response
 from hframe_post.model.stop import StopSolver
 from hframe_post.model.stop_cost import BESIDE, BEYOND, Stop, Surroundings
 from hframe_post.model.strategies import Compensator, strategy

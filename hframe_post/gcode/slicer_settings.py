@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 FLOW = b"filament_max_volumetric_speed", b"max_volumetric_speed", b"material_max_flowrate"
 LAYER_TIME = b"slow_down_layer_time", b"slowdown_below_layer_time", b"cool_min_layer_time"
-_NAMES = b"|".join((*FLOW, *LAYER_TIME))
+MIN_SPEED = b"slow_down_min_speed", b"min_print_speed", b"cool_min_speed"
+_NAMES = b"|".join((*FLOW, *LAYER_TIME, *MIN_SPEED))
 _COMMENT = re.compile(rb";\s*(" + _NAMES + rb")\s*=\s*([\d.,; ]+)")
 _IN_CURA = re.compile(rb"n(" + _NAMES + rb") = (\d+(?:\.\d+)?)")
 _CURA = b";SETTING_3 "
@@ -21,10 +22,20 @@ _CURA = b";SETTING_3 "
 
 @dataclass(frozen=True, slots=True)
 class SlicerSettings:
-    """flow: mm³/s that the filament melts; layer_time: least seconds of a layer; None: not said."""
+    """Limits of the filament; None: not said.
+
+    flow: mm³/s that it melts. layer_time: least seconds of a layer. min_speed: mm/s, below which no
+    layer is slowed for that.
+    """
 
     flow: float | None = None
     layer_time: float | None = None
+    min_speed: float | None = None
+
+
+def is_setting(line: bytes) -> bool:
+    """Return whether ``slicer_settings`` reads anything from this line."""
+    return line.startswith(_CURA) or _COMMENT.match(line) is not None
 
 
 def slicer_settings(lines: Iterable[bytes]) -> SlicerSettings:
@@ -40,10 +51,13 @@ def slicer_settings(lines: Iterable[bytes]) -> SlicerSettings:
             cura.append(line[len(_CURA) :].rstrip(b"\r\n"))
     for match in _IN_CURA.finditer(b"".join(cura)):
         found.setdefault(match[1], []).extend(_positive(match[2]))
-    flows, times = (
-        [value for name in names for value in found.get(name, ())] for names in (FLOW, LAYER_TIME)
+    flows, times, speeds = (
+        [value for name in names for value in found.get(name, ())]
+        for names in (FLOW, LAYER_TIME, MIN_SPEED)
     )
-    return SlicerSettings(min(flows, default=None), max(times, default=None))
+    return SlicerSettings(
+        min(flows, default=None), max(times, default=None), max(speeds, default=None)
+    )
 
 
 def _positive(text: bytes) -> list[float]:

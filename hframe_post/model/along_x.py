@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from hframe_post.arrays import Array
 from hframe_post.errors import ArgumentError, HframeError
+from hframe_post.model.filters import FiniteFilter
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Lpfbs, Window
-from hframe_post.model.plant import FiniteFilter
 
 
 class SolversAlongX:

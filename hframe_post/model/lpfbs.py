@@ -33,8 +33,8 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import ArgumentError
+from hframe_post.model.filters import FiniteFilter
 from hframe_post.model.impulse_response import ImpulseResponse, Linear
-from hframe_post.model.plant import FiniteFilter
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.native.linear import product, pseudo_inverse, recursion, windows_product
 

@@ -12,7 +12,8 @@ from typing import Protocol
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.model.plant import Filters, Plant, Response
+from hframe_post.model.nozzle import Filters, Response
+from hframe_post.model.plant import Plant
 from hframe_post.native import plant as native
 from hframe_post.native.plant import LANES, Couplings, Sections
 

@@ -41,7 +41,8 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, X
 from hframe_post.model.lpfbs import bsplines
-from hframe_post.model.plant import Plant, Response
+from hframe_post.model.nozzle import Response
+from hframe_post.model.plant import Plant
 from hframe_post.model.stop_cost import BESIDE, BEYOND, Rows, Stop, Surroundings
 from hframe_post.model.stop_plant import AroundStops
 from hframe_post.native.linear import product

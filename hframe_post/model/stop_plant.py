@@ -12,7 +12,9 @@ from functools import lru_cache
 import numpy as np
 
 from hframe_post.arrays import Array, Integers, X
-from hframe_post.model.plant import Plant, Response, stream_filter
+from hframe_post.model.filters import stream_filter
+from hframe_post.model.nozzle import Response
+from hframe_post.model.plant import Plant
 from hframe_post.model.stop_cost import BESIDE, BEYOND, judged
 
 

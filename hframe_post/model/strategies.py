@@ -31,7 +31,8 @@ from hframe_post.errors import ArgumentError, HframeError
 from hframe_post.model.along_x import SolversAlongX
 from hframe_post.model.impulse_response import ImpulseResponse, Linear
 from hframe_post.model.lpfbs import Lpfbs, Window
-from hframe_post.model.plant import HEAVIER, Coupled, Coupling, Plant
+from hframe_post.model.nozzle import Coupled
+from hframe_post.model.plant import HEAVIER, Coupling, Plant
 from hframe_post.model.rounds import order, rounds_needed
 
 

@@ -1,4 +1,5 @@
 const COLOURS = [1, 2, 3, 4, 5, 6, 7].map((n) => `var(--line-${n})`);
+const FEW = 12;  // points of a line that are shown themselves
 const HEIGHT = 240, EDGE = { left: 52, right: 12, top: 10, bottom: 34 };
 
 // ------------------------------------------------------------------ small helpers
@@ -59,7 +60,7 @@ function draw(figure, chart) {
     addSvg(svg, "line", { x1: x(at), x2: x(at), y1: EDGE.top, y2: bottom, class: "grid" });
     addSvg(svg, "text", { x: x(at), y: bottom + 15, "text-anchor": "middle" }, rounded(at));
   }
-  for (const at of ticks(ys, chart.log[1], 5)) {
+  for (const at of ticks(ys, chart.log[1], 6)) {
     addSvg(svg, "line", { x1: EDGE.left, x2: right, y1: y(at), y2: y(at), class: "grid" });
     addSvg(svg, "text", { x: EDGE.left - 7, y: y(at) + 4, "text-anchor": "end" }, rounded(at));
   }
@@ -72,7 +73,9 @@ function draw(figure, chart) {
     });
     const shown = addSvg(svg, "path", { d: path, fill: "none", "stroke-width": line.strong ? 2.2 : 1.1, "stroke-linejoin": "round" });
     shown.style.stroke = colour(chart, line);
-    if (line.at.length === 1 && line.y[0] !== null) addSvg(svg, "circle", { cx: x(line.at[0]), cy: y(line.y[0]), r: 5 }).style.fill = colour(chart, line);
+    if (line.at.length <= FEW) line.at.forEach((at, k) => {
+      if (line.y[k] !== null) addSvg(svg, "circle", { cx: x(at), cy: y(line.y[k]), r: line.at.length > 1 ? 3.5 : 5 }).style.fill = colour(chart, line);
+    });
     if (line.dashed) shown.setAttribute("stroke-dasharray", "6 4");
   }
   addMarks(svg, chart.marks.filter((mark) => mark.at >= xs[0] && mark.at <= xs[1]), x, bottom);

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -15,6 +16,7 @@ from hframe_post.studies.speed.curve_report import (
     recommended,
     shown_feature,
 )
+from hframe_post.studies.speed.prints import Point
 from hframe_post.writers.stream.print_time import duration
 
 TODAY = "as sliced, today"
@@ -38,22 +40,31 @@ def speed_page(found: speeds.Curve, printer: Printer, name: str) -> bytes:
     ]  # fmt: skip
     charts = [_times(found, today), _errors(found, wall)]
     return page(
-        name, "What the print would take within each error.", cards,
-        [Section("Time against error", charts)],
+        name, "What the print would take within each error, what limits it, and how far the "
+        "lines' width is off.", cards,
+        [Section("Time against error", charts, [_row(step) for step in found.steps])],
         [f"advice  {text}" for text in advice(found)],
-        [("profile", printer.name), *(_row(step) for step in found.steps)],
+        [("profile", printer.name), ("limits", _limits(found))],
     )  # fmt: skip
 
 
 def _row(step: speeds.Step) -> tuple[str, str]:
     kept, raised = (
-        f"{duration(point.seconds)} ({causes(point)})" for point in (step.kept, step.raised)
+        f"{duration(point.seconds)} ({causes(point)}; {100.0 * point.errors.width:.1f} %)"
+        for point in (step.kept, step.raised)
     )
-    return f"{1e3 * step.bound:.3g} µm", f"{kept}; with --speed-up max {raised}"
+    return f"--max-error {1e3 * step.bound:.3g}um", f"{kept}. With --speed-up max: {raised}"
+
+
+def _limits(found: speeds.Curve) -> str:
+    limits = found.limits
+    text = f"flow {limits.flow:g} mm³/s, layers of at least {limits.min_layer_time:g} s"
+    text += f" at {limits.min_print_speed:g} mm/s or more"
+    return text if math.isinf(found.width) else f"{text}, line width {100.0 * found.width:g} %"
 
 
 def _times(found: speeds.Curve, today: float) -> Chart:
-    def line(label: str, of: Callable[[speeds.Step], speeds.Point], colour: str) -> Curve:
+    def line(label: str, of: Callable[[speeds.Step], Point], colour: str) -> Curve:
         points = [(1e3 * step.bound, of(step).seconds / 60.0) for step in found.steps]
         return _curve(label, points, colour)
 

@@ -19,7 +19,8 @@ from hframe_post.errors import GcodeError
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.lpfbs import Window
-from hframe_post.model.plant import Plant, nozzle
+from hframe_post.model.nozzle import nozzle
+from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator
 from hframe_post.paper.commands import WholeTrajectory, windowed
 from hframe_post.prediction.predict import contour_error, predict

@@ -22,6 +22,10 @@ from hframe_post.stream.types import FileLimits, Item, Moves, Passthrough, froze
 
 NO_LIMITS = FileLimits((math.inf,) * 4, (math.inf,) * 4)
 NAMES = (*KINDS, OTHER, TRAVEL)
+UNCHANGED = ("bridge", "ironing", "interface", "skirt")  # features printed as the file says
+ADJUSTED = tuple(name for name in (*KINDS, OTHER) if name not in UNCHANGED)
+FIRST_LAYERS = 1  # are printed as the file says, too
+CORNER = 4e-3  # s: speed at square corners over acceleration; no other gave faster prints
 PACED_TOGETHER = 4096  # moves and other items
 SAME_HEIGHT = 1e-3  # mm by which first layers of objects printed one by one may differ
 
@@ -72,7 +76,8 @@ class Paces:
     flow: mm/s of filament, at most, where the feed is raised. filament_acceleration: mm/s² of
     filament, at most, where the acceleration is raised. first_layers: how many layers keep what
     the file has; so does all that lies as low, where objects are printed one by one. layers:
-    factor on the feed of a layer, by its place in the print from 1; 1 if missing.
+    factor on the feed of a layer, by its place in the print from 1; 1 if missing. min_speed: mm/s,
+    below which such a factor slows nothing.
     """
 
     kinds: dict[str, Pace]
@@ -80,6 +85,7 @@ class Paces:
     first_layers: int = 1
     layers: dict[int, float] = field(default_factory=dict)
     filament_acceleration: float = math.inf
+    min_speed: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +218,9 @@ class _Pacer:
             for name in ("speed", "acceleration", "corner")
         )
         lower_to_axes(file_speed, file_acceleration, moves[0].limits, delta, length)
-        speed = file_speed * feed * self._layer_factors(layer)
+        speed = file_speed * feed
+        slowed = speed * self._layer_factors(layer)
+        speed = np.maximum(slowed, np.minimum(speed, self._paces.min_speed))
         with np.errstate(divide="ignore"):
             path = 1.0 / np.maximum(delta[:, E] / length, 0.0)  # mm of path per mm of filament
         melted, fed = self._paces.flow * path, self._paces.filament_acceleration * path

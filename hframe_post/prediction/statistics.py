@@ -138,6 +138,11 @@ class ErrorStatistics:
         end = np.int64((k + 1 + _FIRST) << BIN_BITS).view(np.float64)
         return min(float(end), self.peak)
 
+    def measured(self, measure: str) -> float:
+        """Return a statistic of the errors by its name: rms, p95 or peak; mm."""
+        values = {"rms": self.rms, "p95": self.percentile(0.95), "peak": self.peak}
+        return values[measure]
+
     def percents(self) -> dict[str, float]:
         """Return RMS and percentile of errors that are shares."""
         values = {"rms": self.rms, "p95": self.percentile(0.95)}

@@ -49,8 +49,8 @@ class Limits:
     """Limits of the planned path; mm, s. The shipped profiles explain each.
 
     deceleration limits braking more than acceleration does. flow (mm³/s) and min_layer_time limit
-    only what is printed faster than in the file. filament_density (g/cm³) makes a moving bed
-    heavier.
+    only what is printed faster than in the file; no layer is slowed below min_print_speed for that.
+    filament_density (g/cm³) makes a moving bed heavier.
     travel_velocity and travel_acceleration, unless 0, replace those of the file for travel.
     Raises ArgumentError if reaching full speed would take more than LONGEST_RAMP.
     """
@@ -70,6 +70,7 @@ class Limits:
     filament_diameter: float = within(0.5, 5.0, default=1.75)
     filament_density: float = within(0.1, 25.0, default=1.24)
     min_layer_time: float = not_negative(5.0, most=600.0)
+    min_print_speed: float = within(0.1, 1e3, default=10.0)
     travel_velocity: float = not_negative(0.0, most=1e4)
     travel_acceleration: float = not_negative(0.0, most=1e6)
 
@@ -323,6 +324,17 @@ class Printer:
                 how = "print the part with and without compensation (-c none), and compare"
             return [f"NOT VERIFIED on a machine: {how}"]
         return []
+
+    @property
+    def fastest_path(self) -> tuple[float, float]:
+        """Return acceleration, mm/s², and corner speed, mm/s, at most of a print made faster.
+
+        The path may use half of the belts' acceleration; compensation needs the rest.
+        """
+        belts = self.motors.belt_acceleration * self.kinematics.max_speed_ratio
+        most = self.speed.acceleration
+        corner = self.limits.square_corner_velocity if most else math.inf
+        return min(0.5 * belts, most or math.inf), corner
 
     @property
     def known_speed(self) -> Speed:

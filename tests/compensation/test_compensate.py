@@ -9,7 +9,7 @@ import pytest
 
 from hframe_post.arrays import TS, Array
 from hframe_post.compensation.compensate import SETTLED, compensate, settling_samples
-from hframe_post.model.plant import Response
+from hframe_post.model.nozzle import Response
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Travel

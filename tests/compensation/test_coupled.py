@@ -12,7 +12,8 @@ from hframe_post.compensation.guard import check_model
 from hframe_post.errors import PrinterError
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.lpfbs import Window
-from hframe_post.model.plant import Coupling, Plant, Response
+from hframe_post.model.nozzle import Response
+from hframe_post.model.plant import Coupling, Plant
 from hframe_post.model.rounds import contraction, order, rounds_needed
 from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.printer.profile import load

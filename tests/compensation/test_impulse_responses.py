@@ -14,9 +14,11 @@ from hframe_post.compensation.compensate import compensate, settling_samples
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import ArgumentError
+from hframe_post.model.filters import stream_filter
 from hframe_post.model.impulse_response import ImpulseResponse, Linear
 from hframe_post.model.lpfbs import Lpfbs, Window
-from hframe_post.model.plant import Bed, Coupling, Plant, Response, heavier, nozzle, stream_filter
+from hframe_post.model.nozzle import Response, nozzle
+from hframe_post.model.plant import Bed, Coupling, Plant, heavier
 from hframe_post.model.responses import Plants
 from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.model.transfer_function import TransferFunction

@@ -17,9 +17,10 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream, prepared
 from hframe_post.errors import HframeError, PrinterError
+from hframe_post.model.filters import Filter
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.lpfbs import Lpfbs
-from hframe_post.model.plant import Bed, Filter, heavier
+from hframe_post.model.plant import Bed, heavier
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.native.contour import in_motion
 from hframe_post.prediction.predict import contour_error

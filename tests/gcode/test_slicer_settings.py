@@ -1,4 +1,4 @@
-"""Flow and layer time of the filament, as slicers write them."""
+"""Flow, layer time and least speed of the filament, as slicers write them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ ORCA = b"""G1 X1
 ; filament_max_volumetric_speed = 23,12
 ; max_volumetric_extrusion_rate_slope = 0
 ; slow_down_layer_time = 6,8
+; slow_down_min_speed = 10,20
 """
 PRUSA = b"; filament_max_volumetric_speed = 0\n; max_volumetric_speed = 0\n" \
     b"; slowdown_below_layer_time = 5\n"  # fmt: skip
@@ -20,7 +21,7 @@ CURA = (  # cut within a name
 
 
 @pytest.mark.parametrize(("text", "found"), [
-    (ORCA, SlicerSettings(12.0, 8.0)),
+    (ORCA, SlicerSettings(12.0, 8.0, 20.0)),
     (PRUSA, SlicerSettings(None, 5.0)),
     (CURA, SlicerSettings(None, 3.0)),
     (b"; slow_down_layer_time = x\nG1 X1 ; slow_down_layer_time = 3\n", SlicerSettings()),

@@ -30,7 +30,7 @@ from hframe_post.identification.by_eye.waves import (
     mode_response,
     printed_mode,
 )
-from hframe_post.model.plant import FiniteFilter
+from hframe_post.model.filters import FiniteFilter
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests import ruler
@@ -71,6 +71,17 @@ def test_a_wave_too_many_hardly_counts_and_is_shown() -> None:
     (found,) = sheet.doubts(modes, bed_moves=True)
     assert "row x2 means" in found
     assert "count its waves again" in found
+
+
+def test_crests_counted_as_waves_in_every_row_are_shown() -> None:
+    """All rows agree then, on a frequency that is too high."""
+    rows = [read(30.0, 0.05, band, A) for band in bands(ender())]
+    crests = [replace(one, waves=one.waves + 1.0) for one in rows]
+    sheet = Filled({"x": crests, "y": rows}, A)
+    found = sheet.doubts(sheet.modes(), bed_moves=False)
+    assert len(found) == len(crests)
+    assert all(f"row x{k} " in one for k, one in enumerate(found, 1))
+    assert any("did you count crests?" in one for one in found)
 
 
 def test_readings_that_disagree_are_uncertain() -> None:

@@ -17,7 +17,8 @@ from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.conversion.report import Report
 from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.gcode.state import LimitSource
-from hframe_post.model.plant import Plant, Response
+from hframe_post.model.nozzle import Response
+from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Extruder, Printer

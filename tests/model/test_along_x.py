@@ -11,7 +11,8 @@ from hframe_post.arrays import TS, Array, X
 from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import Elsewhere, ImpulseResponse
 from hframe_post.model.lpfbs import Window
-from hframe_post.model.plant import Plant, Response, nozzle
+from hframe_post.model.nozzle import Response, nozzle
+from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator, strategy
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.profile import load

@@ -7,8 +7,8 @@ import pytest
 from scipy.interpolate import BSpline
 
 from hframe_post.arrays import Array
+from hframe_post.model.filters import Filter
 from hframe_post.model.lpfbs import Lpfbs, Window, bsplines, uniform_basis
-from hframe_post.model.plant import Filter
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer import profile
 

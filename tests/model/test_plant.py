@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from hframe_post.arrays import Array, Complex
+from hframe_post.model.filters import Filter
 from hframe_post.model.impulse_response import transfer_function
-from hframe_post.model.plant import Filter
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer import profile
 

@@ -24,7 +24,7 @@ from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.firmware.marlin.planner import SteppedPlanner, make_planner
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.plant import Filters
+from hframe_post.model.nozzle import Filters
 from hframe_post.model.stop import StopSolver
 from hframe_post.model.stop_cost import Stop, Surroundings
 from hframe_post.native import (

@@ -12,7 +12,8 @@ from hframe_post.compensation.compensate import compensate
 from hframe_post.errors import GcodeError
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.lpfbs import Window
-from hframe_post.model.plant import Plant, Response
+from hframe_post.model.nozzle import Response
+from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.paper import results, tables

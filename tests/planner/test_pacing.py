@@ -75,6 +75,8 @@ def test_the_extruder_is_not_accelerated_beyond_its_bound_but_by_the_file() -> N
 def test_a_layer_can_be_slowed() -> None:
     moves = paced(Paces({"outer-wall": WALL, "infill": FILL}, layers={2: 0.5}))
     assert moves.speed.tolist() == [30.0, 30.0, 60.0, 150.0, 30.0, 30.0]
+    kept = paced(Paces({"outer-wall": WALL, "infill": FILL}, layers={2: 0.5}, min_speed=40.0))
+    assert kept.speed.tolist() == [30.0, 40.0, 60.0, 150.0, 40.0, 30.0]
 
 
 def test_what_lies_as_low_as_the_first_layer_keeps_what_the_file_has() -> None:

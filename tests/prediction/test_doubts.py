@@ -14,7 +14,8 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.model.error_range import SUMS, error_range, products
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.plant import Coupling, Plant, nozzle
+from hframe_post.model.nozzle import nozzle
+from hframe_post.model.plant import Coupling, Plant
 from hframe_post.prediction.doubts import EVERY, Doubts
 from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.predict import judge

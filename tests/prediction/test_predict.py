@@ -7,7 +7,7 @@ import pytest
 from scipy import signal
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.model.plant import Response
+from hframe_post.model.nozzle import Response
 from hframe_post.model.strategies import Compensator
 from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.predict import contour_error, judge

@@ -136,15 +136,89 @@ echo:  M205 S0.00 T0.00 B20000 X20.00 Z0.40 E5.00
 20:31:07.838 -> echo:  M204 S1250.00 T1500.00
 20:31:07.838 -> echo:  M205 S0.00 T0.00 B20000.00 X10.00 Y10.00 Z0.20 E4.50
 """,
+    "Prusa MK3, limits of normal and stealth mode": """
+Recv: echo:  M92 X100.00 Y100.00 Z400.00 E280.00
+Recv: echo: M350 X16 Y16 Z16 E32
+Recv: echo:Maximum feedrates - normal (mm/s):
+Recv: echo:  M203 X200.00 Y200.00 Z12.00 E120.00
+Recv: echo:Maximum feedrates - stealth (mm/s):
+Recv: echo:  M203 X100.00 Y100.00 Z12.00 E120.00
+Recv: echo:Maximum acceleration - normal (mm/s2):
+Recv: echo:  M201 X1250 Y1250 Z1000 E5000
+Recv: echo:Maximum acceleration - stealth (mm/s2):
+Recv: echo:  M201 X960 Y960 Z1000 E5000
+Recv: echo:Acceleration: P=print, R=retract, T=travel
+Recv: echo:  M204 P1250.00 R1250.00 T1250.00
+Recv: echo:  M205 S0.00 T0.00 B0.00 X8.00 Y8.00 Z0.40 E4.50
+""",
+    "CR-10S of 2017, slow filament": """
+Recv: echo:  M92 X80.00 Y80.00 Z400.00 E95.00
+Recv: echo:  M203 X300.00 Y300.00 Z5.00 E25.00
+Recv: echo:  M201 X1000 Y1000 Z100 E25
+Recv: echo:  M204 P5000.00 R1000.00 T5000.00
+Recv: echo:  M205 S0.00 T0.00 B20000 X20.00 Z0.40 E5.00
+""",
+    "Anycubic i3 Mega, Marlin 2.0": """
+Recv: echo:  M92 X80.29 Y80.29 Z399.21 E425.35
+Recv: echo:  M203 X500.00 Y500.00 Z10.00 E50.00
+Recv: echo:  M201 X500.00 Y500.00 Z100.00 E5000.00
+Recv: echo:  M204 P500.00 R5000.00 T500.00
+Recv: echo:  M205 B20000.00 S0.00 T0.00 X10.00 Y10.00 Z0.40 E5.00
+Recv: echo:; Unified Bed Leveling:
+Recv: echo:  M420 S0 Z10.00 ; Leveling OFF
+""",
+    "Snapmaker A350, a rotary axis": """
+Recv:   M92 X400.00 Y400.00 Z400.00 B888.89 E258.79
+Recv:   M203 X120.00 Y120.00 Z40.00 E25.00
+Recv:   M201 X3000.00 Y3000.00 Z100.00 E10000.00
+Recv:   M204 P750.00 R1000.00 T1000.00
+Recv:   M205 B20000.00 S0.00 T0.00 P0.05 L3.00 C0.05 J0.02
+Recv:   M420 S1 Z0.00
+""",
+    "Tevo, two extruders": """
+echo: M92 X80.06 Y80.06 Z399.29
+echo: M92 T0 E408.00
+echo: M92 T1 E415.00
+echo:  M203 X500.00 Y500.00 Z12.00
+echo:  M203 T0 E70.00
+  M203 T1 E45.00
+echo:  M201 X1000.00 Y1000.00 Z100.00
+echo:  M201 T0 E3000.00
+  M201 T1 E2000.00
+echo:  M204 P800.00 R1500.00 T1000.00
+echo:  M205 B20000.00 S0.00 T0.00 J0.02
+""",
 }
-READ = {  # steps per mm, mm/s² of print, travel and retraction, mm/s at corners, mesh
-    "Creality, Marlin 2.0, BLTouch": (80.0, 500.0, 500.0, 500.0, 10.0, True),
-    "Creality, junction deviation, another extruder": (80.0, 500.0, 500.0, 500.0, 9.83, False),
-    "Artillery Genius, as delivered": (80.12, 800.0, 2000.0, 10000.0, 8.0, False),
-    "Artillery, Marlin 2.0": (80.12, 800.0, 2000.0, 10000.0, 7.61, False),
-    "SKR, Marlin 2.1": (80.0, 500.0, 1000.0, 500.0, 8.0, False),
-    "Marlin 1.1 of 2017, one jerk for x and y": (80.0, 500.0, 1000.0, 500.0, 20.0, False),
-    "a clone of a Prusa, log with times": (100.0, 1250.0, 1250.0, 1500.0, 10.0, False),
+# steps per mm, mm/s² of path, travel and retraction, mm/s at most and at corners, mesh
+READ = {
+    "Creality, Marlin 2.0, BLTouch": (80.0, 500.0, 500.0, 500.0, 500.0, 10.0, True),
+    "Creality, junction deviation, another extruder": (
+        80.0,
+        500.0,
+        500.0,
+        500.0,
+        500.0,
+        9.83,
+        False,
+    ),
+    "Artillery Genius, as delivered": (80.12, 800.0, 2000.0, 10000.0, 300.0, 8.0, False),
+    "Artillery, Marlin 2.0": (80.12, 800.0, 2000.0, 10000.0, 300.0, 7.61, False),
+    "SKR, Marlin 2.1": (80.0, 500.0, 1000.0, 500.0, 300.0, 8.0, False),
+    "Marlin 1.1 of 2017, one jerk for x and y": (80.0, 500.0, 1000.0, 500.0, 300.0, 20.0, False),
+    "a clone of a Prusa, log with times": (100.0, 1250.0, 1250.0, 1500.0, 200.0, 10.0, False),
+    "Prusa MK3, limits of normal and stealth mode": (
+        100.0,
+        1250.0,
+        1250.0,
+        1250.0,
+        200.0,
+        8.0,
+        False,
+    ),
+    "CR-10S of 2017, slow filament": (80.0, 1000.0, 5000.0, 1000.0, 300.0, 20.0, False),
+    "Anycubic i3 Mega, Marlin 2.0": (80.29, 500.0, 500.0, 5000.0, 500.0, 10.0, False),
+    "Snapmaker A350, a rotary axis": (400.0, 750.0, 1000.0, 1000.0, 120.0, 6.02, True),
+    "Tevo, two extruders": (80.06, 800.0, 1000.0, 1500.0, 500.0, 6.22, False),
 }
 
 
@@ -158,10 +232,23 @@ def test_answers_of_real_boards(answers: Path, board: str) -> None:
     assert table is not None
     assert steps is not None
     read = (
-        1 / steps.belt, table.acceleration, table.travel_acceleration, table.retract_acceleration,
-        own.limits.square_corner_velocity, table.bed_levelling,
+        1 / steps.belt, own.limits.acceleration, table.travel_acceleration,
+        own.limits.extruder_acceleration, own.limits.velocity, own.limits.square_corner_velocity,
+        table.bed_levelling,
     )  # fmt: skip
     assert read == pytest.approx(READ[board], rel=1e-3)
+
+
+def test_limits_of_stealth_mode_are_left_out_and_the_owner_knows(answers: Path) -> None:
+    mode = "Prusa MK3, limits of normal and stealth mode"
+    answers.write_text(BOARDS[mode])
+    assert any("in stealth mode" in line for line in MarlinSettings([answers]).warnings())
+
+
+def test_a_delta_is_refused(answers: Path) -> None:
+    delta = "echo:  M665 L280.00 R141.94 H354.33 S200.00 X0.04 Y0.26 Z-0.29 A0.00 B0.00 C0.00"
+    with pytest.raises(HframeError, match="M665, which only deltas"):
+        changed(answers, "echo:; Linear Advance:", delta).kinematics()
 
 
 def test_trajectory_and_smoothing_of_2026_are_known(answers: Path) -> None:
@@ -245,8 +332,10 @@ def test_headers_add_what_the_answers_leave_open(answers: Path, tmp_path: Path) 
 
 
 def test_steps_that_differ_are_an_error(answers: Path) -> None:
-    with pytest.raises(HframeError, match=r"M92 X80 and Y80\.28 differ"):
+    with pytest.raises(HframeError, match=r"M92 X80 and Y80\.28 differ.* Send M92 Y80 and M500"):
         profile(changed(answers, "Y80.00", "Y80.28"))
+    with pytest.raises(HframeError, match="Their pulleys or microsteps differ"):
+        profile(changed(answers, "Y80.28", "Y100.00"))
 
 
 def test_a_missing_value_is_an_error_that_names_it(answers: Path) -> None:

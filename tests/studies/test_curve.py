@@ -45,14 +45,24 @@ def test_more_error_takes_less_time_and_higher_feed_rates_less_still(found: Curv
 def test_a_conversion_takes_that_time_within_that_error(
     found: Curve, lines: list[bytes], paper: Printer
 ) -> None:
-    step = recommended(found)
-    for point, speed_up in ((step.kept, 1.0), (step.raised, 20.0)):
-        options = Options(max_error={"": step.bound}, speed_up=speed_up)
-        speed = convert(lines, None, paper, options).speed
-        assert speed is not None
-        assert speed["print_time_s"]["after"] == pytest.approx(point.seconds, rel=0.04)
-        worst = max(each["under_model_error_um"] for each in speed["features"].values())
-        assert worst == pytest.approx(1e3 * point.worst, rel=0.1)
+    middle = found.steps[len(found.steps) // 2]
+    for step in (found.steps[0], middle, recommended(found)):
+        for point, speed_up in ((step.kept, 1.0), (step.raised, 20.0)):
+            options = Options(max_error={"": step.bound}, speed_up=speed_up)
+            speed = convert(lines, None, paper, options).speed
+            assert speed is not None
+            assert speed["print_time_s"]["after"] == pytest.approx(point.seconds, rel=0.03)
+            worst = max(each["under_model_error_um"] for each in speed["features"].values())
+            assert worst == pytest.approx(1e3 * point.worst, rel=0.1)
+
+
+def test_the_width_of_lines_may_be_bounded_too(
+    found: Curve, lines: list[bytes], paper: Printer
+) -> None:
+    few_layers = lines[: lines.index(b";LAYER:4\n")]
+    narrow = speed_curve(few_layers, paper, Options(max_width_error=0.05))
+    assert narrow.steps[-1].raised.errors.width < 0.03 < found.steps[-1].raised.errors.width
+    assert "width: of the line, off RMS; at most 5 % (at 95 %)" in curve_as_text(narrow)
 
 
 def test_the_report_names_what_binds(found: Curve, paper: Printer) -> None:

@@ -17,7 +17,7 @@ from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError
 from hframe_post.library import convert, load_printer
 from hframe_post.model.plant import Plant
-from hframe_post.planner.pacing import NAMES
+from hframe_post.planner.pacing import ADJUSTED, FIRST_LAYERS, NAMES, UNCHANGED
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Extruder, Printer
@@ -25,12 +25,10 @@ from hframe_post.stream.features import kind
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.speed.drive import Drive
 from hframe_post.studies.speed.report import speed_as_text
-from hframe_post.studies.speed.search import LIMIT, NEAR, Bound, Fastest, Searches, search
+from hframe_post.studies.speed.search import Fastest, search
+from hframe_post.studies.speed.steps import LIMIT, NEAR, Bound, Searches
 from hframe_post.studies.speed.trial import (
-    ADJUSTED,
-    FIRST_LAYERS,
     JUDGED_EVERY,
-    UNCHANGED,
     Freedom,
     SpeedSettings,
     TrialPrint,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.model.plant import Filter
+from hframe_post.model.filters import Filter
 from hframe_post.prediction.predict import predict
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer

@@ -20,6 +20,7 @@ MAX_SIZE = 1 << 22  # bytes of a file
 LINE = re.compile(r"(?:^|[\s:>])(M\d+)((?: +[A-Z](?:-?\d+\.?\d*)?(?=\s|$))+)")
 WORD = re.compile(r"([A-Z])(-?\d+\.?\d*)?")
 DEFINE = re.compile(r"^\s*#define\s+(\w+)(?:[ \t]+([^\s/]+))?", re.MULTILINE)
+STEALTH = re.compile(r" - stealth \(.*\n.*")  # a Prusa's limits of its quieter mode, a line each
 SECTION = re.compile(r"^\[\w", re.MULTILINE)  # of a printer.cfg
 ANSWER = re.compile(r"\bM(92|20[1345]) +[A-Z]-?\d|FIRMWARE_NAME:")
 VERSION = re.compile(
@@ -39,6 +40,7 @@ ANY = ("cartesian", "corexy", "hbot", "hybrid-corexy", "corexz")
 M115 = "the answer to M115"
 ASSUMED = "2.1"  # planner of a build whose version is not known
 TWO_CARRIAGES = "DUAL_X_CARRIAGE"  # of Configuration_adv.h
+CORRECTION = 0.03  # share by which owners correct steps that a part's size showed
 HARMFUL = {  # options of a build, and what they do
     "SLOWDOWN": "it slows down where the queue is short, so starts and ends are off",
     "ADAPTIVE_STEP_SMOOTHING": "it rounds speeds four times as coarsely",
@@ -65,7 +67,7 @@ class MarlinSettings:
         self.name = paths[0].name
         text = "\n".join(text_in(path) for path in paths)
         self._words: dict[str, dict[str, float]] = {}
-        for command, words in LINE.findall(text):
+        for command, words in LINE.findall(STEALTH.sub("", text)):
             self._add(command, WORD.findall(words))
         self._defines: dict[str, str] = dict(DEFINE.findall(text))
         self._text = text
@@ -125,11 +127,11 @@ class MarlinSettings:
 
         Raises HframeError for a kind that cannot be compensated.
         """
-        for name in UNUSABLE:
-            if self.defined(name):
-                raise HframeError(
-                    f"the build is for {name}; hframe-post can only compensate {', '.join(ANY)}"
-                )
+        unusable = [f"the build is for {name}" for name in UNUSABLE if self.defined(name)]
+        if "M665" in self._words:
+            unusable.append(f"{self.name} has M665, which only deltas and robot arms have")
+        if unusable:
+            raise HframeError(f"{unusable[0]}; hframe-post can only compensate {', '.join(ANY)}")
         for name, kinds in KINEMATICS.items():
             if self.defined(name):
                 return kinds, f"{name} of the build"
@@ -166,6 +168,11 @@ class MarlinSettings:
             found.append(
                 f"{TWO_CARRIAGES}: a profile has the model of one carriage: what the other prints, "
                 "after T1, is not compensated"
+            )
+        if STEALTH.search(self._text):
+            found.append(
+                "the limits are those of normal mode: in stealth mode the printer is slower than "
+                "the file expects"
             )
         if not self.planner:
             found.append(
@@ -245,9 +252,13 @@ def _corner(settings: MarlinSettings, acceleration: Known) -> Known:
 def _steps(settings: MarlinSettings) -> dict[str, Known]:
     x, y = (as_float(settings.word("M92", letter)) for letter in "XY")
     if x != y:
+        remedy = (
+            f"Send M92 Y{x:g} and M500, correct the part's size in the slicer, and save M503 again"
+            if abs(y - x) < CORRECTION * x
+            else "Their pulleys or microsteps differ: give both axes the same"
+        )
         raise HframeError(
-            f"{settings.name}: M92 X{x:g} and Y{y:g} differ, but x and y need equal steps. Send "
-            f"M92 Y{x:g} and M500, correct the part's size in the slicer, and save M503 again"
+            f"{settings.name}: M92 X{x:g} and Y{y:g} differ, but x and y need equal steps. {remedy}"
         )
     sizes = {"belt": "X", "z": "Z", "e": "E"}
     found = {}

@@ -89,11 +89,11 @@ def _nothing(
     paths: Sequence[Path], energies: dict[int, dict[float, list[float]]], aside: list[Aside]
 ) -> str:
     most = max((len(by) for by in energies.values()), default=0)
-    why = f"; {aside[0].label}: {aside[0].reason}" if aside else ""
+    why = f". Not used: {aside[0].label}: {aside[0].reason}" if aside else ""
     return (
-        f"{', '.join(map(str, paths))}: {most} speeds of a motor, and {LEAST_SPEEDS} are needed"
-        f"{why}. "
+        f"{', '.join(map(str, paths))}: {most} speeds of a motor, and {LEAST_SPEEDS} are needed. "
         "Record what 'hframe-post bands --gcode' writes, or CREATE_VIBRATIONS_PROFILE of Shake&Tune"
+        f"{why}"
     )
 
 

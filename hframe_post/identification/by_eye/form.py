@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from hframe_post.errors import HframeError, IdentificationError
@@ -16,6 +16,7 @@ from hframe_post.identification.by_eye.racking import (
 )
 from hframe_post.identification.by_eye.tower import LAYER, LAYERS, SIDE
 from hframe_post.identification.by_eye.waves import (
+    SECOND_CREST,
     Band,
     PrintedMode,
     Reading,
@@ -108,18 +109,27 @@ class Filled:
                     f"{hz:.0f} Hz in {axis}: usual is {low:g} to {high:g}. Measure again, if you "
                     "are not sure"
                 )
-            found += [
-                f"row {name} means {its:.0f} Hz and {axis} has {hz:.0f}: count its waves again. Is "
-                "it the row of another height?"
-                for name, its in rows.items()
-                if abs(its / hz - 1.0) > APART
-            ]
+            found += self._doubtful_rows(axis, rows, hz)
         if bed_moves and modes["y"].hz > HEAVIER * modes["x"].hz:
             found.append(
                 "the bed rings faster in y than the head in x. Beds are heavier: did you exchange "
                 "the rows of x and y?"
             )
         return found
+
+    def _doubtful_rows(self, axis: str, rows: dict[str, float], hz: float) -> Iterator[str]:
+        for k, one in enumerate(self.readings[axis], 1):
+            name = f"{axis}{k}"
+            if name in rows and abs(rows[name] / hz - 1.0) > APART:
+                yield (
+                    f"row {name} means {rows[name]:.0f} Hz and {axis} has {hz:.0f}: count its "
+                    "waves again. Is it the row of another height?"
+                )
+            elif name in rows and one.seen < SECOND_CREST + one.waves:
+                yield (
+                    f"row {name} has {one.waves:g} waves from the second crest on, but only "
+                    f"{one.seen:g} from the corner on: did you count crests?"
+                )
 
     def racking(self, modes: dict[str, PrintedMode], middle: float) -> PrintedRacking | None:
         """Return the racking that shows, if any. middle: of the travel in x, mm."""

@@ -25,8 +25,8 @@ from hframe_post.identification.by_eye.waves import (
     ringing,
     travel,
 )
+from hframe_post.model.filters import FiniteFilter
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.plant import FiniteFilter
 
 BLOCK, SOFTER = 20.0, 2.5  # mm of a block; factor between the two accelerations
 LEVER = 5.0  # mm behind a block's border at which its waves are seen

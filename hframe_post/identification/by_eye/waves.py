@@ -22,8 +22,8 @@ from scipy.signal import find_peaks
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
+from hframe_post.model.filters import FiniteFilter
 from hframe_post.model.impulse_response import LONGEST, ImpulseResponse
-from hframe_post.model.plant import FiniteFilter
 
 RULER = 0.3  # mm by which a distance may be read wrong
 MISCOUNT = 0.6  # waves by which their number may be
@@ -31,7 +31,9 @@ DAMPING = np.array([0.02, 0.03, 0.04, 0.05, 0.06, 0.075, 0.09, 0.11, 0.13, 0.16,
 SEEN_FROM = np.geomspace(0.008, 0.03, 9)  # mm: the lowest wave that is seen
 USUAL, SPREAD = 0.016, 0.35  # mm, and standard deviation of its logarithm
 PLAUSIBLE_HZ = (8.0, 120.0)
-FIRST = 1.0  # waves behind a corner's first crest where a reading begins: the form says the second
+# waves behind a corner where a reading begins: the form says the second crest, and the first one is
+# a quarter of a wave behind the corner, since the axis stops at once
+SECOND_CREST = 1.25
 FREQUENCIES, HALVINGS = (1.0, 2000.0), 40  # Hz within which a reading's is sought
 CANDIDATES = 400
 SETTLED = 1e-3  # of the largest deviation: what is less has settled
@@ -160,8 +162,7 @@ def frequency(one: Reading, a: float, side: float) -> float:
     low, high = FREQUENCIES
     for _ in range(HALVINGS):
         hz = math.sqrt(low * high)
-        # a quarter of a wave behind the corner is the first crest, since the axis stops at once
-        crests = (0.25 + FIRST + np.array([0.0, one.waves])) / hz
+        crests = (SECOND_CREST + np.array([0.0, one.waves])) / hz
         near, far = np.interp(crests, t, along, right=2.0 * side).tolist()
         low, high = (hz, high) if far - near > one.distance else (low, hz)
     return math.sqrt(low * high)

@@ -26,8 +26,10 @@ RATE = 1000.0  # of commands, samples a second
 MOST_DRIFT = 0.022  # a little more than the worst clocks have
 AT_REST = 1e-3  # share of the greatest acceleration below which a command is at rest
 WINDOW, WINDOWS, SHORTEST = 2000, 24, 250  # length in samples, and number, without marks
-CLOCKS, SOME = 11, 3  # drifts that are tried, and every how many windows count for that
+CLOCKS, SOME = 11, 3  # drifts that are tried at once, and every how many windows count at first
+FINER_GRIDS = 2
 UNKNOWN_START = 0.25  # s between start and response that no plant explains
+REACH = int(UNKNOWN_START * RATE)
 ROUNDS = 6
 DISPERSION = 0.02  # s by which a plant's delay may differ from window to window
 LEAST_CORRELATION = 0.4  # below it the recording is of something else
@@ -166,32 +168,27 @@ def _peak(cross: Complex, omega: Array) -> float:
 def clock_from_windows(command: Array, moving: Integers, sensor: Resampler) -> tuple[float, float]:
     """Return start (s) and drift, without marks, to 20 ms over the recording.
 
-    A late chirp looks like a stretched one, so the windows' lags show up to twice the drift,
-    depending on the command; the secant method finds the drift at which they stop growing. A plant
-    whose delay changes along the sweep looks like a drift: less than it explains is none.
-    Raises IdentificationError if the command is too short.
+    They are those of the clock on which the windows are found together: of a coarse grid of drifts
+    first, and then of finer ones near it. A plant whose delay changes along the sweep looks like a
+    drift: less than it explains is none. Raises IdentificationError if the command is too short.
     """
     windows = _Windows(command, moving, sensor)
-    start, drift = windows.rough()
-    step = 0.5  # share of the lags' growth that is taken as drift
-    lag, growth = windows.lag(start, drift)
-    for _ in range(ROUNDS):
-        following = float(np.clip(drift + step * growth, -MOST_DRIFT, MOST_DRIFT))
-        if abs(following - drift) * windows.span < TS:
-            break
-        start += lag
-        lag, growth_after = windows.lag(start, following)
-        if growth_after != growth:
-            step = min(max((following - drift) / (growth - growth_after), 0.3), 1.0)
-        drift, growth = following, growth_after
-    return start + lag, 0.0 if abs(drift) * windows.span < DISPERSION else drift
+    grid = np.linspace(-MOST_DRIFT, MOST_DRIFT, CLOCKS)
+    start, drift = windows.clock(grid, SOME)
+    for _ in range(FINER_GRIDS):
+        grid *= 2.0 / (CLOCKS - 1)  # from one drift of the coarser grid to the next
+        start, drift = windows.clock(drift + grid, 1, start)
+    return start, 0.0 if abs(drift) * windows.span < DISPERSION else drift
 
 
 class _Windows:
-    """Pieces of a command, each searched for in the recording by itself."""
+    """Pieces of a command, searched for together in a recording.
+
+    Late in a chirp a single one may be lost in noise, or be most like another piece.
+    """
 
     def __init__(self, command: Array, moving: Integers, sensor: Resampler) -> None:
-        self._command, self._sensor = command, sensor
+        self._command = command
         self._length = min(WINDOW, int(moving[-1] - moving[0]) // 4)
         if self._length < SHORTEST:
             raise IdentificationError(
@@ -199,51 +196,50 @@ class _Windows:
             )
         last = moving[-1] - self._length
         self._places = np.unique(np.linspace(moving[0], last, WINDOWS).astype(np.int64))
-        self._samples = int(sensor.seconds * RATE) + 1
-        self._band = _followed_band(command)
+        track = sensor.resampled(0.0, 0.0, int(sensor.seconds * RATE) + 1)
+        # the first and last window may not have been recorded whole
+        self._track = np.pad(banded(track, _followed_band(command)), ((REACH, REACH), (0, 0)))
 
     @property
     def span(self) -> float:
         """Return the seconds from the first window to the last."""
         return float(self._places[-1] - self._places[0]) * TS
 
-    def lag(self, start: float, drift: float) -> tuple[float, float]:
-        """Return the windows' mean lag on that clock in s, and its growth per second."""
-        track = banded(self._sensor.resampled(start, drift, self._samples), self._band)
-        lags = []
-        for place in self._places:
-            reach = int((2.5 * MOST_DRIFT * place * TS + UNKNOWN_START) * RATE)
-            first = max(int(place) - reach, 0)
-            region = track[first : int(place) + self._length + reach]
-            likeness = _envelope(self._command[place : place + self._length], region)
-            lags.append((first + int(np.argmax(likeness)) - place) * TS)
-        return _line(np.asarray(self._places * TS), np.array(lags))
+    def clock(self, drifts: Array, every: int, near: float | None = None) -> tuple[float, float]:
+        """Return start, s, and drift of the clock on which the windows are most alike together.
 
-    def rough(self) -> tuple[float, float]:
-        """Return start, s, and drift of the clock on which most windows are found.
-
-        On a clock that is 1 % off, a window of fast motion is not like its own response.
+        drifts: those that are tried, equally far apart. every: of how many windows one counts.
+        near: the start, if it is known to UNKNOWN_START.
         """
-        first, found = int(self._places[0]), []
-        for drift in np.linspace(-MOST_DRIFT, MOST_DRIFT, CLOCKS):
-            samples = int(self._sensor.seconds / (1.0 + drift) * RATE) + 1
-            track = self._sensor.resampled(0.0, float(drift), samples)
-            total = np.zeros(len(track))
-            for place in self._places[::SOME]:
-                likeness = _envelope(self._command[place : place + self._length], track)
-                wide = int(2.0 * MOST_DRIFT / CLOCKS * (place - first)) * 2 + 1
-                spread = maximum_filter1d(likeness, wide, mode="constant")[place - first :]
-                total[: len(spread)] += spread
-            at = int(np.argmax(total))
-            found.append((float(total[at]), (1.0 + float(drift)) * (at - first) * TS, float(drift)))
+        width = float(drifts[1] - drifts[0])
+        found = [(*self._likeness(d, width, every, near), d) for d in drifts.tolist()]
         return max(found)[1:]
 
+    def _likeness(
+        self, drift: float, width: float, every: int, near: float | None
+    ) -> tuple[float, float]:
+        """Return the windows' greatest likeness in all, on a clock, and the start, s, there.
 
-def _line(t: Array, lags: Array) -> tuple[float, float]:
-    """Return lag at t = 0 and growth by the median of all pairs: single windows may be far off."""
-    i, j = np.triu_indices(len(t), 1)
-    growth = float(np.median((lags[j] - lags[i]) / (t[j] - t[i])))
-    return float(np.median(lags - growth * t)), growth
+        width: how far the drift may be off. On a clock that is 1 % off, a window of fast motion is
+        not like its own response.
+        """
+        rate, first = 1.0 + drift, int(self._places[0])
+        low, high = 0, len(self._track)  # between which the first window is sought
+        if near is not None:
+            low = max(round(near * RATE + rate * first), 0)
+            high = low + 2 * REACH + 1
+        total = np.zeros(high - low)
+        samples, k = np.arange(len(self._command)), np.arange(self._length) / rate
+        for place in self._places[::every]:
+            since = int(rate * (place - first))
+            region = self._track[low + since : high + since + self._length - 1]
+            pattern = np.interp(place + k, samples, self._command)
+            # a chirp that is late looks stretched, and the other way round: twice as far
+            wide = 2 * int(width * (place - first)) + 1
+            likeness = maximum_filter1d(_envelope(pattern, region), wide, mode="constant")
+            total[: len(likeness)] += likeness
+        at = int(np.argmax(total))
+        return float(total[at]), (low + at - REACH - rate * first) * TS
 
 
 # ---------------------------------------------------------------------- correlation

@@ -71,8 +71,8 @@ def read_tables(path: Path, content: bytes, columns: Sequence[str] | None) -> li
         if (tables := read(path, content, names)) is not None:
             return tables
     raise IdentificationError(
-        f"{path} is not a Klipper accelerometer file. If another program wrote it, name its "
-        f"columns: 'hframe-post identify --columns time,x,y,z'; {_listed(names)}"
+        f"{path} is not a Klipper accelerometer file; {_listed(names)}. If another program wrote "
+        "it, 'hframe-post identify' takes it with its columns named: --columns time,x,y,z"
     )
 
 

@@ -9,50 +9,46 @@ of pulses, the start, and the levels of pulses and sweeping.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import next_fast_len, rfft, rfftfreq
-from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import fftconvolve
 from scipy.signal.windows import hann
 
-from hframe_post.arrays import TS, Array
+from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import PLAUSIBLE, Recording
 from hframe_post.identification.recordings.chirp_line import ChirpLine, find_line
+from hframe_post.identification.recordings.resonance_checks import (
+    check_level,
+    check_motion,
+    check_shaping,
+    rests_before,
+)
+from hframe_post.identification.recordings.resonance_match import (
+    RATE,
+    Match,
+    best_match,
+    cut_at_start,
+    low_part,
+)
 from hframe_post.identification.recordings.resonance_test import (
     DEFAULTS,
     FORMER_MAX_FREQ,
     ResonanceTest,
 )
 
-RATE = 500.0  # samples a second of a recording that is searched
 LEAST_SCORE = 0.3  # of a line
 MOST_DRIFT = 0.03
 USUAL_RATES = (1.0, 0.5, 2.0, 0.25, 0.2, 0.1, 1.5, 0.75, 3.0, 4.0, 5.0)  # Hz/s
 LOW_HZ = 20.0  # to which motions are compared, unless the printer resonates earlier
 RISE = 1.4  # of the level, where that is
-SMOOTHING = 9.0  # ms, of motions before they are compared
-STEP = 5  # ms between their samples
-REACH = 16  # steps by which the start may be off the line's
-LEAST_LIKE = 0.6  # share of the recording at low frequencies that the motion explains
-ALIKE = 0.01  # of that share, by which the first frequency expected may fall behind another
-LEAST_GROWTH = -0.5  # of the level at low frequencies, as a power of the frequency: sines have -1
-LEAST_MOVED = 0.2  # of the level expected: sensors and settings differ less
-ELSEWHERE = (
-    "the sensor did not move with this axis (it sat on the frame, on another head, or on the head "
-    "while the bed moves, or the other way round)"
-)
-LEAST_PEAK = 1.5  # of the level; with shaping 1.2, without 2.9 and more on 20 drawn printers
 PERIODS = (0.3, 4.0)  # s, of sweeping
 LEAST_SWEEPING = 30.0  # mm/s²
 SAME_LEVEL = 0.2  # by which sensors and printers may differ from the level expected
-LEAD = 11  # steps of rest before a motion
 END = 0.15  # s over which the end of the pulses is looked for
 SOON = 1.0  # s from the motion's end to that of a recording
-REST = 0.05  # s before the motion that a whole recording has
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,22 +63,6 @@ class Found:
     test: ResonanceTest
     start: float
     drift: float
-    axis: Array
-
-
-@dataclass(frozen=True, slots=True)
-class _TestMatch:
-    """A test compared with a recording.
-
-    start: s on the command's clock; like: share explained; pulses, sweeping: responses to
-    accelerations of 1, (1,), along the direction in which the recording is strongest, axis (3,).
-    """
-
-    test: ResonanceTest
-    start: float
-    like: float
-    pulses: Array
-    sweeping: Array
     axis: Array
 
 
@@ -116,16 +96,16 @@ def _found(recording: Recording, expected: ResonanceTest) -> Found:
     hz, level = _levels(a, line)
     low, high = _low_band(hz, level)
     known = replace(_swept(a, expected, drift), hz_per_sec=hz_per_sec, max_freq=high + 2.0)
-    fit = _best(_low(a, drift), known, line, drift, high)
-    _check_level(fit, low, expected)
+    fit = best_match(low_part(a, drift), known, line, drift, high)
+    check_level(fit, low, expected)
     slow = hz <= high
-    if fit.test.min_freq != expected.min_freq and not _rests_before(a, fit.start * (1.0 + drift)):
+    if fit.test.min_freq != expected.min_freq and not rests_before(a, fit.start * (1.0 + drift)):
         if -line.slope * line.origin < expected.min_freq + SOON * line.slope:
-            _check_motion(fit, line, hz[slow], level[slow])  # else nothing is missing
-        raise _cut_at_start(line, expected.min_freq)
-    _check_motion(fit, line, hz[slow], level[slow])
+            check_motion(fit, line, hz[slow], level[slow])  # else nothing is missing
+        raise cut_at_start(line, expected.min_freq)
+    check_motion(fit, line, hz[slow], level[slow])
     last = _last_hz(a, line, drift, fit, expected)
-    _check_shaping(hz, level, low)
+    check_shaping(hz, level, low)
     test = _with_levels(fit, low / (1.0 + drift), expected)
     start = float(recording.t[0] + fit.start * (1.0 + drift))
     return Found(replace(test, max_freq=last), start, drift, fit.axis)
@@ -204,128 +184,7 @@ def _swept(a: Array, expected: ResonanceTest, drift: float) -> ResonanceTest:
     return replace(expected, sweeping_period=next(usual, round(period, 2)))
 
 
-# ---------------------------------------------------------------------- comparison
-
-
-def _low(a: Array, drift: float) -> Array:
-    """Return the slow part of a recording every ``STEP`` ms of the command's clock."""
-    smooth = gaussian_filter1d(a, SMOOTHING * TS * RATE, axis=0)
-    t = np.arange(len(a)) / RATE / (1.0 + drift)
-    at = np.arange(int(t[-1] / (STEP * TS))) * STEP * TS
-    return np.column_stack([np.interp(at, t, column) for column in smooth.T])
-
-
-def _best(
-    low: Array, known: ResonanceTest, line: ChirpLine, drift: float, high: float
-) -> _TestMatch:
-    """Return the best comparison among all first frequencies and kinds of pulses."""
-    origin = line.origin / (1.0 + drift)
-    earliest = -known.hz_per_sec * origin - 0.5 * known.hz_per_sec
-    latest = line.first * (1.0 + drift) + 1.0
-    usual = np.arange(1.0, 300.0, 0.5)
-    starts = [known.min_freq, *usual[usual != known.min_freq].tolist()]
-    starts = [f for f in starts if max(earliest, 1.0) <= f <= latest]
-    if not starts:
-        raise _cut_at_start(line, known.min_freq)
-    seconds = high / known.hz_per_sec + origin
-    low, axis = _strongest(low[: max(int(seconds / (STEP * TS)), 1)])
-    hz = np.maximum((np.arange(len(low)) * STEP * TS - origin) * known.hz_per_sec, latest - 1.0)
-    kinds = [False] if known.sweeping_period else [False, True]
-    unit = replace(known, accel_per_hz=1.0, sweeping_accel=1.0)
-    fits = [
-        _compared(low, axis, 1.0 / hz, replace(unit, min_freq=f, around_point=kind),
-                  f / known.hz_per_sec + origin)
-        for f, kind in product(starts, kinds)
-    ]  # fmt: skip
-    most = max(fit.like for fit in fits)
-    good = [fit for fit in fits if fit.like >= most - ALIKE]
-    return max(good, key=lambda fit: (fit.test.min_freq == known.min_freq, fit.like))
-
-
-def _strongest(a: Array) -> tuple[Array, Array]:
-    """Return the component (n, 1) of a signal (n, 3) along its strongest direction, and that (3,).
-
-    The motion has one direction, noise has three.
-    """
-    centred = a - a.mean(axis=0)
-    axis = np.linalg.eigh(centred.T @ centred)[1][:, -1:]
-    return np.asarray(centred @ axis), np.asarray(axis[:, 0])
-
-
-def _compared(
-    low: Array, axis: Array, weight: Array, test: ResonanceTest, start: float
-) -> _TestMatch:
-    """Return the comparison at the best start near the one given, in s."""
-    n, first = len(low), round(start / (STEP * TS))
-    parts = [_slow(test.pulses())]
-    if test.sweeping_period:
-        parts.append(_slow(test.sweeping()))
-    margin = n + REACH + LEAD
-    least = margin - first + LEAD - REACH
-    views = [
-        sliding_window_view(np.pad(part, margin)[least : least + n + 2 * REACH], n)[::-1]
-        for part in parts
-    ]
-    columns = np.stack([*views, np.ones_like(views[0])], axis=2) * weight[:, None]
-    wanted = low * weight[:, None]
-    transposed = columns.transpose(0, 2, 1)
-    solved = np.linalg.solve(transposed @ columns, transposed @ wanted)
-    left = np.square(wanted - columns @ solved).sum(axis=(1, 2))
-    offset = weight[:, None] * np.linalg.lstsq(weight[:, None], wanted, rcond=None)[0]
-    like = 1.0 - left / float(np.square(wanted - offset).sum())
-    k = int(np.argmax(like))
-    late, top = float(k - REACH), float(like[k])
-    if 0 < k < len(like) - 1:  # the summit of a parabola
-        before, after = like[k - 1], like[k + 1]
-        by = 0.5 * float((before - after) / (before - 2.0 * top + after))
-        late, top = late + by, top - 0.25 * float(before - after) * by
-    sweeping = solved[k, 1] if test.sweeping_period else np.zeros(1)
-    return _TestMatch(test, (first + late) * STEP * TS, top, solved[k, 0], sweeping, axis)
-
-
-def _slow(displacement: Array) -> Array:
-    """Return the slow part of an acceleration, every ``STEP`` ms from ``LEAD`` steps before it."""
-    padded = np.pad(displacement, (LEAD * STEP, 0), mode="edge")
-    acceleration = np.diff(padded, 2, prepend=padded[0], append=padded[-1]) / TS**2
-    return np.asarray(gaussian_filter1d(acceleration, SMOOTHING)[::STEP])
-
-
-# ---------------------------------------------------------------------- checks and levels
-
-
-def _cut_at_start(line: ChirpLine, expected: float) -> IdentificationError:
-    begins = -line.slope * line.origin
-    return IdentificationError(
-        f"the recording begins in the middle of the resonance test, at {begins:.0f} Hz: it was cut "
-        f"(use the whole file), or min_freq was not {expected:g} as in [resonance_tester]: set it "
-        "as it was in the test"
-    )
-
-
-def _rests_before(a: Array, start: float) -> bool:
-    """Return whether the printer of a recording rests before a motion that starts at s."""
-    first = int((start - REST) * RATE)
-    moving = float(a[max(first, 0) :][: int(RATE)].std(axis=0).max())
-    return first > 0 and float(a[:first].std(axis=0).max()) < 0.5 * moving
-
-
-def _check_motion(fit: _TestMatch, line: ChirpLine, hz: Array, level: Array) -> None:
-    grows = f"the recording's frequency grows by {line.slope:.3g} Hz/s as in a resonance test, but"
-    if float(np.polyfit(np.log(hz), np.log(level), 1)[0]) < LEAST_GROWTH:
-        raise IdentificationError(
-            f"{grows} its acceleration does not grow with it: this is another program's sweep"
-        )
-    if fit.like < LEAST_LIKE:
-        raise IdentificationError(
-            f"{grows} only {100.0 * max(fit.like, 0.0):.0f} % of what it shows below "
-            f"{hz[-1]:.0f} Hz is that motion. Either {ELSEWHERE}, or input shaping was on "
-            "(INPUT_SHAPING=1), or another program made it"
-        )
-
-
-def _last_hz(
-    a: Array, line: ChirpLine, drift: float, fit: _TestMatch, expected: ResonanceTest
-) -> float:
+def _last_hz(a: Array, line: ChirpLine, drift: float, fit: Match, expected: ResonanceTest) -> float:
     """Return the frequency at which the pulses end; raises IdentificationError if cut off."""
     hz, size = _along_line(a, line, END)
     before = (hz > line.last - 2.0 * line.slope) & (hz < line.last - line.slope)
@@ -354,42 +213,7 @@ def _last_hz(
     return round(last, 1)
 
 
-def _check_level(fit: _TestMatch, level: float, expected: ResonanceTest) -> None:
-    """Raise IdentificationError if the sensor moved far less than the axis did.
-
-    A test of weak pulses still has its sweeping in full.
-    """
-    share = level / expected.accel_per_hz
-    sweeps = bool(fit.test.sweeping_period)
-    if share >= LEAST_MOVED:
-        return
-    if sweeps and np.linalg.norm(fit.sweeping) > 2.0 * LEAST_MOVED * expected.sweeping_accel:
-        return
-    cause = ELSEWHERE
-    if not sweeps and level > 1.0:
-        cause = (
-            f"either {ELSEWHERE}, or the test was run with ACCEL_PER_HZ={level:.2g}: set "
-            f"accel_per_hz in [resonance_tester], which is {expected.accel_per_hz:g}"
-        )
-    raise IdentificationError(
-        f"the recording shows {100.0 * share:.0f} % of the acceleration that the test makes: "
-        f"{cause}"
-    )
-
-
-def _check_shaping(hz: Array, level: Array, base: float) -> None:
-    """Raise IdentificationError if a printer that falls behind its motors resonates nowhere."""
-    if level.max() < LEAST_PEAK * base and level.min() < 0.5 * base:
-        fades = float(hz[np.flatnonzero(level < 0.5 * base)[0]])
-        raise IdentificationError(
-            f"the recording shows no resonance, and from {fades:.0f} Hz on less than half of the "
-            "test's motion. Either input shaping was on (repeat TEST_RESONANCES without "
-            "INPUT_SHAPING=1), or something soft lies between motors and sensor, such as a slack "
-            "belt or a sensor that is not screwed on"
-        )
-
-
-def _with_levels(fit: _TestMatch, level: float, expected: ResonanceTest) -> ResonanceTest:
+def _with_levels(fit: Match, level: float, expected: ResonanceTest) -> ResonanceTest:
     """Return the test with levels from the recording where they are not those expected."""
     swept = float(np.linalg.norm(fit.sweeping))
     sweeping_accel, gain = expected.sweeping_accel, 1.0

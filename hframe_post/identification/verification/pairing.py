@@ -23,7 +23,7 @@ from hframe_post.identification.recordings.orientation import (
     sensor_axes,
 )
 from hframe_post.identification.verification.verdict import GAIN_HZ, HIGH_HZ, band_rms, measured_run
-from hframe_post.model.plant import nozzle
+from hframe_post.model.nozzle import nozzle
 from hframe_post.printer.settings import Printer
 
 CLEARLY = 0.5  # of the model's misses: a better pairing than the one that was given

@@ -22,7 +22,7 @@ from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.alignment import acceleration, aligned
 from hframe_post.identification.verification.motion import QUIET, after_corners, motion_of
-from hframe_post.model.plant import nozzle
+from hframe_post.model.nozzle import nozzle
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer
 

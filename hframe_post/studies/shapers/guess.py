@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, X, Y
-from hframe_post.model.plant import Plant, motion, nozzle
+from hframe_post.model.nozzle import motion, nozzle
+from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import AxisShaping, Shaper, Shaping, most_damping
 
 Paths = list[tuple[Array, Flags]]  # each (n, 2), mm, and which samples extrude, (n,)

@@ -20,7 +20,8 @@ from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.model.impulse_response import Linear
-from hframe_post.model.plant import Plant, nozzle
+from hframe_post.model.nozzle import nozzle
+from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import (
     WITH_PARAMETERS,
     AxisShaping,

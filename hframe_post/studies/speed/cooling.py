@@ -9,6 +9,7 @@ from hframe_post.studies.speed.drive import Drive
 from hframe_post.studies.speed.trial import SpeedSettings
 
 FULL = 0.985  # of its least time that a layer is slowed to
+USELESS = 1.001  # times its time, which a layer that was slowed does not reach
 SLOWEST = 0.05  # times the feed rate; a layer that takes too little time even then stays so
 
 
@@ -17,6 +18,11 @@ class LayerTimes:
     """The least time of each layer by its number, s. No layer is slowed below the file's speed."""
 
     least: dict[int, float]
+
+    @classmethod
+    def from_file(cls, layers: dict[int, float], min_layer_time: float) -> LayerTimes:
+        """Return the times of a file with these layers, s: no layer needs more than its own."""
+        return cls({k: min(seconds, min_layer_time) for k, seconds in layers.items() if k})
 
     def short(self, settings: SpeedSettings, layers: dict[int, float]) -> bool:
         """Return whether these layers take too little time, and can be slowed."""
@@ -36,11 +42,6 @@ class LayerTimes:
                 factors[layer] = min(max(factor * (share / FULL) ** 1.3, SLOWEST), 1.0)
         return replace(settings, layer_feed=factors)
 
-    def missing(self, layers: dict[int, float]) -> float:
-        """Return the seconds by which these layers are short of their least time."""
-        short = (FULL * self.least.get(layer, 0.0) - seconds for layer, seconds in layers.items())
-        return sum(seconds for seconds in short if seconds > 0.0)
-
     def planned(self, drive: Drive, settings: SpeedSettings) -> SpeedSettings:
         """Return settings whose plan leaves each layer its time.
 
@@ -51,6 +52,13 @@ class LayerTimes:
             slowed = self.slowed(settings, layers)
             if slowed == settings:
                 return settings
-            layers = drive.layer_times_again(slowed, settings, layers)
-            settings = slowed
+            before, layers = layers, drive.layer_times_again(slowed, settings, layers)
+            factors = {
+                layer: SLOWEST
+                if factor < settings.layer_feed.get(layer, 1.0)
+                and layers.get(layer, 0.0) < USELESS * before.get(layer, 0.0)
+                else factor
+                for layer, factor in slowed.layer_feed.items()
+            }  # the lowest one where a lower one slows nothing more
+            settings = replace(slowed, layer_feed=factors)
         return self.slowed(settings, layers)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-from hframe_post.studies.speed.curve import Curve, Point, Step
+from hframe_post.studies.speed.curve import Curve, Step
+from hframe_post.studies.speed.prints import Point
 from hframe_post.studies.speed.report import CAUSES, MEASURES
 from hframe_post.writers.stream.print_time import duration
 
@@ -26,6 +28,7 @@ def curve_as_json(found: Curve) -> dict[str, Any]:
     shaping = found.shaping
     return {
         "measure": found.measure,
+        "width_bound_percent": None if math.isinf(found.width) else 100.0 * found.width,
         "as_sliced": {
             "print_time_s": round(found.original.seconds, 3),
             "error_um": _micrometres(found.original.errors),
@@ -77,16 +80,17 @@ def curve_as_text(found: Curve) -> str:
         "width",
         "limited by",
         "speed-up",
+        "width",
         "limited by",
     )
     rows = [
-        ["as sliced", duration(before.seconds), _um(before.errors, name), "", "", "", "", ""],
-        ["its speed", duration(found.own.seconds), *_errors(found.own, name), "", "", ""],
+        ["as sliced", duration(before.seconds), _um(before.errors, name), *6 * [""]],
+        ["its speed", duration(found.own.seconds), *_errors(found.own, name), *4 * [""]],
         *(
             [
                 f"{1e3 * step.bound:.3g} µm", _time(step.kept, before.seconds),
                 *_errors(step.kept, name), causes(step.kept),
-                _time(step.raised, before.seconds), causes(step.raised),
+                _time(step.raised, before.seconds), _width(step.raised), causes(step.raised),
             ]
             for step in found.steps
         ),
@@ -102,9 +106,16 @@ def curve_as_text(found: Curve) -> str:
         "",
         "permitted: by 'hframe-post convert --max-error', for all features and with model "
         f"uncertainty. {name}, shaper: predicted error ({MEASURES[found.measure]}) at that speed, "
-        f"compensated and with the best input shaper{shaper}. width: of the line, off RMS",
+        f"compensated and with the best input shaper{shaper}. width: of the line, off RMS"
+        f"{_permitted(found)}",
         *advice(found),
     ])  # fmt: skip
+
+
+def _permitted(found: Curve) -> str:
+    if math.isinf(found.width):
+        return ""
+    return f"; at most {100.0 * found.width:g} % ({MEASURES[found.measure]}) of each feature"
 
 
 def advice(found: Curve) -> list[str]:
@@ -153,7 +164,11 @@ def _time(point: Point, before: float) -> str:
 
 def _errors(point: Point, name: str) -> list[str]:
     errors = point.errors
-    return [_um(errors.ours, name), _um(errors.shaped, name), f"{100.0 * errors.width:.1f} %"]
+    return [_um(errors.ours, name), _um(errors.shaped, name), _width(point)]
+
+
+def _width(point: Point) -> str:
+    return f"{100.0 * point.errors.width:.1f} %"
 
 
 def _um(errors: dict[str, float], name: str) -> str:

@@ -29,7 +29,7 @@ from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.pacing import Pace, Paces, PieceStart, pace
+from hframe_post.planner.pacing import CORNER, FIRST_LAYERS, Pace, Paces, PieceStart, pace
 from hframe_post.planner.sliced import SlicedTime
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
@@ -38,7 +38,6 @@ from hframe_post.stream.features import TRAVEL
 from hframe_post.stream.types import Item, Moves, Planned, Samples
 from hframe_post.studies.inputs import SECONDS, Piece, Section, excerpt, sections, useful_feeds
 from hframe_post.studies.speed.trial import (
-    FIRST_LAYERS,
     JUDGED_EVERY,
     Freedom,
     Measure,
@@ -49,12 +48,9 @@ from hframe_post.studies.speed.trial import (
     TrialSums,
     add_layer_times,
     judged,
-    measured,
 )
 
-# Searches for the following gave no faster prints than these values.
-JERK = 1e7  # mm/s³
-CORNER = 4e-3  # s: speed at square corners over acceleration
+JERK = 1e7  # mm/s³; searches for another gave no faster prints
 MOST_KEPT = 300_000  # moves of a file that are kept between trials; 20 MB
 FEW = 0.3  # share of the time of layers that are planned again on their own
 TRAVEL_SHARE = 4.0  # acceleration of travel over that of the gentlest feature
@@ -84,16 +80,13 @@ class Drive:
     ) -> None:  # fmt: skip
         self._lines, self._printer, self._width = lines, printer, width
         self._kept: list[Item] | None = None
+        self.moves = 1  # of the file, once it was read
         self._measure, self._freedom = measure, freedom
         self._requested = options
         self._options = replace(options, predict=(), clamp=True, paces=None)
         self._compensator = prepared(printer)
         self._at_stops = StopSolvers(self._compensator, options.strategies, printer)
-        # The path may use half of the belts' acceleration; compensation needs the rest.
-        belts = printer.motors.belt_acceleration * printer.kinematics.max_speed_ratio
-        most = printer.speed.acceleration
-        self.max_acceleration = min(0.5 * belts, most or math.inf)
-        self._max_corner = printer.limits.square_corner_velocity if most else math.inf
+        self.max_acceleration, self._max_corner = printer.fastest_path
 
     def configured(self, settings: SpeedSettings) -> tuple[Printer, Options]:
         """Return a printer and options that print with these settings."""
@@ -113,7 +106,7 @@ class Drive:
         )  # fmt: skip
         paces = Paces(
             kinds, self._freedom.flow, FIRST_LAYERS, settings.layer_feed,
-            self._freedom.filament_acceleration,
+            self._freedom.filament_acceleration, self._freedom.min_speed,
         )  # fmt: skip
         return replace(self._printer, limits=limits), replace(self._requested, paces=paces)
 
@@ -132,6 +125,11 @@ class Drive:
     def useful_feeds(self, pieces: Iterable[Piece]) -> dict[str, float]:
         """Return the factor on each feature's feed rates beyond which nothing gets faster."""
         return useful_feeds(pieces, self._printer.limits.velocity, self._freedom.flow)
+
+    @property
+    def speed_up(self) -> float:
+        """Return the greatest factor on the file's feed rates."""
+        return self._freedom.speed_up
 
     def freed(self, freedom: Freedom) -> Drive:
         """Return trial prints of the same file with another freedom."""
@@ -273,7 +271,7 @@ class Drive:
             for name, here in judged(judgement.at, layer, feature, labels):
                 errors = statistics.setdefault(name, ErrorStatistics())
                 errors.add(judgement.contour["none"][here])
-        found = {name: measured(errors, self._measure) for name, errors in statistics.items()}
+        found = {name: errors.measured(self._measure) for name, errors in statistics.items()}
         return Original(sliced.seconds, layers, found)
 
     def _items(self, paces: Paces | None = None) -> Iterator[Item]:
@@ -288,5 +286,6 @@ class Drive:
             if moves <= MOST_KEPT:
                 kept.append(item)
             yield item
+        self.moves = moves
         if moves <= MOST_KEPT:
             self._kept = kept

@@ -53,6 +53,7 @@ def speed_as_json(found: Fastest) -> dict[str, Any]:
         "limits": {
             "flow": found.printer.limits.flow,
             "min_layer_time_s": found.printer.limits.min_layer_time,
+            "min_print_speed": found.printer.limits.min_print_speed,
         },
         "limited_by_s": limited_by,
     }  # fmt: skip
@@ -92,7 +93,8 @@ def speed_as_text(found: Fastest) -> str:
     limits = found.printer.limits
     lines.append(
         f"limits           flow {limits.flow:g} mm³/s, layers of at least "
-        f"{limits.min_layer_time:g} s (of the profile, and of the filament as the file has it)"
+        f"{limits.min_layer_time:g} s at {limits.min_print_speed:g} mm/s or more (of the profile, "
+        "and of the filament as the file has it)"
     )
     lines.append(f"limited by       {', '.join(causes)} of the time")
     return "\n".join(lines)

@@ -1,8 +1,6 @@
 """Search for the fastest print whose predicted error stays within a bound.
 
-The error grows with the acceleration of the path, and it is local: each kind of feature has its own
-search for the acceleration at which it uses up its bound, and each trial print is a step of them
-all. The bound holds for the model and for random printers near it. So the search
+The bound holds for the model and for random printers near it. So the search
 
  1. prints pieces from all over the file and finds which plants have the greatest error, and at
     which of a few feed rates each kind of feature takes the least time within its bound;
@@ -16,11 +14,10 @@ The result is the last conversion, so its error is a prediction, not an extrapol
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import cast
-
-import numpy as np
 
 from hframe_post.conversion import files
 from hframe_post.conversion.options import Options
@@ -28,46 +25,16 @@ from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError
 from hframe_post.gcode.slicer_settings import slicer_settings
 from hframe_post.model.plant import Plant
-from hframe_post.planner.pacing import NAMES
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.studies.simulation.uncertainty import draws
 from hframe_post.studies.speed.cooling import LayerTimes
 from hframe_post.studies.speed.drive import Convert, Drive, Original, Source
-from hframe_post.studies.speed.trial import (
-    ADJUSTED,
-    CAUSES,
-    Freedom,
-    Measure,
-    SpeedSettings,
-    TrialPrint,
-)
+from hframe_post.studies.speed.excerpt import ExcerptSearch
+from hframe_post.studies.speed.steps import LIMIT, Bound, Searches, gentler
+from hframe_post.studies.speed.trial import Freedom, Measure, SpeedSettings, TrialPrint
 
-NEAR, LIMIT = 0.87, 0.95  # share of a bound to use up: other printers may have a greater error
-AIM = math.sqrt(NEAR * LIMIT)
-FEED_STEP = 0.8  # factor from one feed rate that is tried to the next
-MIN_FEED, MAX_FEEDS = 0.3, 8  # times the file's feed rates; how many are tried
-MIN_ACCELERATION = 200.0  # mm/s²
-
-
-@dataclass(frozen=True, slots=True)
-class Bound:
-    """Greatest errors (mm): by kind of feature, and of all others. width: of lines, as a share."""
-
-    others: float
-    kinds: dict[str, float] = field(default_factory=dict)
-    measure: Measure = "p95"
-    width: float = math.inf
-
-    def limit(self, name: str) -> float:
-        return self.kinds.get(name, self.others)
-
-    def shares(self, trial: TrialPrint) -> dict[str, float]:
-        """Return the share of its bound that each feature uses up on its worst plant."""
-        shares = {name: max(errors) / self.limit(name) for name, errors in trial.errors.items()}
-        for name, widths in trial.widths.items():
-            shares[name] = max(shares[name], max(widths) / self.width)
-        return shares
+Attempt = Callable[[SpeedSettings], tuple[TrialPrint, Report | None]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +77,9 @@ def with_slicer_limits(printer: Printer, lines: Iterable[bytes]) -> Printer:
     said, limits = slicer_settings(lines), printer.limits
     flow = min(limits.flow, max(said.flow or math.inf, 0.1))
     layer_time = limits.min_layer_time if said.layer_time is None else min(said.layer_time, 600.0)
-    return replace(printer, limits=replace(limits, flow=flow, min_layer_time=layer_time))
+    slowest = limits.min_print_speed if said.min_speed is None else said.min_speed
+    limits = replace(limits, flow=flow, min_layer_time=layer_time, min_print_speed=slowest)
+    return replace(printer, limits=limits)
 
 
 def freedom_of(speed: Speed, printer: Printer) -> Freedom:
@@ -118,7 +87,7 @@ def freedom_of(speed: Speed, printer: Printer) -> Freedom:
     limits = printer.limits
     return Freedom(
         speed.speed_up, limits.filament_velocity, limits.min_layer_time,
-        speed.filament_acceleration or math.inf,
+        speed.filament_acceleration or math.inf, limits.min_print_speed,
     )  # fmt: skip
 
 
@@ -140,12 +109,12 @@ def search(
     freedom = freedom or Freedom()
     drive = Drive(lines, printer, options, bound.measure, freedom, bound.width < math.inf)
     original = drive.original()
-    least = LayerTimes(
-        {k: min(seconds, freedom.min_layer_time) for k, seconds in original.layers.items() if k}
-    )
-    settings, plants = _fastest_pieces(drive, bound, (printer.plant, *near), freedom.speed_up)
-    convert = convert or unwritten(lines)
-    trial, report = fastest_whole(drive, bound, settings, plants, least, convert)
+    least = LayerTimes.from_file(original.layers, freedom.min_layer_time)
+    pieces = ExcerptSearch(drive, drive.excerpt(), (printer.plant, *near))
+    settings, plants = pieces.fastest(bound)
+    attempt = partial(drive.try_whole, plants=plants, convert=convert or unwritten(lines))
+    trial, report = fastest_whole(drive, bound, settings, least, attempt)
+    assert report is not None  # of a print that is not refused
     return Fastest(*drive.configured(trial.settings), bound, trial, original, report)
 
 
@@ -159,16 +128,15 @@ def unwritten(lines: Source) -> Convert:
 
 
 def fastest_whole(
-    drive: Drive, bound: Bound, settings: SpeedSettings, plants: tuple[Plant, ...],
-    least: LayerTimes, convert: Convert,
-) -> tuple[TrialPrint, Report]:  # fmt: skip
-    """Return the first conversion of the file within the bound, or raise HframeError."""
+    drive: Drive, bound: Bound, settings: SpeedSettings, least: LayerTimes, attempt: Attempt
+) -> tuple[TrialPrint, Report | None]:
+    """Return the first attempt at the whole print within the bound, or raise HframeError."""
     searches = Searches(bound, drive.max_acceleration)
     for limit in (*[LIMIT] * 5, 1.0):
         settings = least.planned(drive, settings)
-        trial, report = drive.try_whole(settings, plants, convert)
+        trial, report = attempt(settings)
         shares = bound.shares(trial)
-        if report is None:
+        if trial.refused:
             settings = gentler(settings)
             continue
         short = least.short(settings, trial.layers)
@@ -198,128 +166,3 @@ def _exceeded(bound: Bound, trial: TrialPrint, name: str) -> str:
         f"{value}, model uncertainty included; allow more in {key} below [speed], or with "
         f"'hframe-post convert --{key.replace('_', '-')}'"
     )
-
-
-def _fastest_pieces(
-    drive: Drive, bound: Bound, near: tuple[Plant, ...], speed_up: float
-) -> tuple[SpeedSettings, tuple[Plant, ...]]:
-    """Return settings to begin with, and the plants with the greatest errors."""
-    pieces, searches = drive.excerpt(), Searches(bound, drive.max_acceleration)
-    useful = drive.useful_feeds(pieces)
-    feed = {name: max(min(speed_up, useful.get(name, speed_up)), 1.0) for name in ADJUSTED}
-
-    def worst_plants(settings: SpeedSettings, plants: tuple[Plant, ...]) -> tuple[Plant, ...]:
-        """Add a trial, with gentler settings if these are refused; return its worst plants."""
-        for _ in range(6):
-            trial = drive.try_pieces(pieces, settings, plants)
-            if not trial.refused:
-                searches.trials.append(trial)
-                worst = (np.argsort(errors)[-2:].tolist() for errors in trial.errors.values())
-                return tuple(plants[k] for k in sorted({0}.union(*worst)))
-            settings = gentler(settings)
-        raise HframeError(trial.refused)
-
-    acceleration = dict.fromkeys(ADJUSTED, min(8e3, drive.max_acceleration))
-    plants = worst_plants(SpeedSettings(acceleration, feed), near)
-    for _ in range(MAX_FEEDS):
-        worst_plants(searches.corrected(feed), plants)
-        before, feed = feed, searches.next_feeds()
-        if feed == before:
-            break
-    feed = searches.best_feeds()
-    plants = worst_plants(searches.corrected(feed), near)
-    return searches.corrected(feed), plants
-
-
-class Searches:
-    """The searches of all kinds of features. trials: their steps so far."""
-
-    def __init__(
-        self, bound: Bound, max_acceleration: float, trials: Iterable[TrialPrint] = ()
-    ) -> None:
-        self._bound, self._max_acceleration = bound, max_acceleration
-        self.trials = list(trials)
-
-    def corrected(self, feed: dict[str, float]) -> SpeedSettings:
-        """Return the last settings with accelerations at which features use up their bounds.
-
-        Features of unknown error get the least acceleration of the others.
-        """
-        last, known = self.trials[-1], dict[str, float]()
-        for name in last.errors:
-            same_feed = [t for t in self.trials if t.settings.feed[name] == feed[name]]
-            points = [self._point(t, name) for t in same_feed or [last] if name in t.errors]
-            found = math.exp(_root(points or [self._point(last, name)]))
-            known[name] = min(max(found, MIN_ACCELERATION), self._max_acceleration)
-        least = min(known.values(), default=8e3)
-        acceleration = {name: known.get(name, least) for name in feed}
-        return replace(last.settings, acceleration=acceleration, feed=feed)
-
-    def _point(self, trial: TrialPrint, name: str) -> tuple[float, float]:
-        """Return the logarithms of acceleration and of error; the latter is 0 at the aim."""
-        share = self._bound.shares(trial)[name]
-        return math.log(trial.settings.acceleration[name]), math.log(max(share, 1e-9) / AIM)
-
-    def best_feeds(self) -> dict[str, float]:
-        """Return the feed rate at which each feature takes the least time within its bound."""
-        return {name: min(times, key=lambda f: times[f]) for name, times in self._times().items()}
-
-    def next_feeds(self) -> dict[str, float]:
-        """Return each feature's best feed rate, or a lower one if not two lower ones were tried.
-
-        Where a plant is slightly off the model, the path is missed at speed, and a slower feature
-        may accelerate more.
-        """
-        feeds = self.best_feeds()
-        for name, times in self._times().items():
-            if min(times) > FEED_STEP**1.5 * feeds[name]:
-                feeds[name] = max(FEED_STEP * min(times), MIN_FEED)
-        return feeds
-
-    def _times(self) -> dict[str, dict[float, float]]:
-        """Estimate the seconds of each feature at each feed rate tried, with its bound used up.
-
-        The time of speed changes falls with the root of the acceleration, which the motors limit.
-        A feature whose error is too great must be slower as a whole.
-        """
-        changing = [CAUSES.index(cause) for cause in ("motors", "error")]
-        times: dict[str, dict[float, float]] = {name: {} for name in ADJUSTED}
-        for trial in self.trials:
-            shares, used = self._bound.shares(trial), trial.settings.acceleration
-            for name, feed in trial.settings.feed.items():
-                seconds = trial.limited[NAMES.index(name)]
-                share = shares.get(name, AIM) / AIM
-                gain = math.log(min(max(share, used[name] / self._max_acceleration), 1.0))
-                times[name][feed] = float(
-                    seconds.sum() * max(share, 1.0) + 0.5 * gain * seconds[changing].sum()
-                )
-        return times
-
-
-def _root(points: list[tuple[float, float]]) -> float:
-    """Return where y, which rises with x, is 0 by these points; y = x + c for one.
-
-    A point that is near enough is returned itself. Between points on both sides it is on the line
-    through the nearest two. Beyond points on one side it lies beyond them all, so that each step
-    leads on even where y hardly rises. Of two points with the same x the later one counts: y also
-    depends on what else changed.
-    """
-    points = list(dict(points).items())
-    nearest = min(points, key=lambda point: abs(point[1]))
-    if math.log(NEAR / AIM) <= nearest[1] <= math.log(LIMIT / AIM):
-        return nearest[0]
-    above = sorted((point for point in points if point[1] > 0.0), key=lambda point: point[0])
-    below = sorted((point for point in points if point[1] <= 0.0), key=lambda point: -point[0])
-    if above and below and below[0][0] < above[0][0]:
-        (u, v), (x, y) = below[0], above[0]
-        return x - (x - u) * y / (y - v)
-    (x, y), *others = above or below  # if neither is true of all, the limit counts
-    slopes = [(y - v) / (x - u) for u, v in others if abs(x - u) > 0.01]
-    slope = min(max(slopes[0], 0.4), 1.5) if slopes else 1.0
-    return x - min(max(y / slope, -1.2), 1.2)
-
-
-def gentler(settings: SpeedSettings) -> SpeedSettings:
-    """Return settings with accelerations that are lower by 15 %."""
-    acceleration = {name: 0.85 * value for name, value in settings.acceleration.items()}
-    return replace(settings, acceleration=acceleration)

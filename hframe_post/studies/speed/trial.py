@@ -13,19 +13,16 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Flags, Integers
 from hframe_post.model.plant import Plant
 from hframe_post.model.responses import Plants
-from hframe_post.planner.pacing import NAMES
+from hframe_post.planner.pacing import ADJUSTED, FIRST_LAYERS, NAMES, UNCHANGED
 from hframe_post.prediction.line_width import Lines
 from hframe_post.prediction.predict import Judgement, judge_each
 from hframe_post.prediction.statistics import TRAVEL as NOT_EXTRUDED
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.stream.chunks import smaller
-from hframe_post.stream.features import KINDS, OTHER, TRAVEL, Place, kind
+from hframe_post.stream.features import TRAVEL, Place, kind
 from hframe_post.stream.types import Samples
 
 Measure = Literal["rms", "p95", "peak"]
-UNCHANGED = ("bridge", "ironing", "interface", "skirt")  # features printed as the file says
-ADJUSTED = tuple(name for name in (*KINDS, OTHER) if name not in UNCHANGED)
-FIRST_LAYERS = 1  # are printed as the file says, too
 JUDGED_EVERY = 4  # samples
 # What limits the speed at a sample. Where several do, the first is counted.
 CAUSES = ("file", "cooling", "travel", "flow", "extruder", "feed", "motors", "error")
@@ -37,13 +34,14 @@ class Freedom:
 
     speed_up: greatest factor on the file's feed rates; flow: greatest feed of filament (mm/s)
     where the feed rate is raised; min_layer_time: s; filament_acceleration: greatest (mm/s²) where
-    the acceleration is raised.
+    the acceleration is raised; min_speed: mm/s, below which no layer is slowed.
     """
 
     speed_up: float = 1.0
     flow: float = np.inf
     min_layer_time: float = 0.0
     filament_acceleration: float = np.inf
+    min_speed: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +151,7 @@ class TrialSums:
         enough = {name for name, each in self._errors.items() if each[0].count >= 50}
         errors, widths = (
             {
-                name: [measured(errors, self._measure) for errors in statistics]
+                name: [errors.measured(self._measure) for errors in statistics]
                 for name, statistics in found.items()
                 if name in enough
             }
@@ -256,10 +254,3 @@ def judged(
         name = labels.features[number]
         if name != NOT_EXTRUDED and kind(name) in ADJUSTED:
             yield kind(name), (here == number) & later
-
-
-def measured(errors: ErrorStatistics, measure: Measure) -> float:
-    """Return the chosen statistic of errors, mm."""
-    if measure == "rms":
-        return errors.rms
-    return errors.peak if measure == "peak" else errors.percentile(0.95)

@@ -1,0 +1,161 @@
+"""A linear response applied to a stream: filters that carry their state from piece to piece.
+
+A transfer function is filtered as it stands (``Filter``), an impulse response as a sum over the
+latest samples (``FiniteFilter``), and one that changes along x as a mixture (``FilterAlongX``).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from hframe_post.arrays import Array
+from hframe_post.model.impulse_response import ImpulseResponse, Linear, transfer_function
+from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.native.plant import filtered, sliding_sums
+
+PIECE = 256  # outputs for which the nodes of a response along x are chosen together
+
+
+class StreamFilter(Protocol):
+    """A linear response applied to a stream, its state carried: equal bits however it is cut."""
+
+    state: Array
+
+    def run(self, u: Array) -> Array:
+        """Return the output (n,) at the next samples of the input u (n,)."""
+
+    def advance(self, u: Array) -> None:
+        """Take the state that the next samples of the input lead to."""
+
+    def settle(self, u: float) -> None:
+        """Take the state that a constant input leads to."""
+
+
+def stream_filter(G: Linear, late: int) -> StreamFilter:
+    """Return the filter of G whose output comes ``late`` samples late, at least G.ahead."""
+    if isinstance(G, ImpulseResponse) and G.elsewhere:
+        return FilterAlongX(G, late)
+    if isinstance(G, ImpulseResponse):
+        return FiniteFilter(G, late)
+    return LateFilter(G, late) if late else Filter(G)
+
+
+class Filter:
+    """A transfer function applied to a stream, its state carried: equal bits however it is cut."""
+
+    def __init__(self, G: Linear) -> None:
+        self.sections = transfer_function(G).sections
+        self.state = np.zeros((len(self.sections), 2))
+
+    def run(self, u: Array) -> Array:
+        """Return the output (n,) at the next samples of the input u (n,)."""
+        return filtered(self.sections, self.state, u)
+
+    def advance(self, u: Array) -> None:
+        """Take the state that the next samples of the input lead to."""
+        self.run(u)
+
+    def settle(self, u: float) -> None:
+        """Take the state that a constant input leads to."""
+        for (b0, b1, b2, _, a1, a2), state in zip(self.sections.tolist(), self.state, strict=True):
+            y = u * (b0 + b1 + b2) / (1.0 + a1 + a2)
+            state[1] = b2 * u - a2 * y
+            state[0] = b1 * u - a1 * y + state[1]
+            u = y
+
+
+class LateFilter:
+    """A transfer function applied to a stream, its output ``late`` samples late."""
+
+    def __init__(self, G: TransferFunction, late: int) -> None:
+        self._filter, self._dc_gain = Filter(G), G.dc_gain
+        size = self._filter.state.size
+        self.state = np.zeros(size + late)
+        self._filter.state, self._waiting = self.state[:size].reshape(-1, 2), self.state[size:]
+
+    def run(self, u: Array) -> Array:
+        y = np.concatenate([self._waiting, self._filter.run(u)])
+        self._waiting[:] = y[len(u) :]
+        return y[: len(u)]
+
+    def advance(self, u: Array) -> None:
+        self.run(u)
+
+    def settle(self, u: float) -> None:
+        self._filter.settle(u)
+        self._waiting[:] = self._dc_gain * u
+
+
+class FiniteFilter:
+    """An impulse response applied to a stream, its output ``late`` samples late.
+
+    state (k,): the latest samples of the input. Acceleration is filtered, which at rest is zero.
+    """
+
+    def __init__(self, G: ImpulseResponse, late: int) -> None:
+        self._taps = np.ascontiguousarray(G.taps(late)[::-1])  # that of the oldest sample first
+        self._rest, self._lag, self._late = G.rest, G.lag, late
+        self.state = np.zeros(max(len(self._taps) + 1, late + (1 if G.lag else 0)))
+
+    def run(self, u: Array) -> Array:
+        n, memory = len(u), len(self._taps) - 1
+        known = np.concatenate([self.state, u])
+        y = sliding_sums(self._taps, np.diff(known[len(self.state) - memory - 2 :], n=2))
+        before = len(self.state) - self._late
+        y += self._rest * known[before : before + n]
+        if self._lag:
+            y -= self._lag * np.diff(known[before - 1 : before + n])
+        self.state[:] = known[n:]
+        return y
+
+    def advance(self, u: Array) -> None:
+        n = min(len(u), len(self.state))
+        self.state[: len(self.state) - n] = self.state[n:].copy()
+        self.state[len(self.state) - n :] = u[len(u) - n :]
+
+    def settle(self, u: float) -> None:
+        self.state[:] = u
+
+
+class FilterAlongX(FiniteFilter):
+    """A response that changes along x, applied to a stream, its output ``late`` samples late.
+
+    The nodes' responses to the whole past are mixed, each as if it had always been there.
+    """
+
+    def __init__(self, G: ImpulseResponse, late: int) -> None:
+        self._x = np.array([x for x, _ in G.nodes])
+        self._lags = np.array([node.lag for _, node in G.nodes])
+        each = [node.taps(late)[::-1] for _, node in G.nodes]
+        m = max(map(len, each))
+        self._each = [np.pad(taps, (m - len(taps), 0)) for taps in each]
+        self._rest, self._late = G.rest, late
+        self.state = np.zeros(max(m + 1, late + 1))
+
+    def along(self, u: Array, x: Array) -> Array:
+        """Return the output (n,) at the next samples of the input u (n,).
+
+        x (n,): place of the nozzle at the outputs, mm.
+        """
+        n, memory = len(u), len(self._each[0]) - 1
+        known = np.concatenate([self.state, u])
+        acceleration = np.diff(known[len(self.state) - memory - 2 :], n=2)
+        x = np.clip(x, self._x[0], self._x[-1])
+        left = np.clip(np.searchsorted(self._x, x, "right") - 1, 0, len(self._x) - 2)
+        share = (x - self._x[left]) / (self._x[left + 1] - self._x[left])
+        y = np.zeros(n)
+        for a in range(0, n, PIECE):
+            piece = slice(a, min(a + PIECE, n))
+            nodes, part = left[piece], share[piece]
+            for k in range(int(nodes.min()), int(nodes.max()) + 2):
+                weight = np.where(nodes == k, 1.0 - part, np.where(nodes == k - 1, part, 0.0))
+                around = acceleration[a : piece.stop + memory]
+                y[piece] += weight * sliding_sums(self._each[k], around)
+        before = len(self.state) - self._late
+        y += self._rest * known[before : before + n]
+        lag = (1.0 - share) * self._lags[left] + share * self._lags[left + 1]
+        y -= lag * np.diff(known[before - 1 : before + n])
+        self.state[:] = known[n:]
+        return y

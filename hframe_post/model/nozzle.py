@@ -1,0 +1,180 @@
+"""The nozzle's motion under a command that comes in pieces: axes and couplings side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from hframe_post.arrays import Array, X, Y
+from hframe_post.model.filters import (
+    Filter,
+    FilterAlongX,
+    FiniteFilter,
+    StreamFilter,
+    stream_filter,
+)
+from hframe_post.model.impulse_response import ImpulseResponse, Linear
+from hframe_post.model.plant import Coupling, Plant, varies
+from hframe_post.native import plant as native
+from hframe_post.native.plant import Couplings, Sections, coupled, sum_of
+
+STIFF = ImpulseResponse(np.zeros(1), 0)
+
+
+def _output(f: StreamFilter, u: Array, x: Array) -> Array:
+    """Return the output (n,) of a filter, which may change along x (n,), mm."""
+    return f.along(u, x) if isinstance(f, FilterAlongX) else f.run(u)
+
+
+class Filters:
+    """Filters side by side, each ``late`` samples late; ``along_x``: whether one changes along x.
+
+    couplings: the last filters'. If all are transfer functions without delay they are ``fused``, in
+    one block of memory.
+    """
+
+    def __init__(self, direct: Sequence[Linear], couplings: Sequence[Coupling], late: int) -> None:
+        functions = (*direct, *(coupling.G for coupling in couplings))
+        self.each = [stream_filter(G, late) for G in functions]
+        self.late, self.along_x = late, any(map(varies, functions))
+        axes = [(c.answer, c.command, -1 if c.along is None else c.along) for c in couplings]
+        centres = np.array([coupling.centre for coupling in couplings])
+        self.couplings = Couplings(np.array(axes, np.int64).reshape(-1, 3), centres)
+        self.fused = _fused(self.each)
+
+    @classmethod
+    def of_plant(cls, plant: Plant, late: int) -> Filters:
+        return cls((plant.Gxx, plant.Gyy), plant.couplings, late)
+
+    @property
+    def commands(self) -> list[int]:
+        """Return the axis of the command of each coupling."""
+        commands: list[int] = self.couplings.axes[:, 1].tolist()
+        return commands
+
+
+def _fused(filters: Sequence[StreamFilter]) -> Sections | None:
+    """Return the sections of all filters, whose states become parts of it; None if not all have."""
+    alone = [f for f in filters if isinstance(f, Filter)]
+    if len(alone) < len(filters):
+        return None
+    table = np.concatenate([f.sections for f in alone])
+    counts = np.array([len(f.sections) for f in alone])
+    fused = Sections(table, np.zeros((len(table), 2)), counts)
+    for f, (_, state) in zip(alone, fused.each(), strict=True):
+        f.state = state
+    return fused
+
+
+class Coupled:
+    """What couplings add to the nozzle in one axis, under commands that come in pieces.
+
+    late: samples by which the result comes later than the commands.
+    """
+
+    def __init__(self, couplings: Sequence[Coupling], origin: Array) -> None:
+        self.late = max(coupling.G.ahead for coupling in couplings)
+        self._filters, self._origin = Filters((), couplings, self.late), origin
+
+    def run(self, path: Array, x_dm: Array, y_dm: Array) -> Array:
+        """Return the sum (n,) at samples of the path (n, 2), which lag behind the commands (n,).
+
+        All are relative to the origin. The lever arms are those of the path.
+        """
+        filters, couplings, commands = self._filters, self._filters.couplings, (x_dm, y_dm)
+        if filters.fused is not None:
+            return coupled(filters.fused, couplings, self._origin, path, commands)
+        place = path + self._origin
+        outputs = [
+            _output(G, commands[axis], place[:, X])
+            for G, axis in zip(filters.each, filters.commands, strict=True)
+        ]
+        return sum_of(outputs, couplings, place)
+
+
+class Response:
+    """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,).
+
+    late: samples by which the motion comes later than the command, at least and by default the
+    plant's ``ahead``. away: mm of x from where places are counted, for responses that change along
+    x and a command that is counted from elsewhere.
+    """
+
+    def __init__(
+        self, plant: Plant, origin: Array, late: int | None = None, away: float = 0.0
+    ) -> None:
+        self.late = plant.ahead if late is None else late
+        self._filters = Filters.of_plant(plant, self.late)
+        self._origin = origin
+        # where responses change along x, the command tells x: the nozzle is within half a mm of it
+        self._x = FiniteFilter(STIFF, self.late) if self._filters.along_x else None
+        self._from_x = float(origin[X]) + away
+
+    def settle(self, command: Array) -> None:
+        """Come to rest under a command (2,)."""
+        u = (command - self._origin).tolist()
+        for f, axis in self._commanded():
+            f.settle(u[axis])
+
+    def advance(self, command: Array) -> None:
+        """Go on to the state after the next samples of the command (n, 2)."""
+        if self._filters.fused is not None:  # all at once is faster than one by one
+            self.run(command)
+            return
+        u = (command - self._origin).T
+        for f, axis in self._commanded():
+            f.advance(u[axis])
+
+    def _commanded(self) -> Iterator[tuple[StreamFilter, int]]:
+        """Yield each filter with the axis of its command."""
+        yield from zip(self._filters.each, (X, Y, *self._filters.commands), strict=True)
+        if self._x is not None:
+            yield self._x, X
+
+    def run(self, command: Array, out: Array | None = None) -> Array:
+        """Return the nozzle's x, y (n, 2) at samples that lag behind those of command (n, 2).
+
+        It is in ``out``, if given.
+        """
+        return self._motion(command, np.empty((len(command), 2)) if out is None else out)
+
+    def motion(self, command: Array) -> tuple[Array, Array]:
+        """Return the nozzle's x, y (n, 2), and what each coupling's G gives, (n, couplings)."""
+        both = self._motion(command, np.empty((len(command), len(self._filters.each))))
+        return both[:, :2], both[:, 2:]
+
+    def imagined(self, command: Array) -> tuple[Array, Array]:
+        """Return what ``motion`` would, and keep the state."""
+        filters = [f for f, _ in self._commanded()]
+        states = [f.state.copy() for f in filters]
+        motion = self.motion(command)
+        for f, state in zip(filters, states, strict=True):
+            f.state[:] = state
+        return motion
+
+    def _motion(self, command: Array, motion: Array) -> Array:
+        filters, couplings = self._filters, self._filters.couplings
+        if filters.fused is not None:
+            return native.response(filters.fused, couplings, self._origin, command, motion)
+        u = np.subtract(command.T, self._origin[:, None], order="C")
+        x = u[X] if self._x is None else self._x.run(u[X]) + self._from_x
+        axes = X, Y, *filters.commands
+        outputs = [_output(f, u[axis], x) for f, axis in zip(filters.each, axes, strict=True)]
+        return native.nozzle(outputs, couplings, self._origin, motion)
+
+
+def nozzle(plant: Plant, origin: Array, command: Array) -> Array:
+    """Return the nozzle's x, y (n, 2) under a whole command (n, 2).
+
+    The plant rests at ``origin`` (2,) before it, and the command rests after it.
+    """
+    return motion(plant, origin, command)[0]
+
+
+def motion(plant: Plant, origin: Array, command: Array) -> tuple[Array, Array]:
+    """Return what ``nozzle`` does, and what each coupling's G gives, (n, couplings)."""
+    response = Response(plant, origin)
+    following = np.pad(command, ((0, response.late), (0, 0)), mode="edge")
+    place, outputs = response.motion(following)
+    return place[response.late :], outputs[response.late :]
