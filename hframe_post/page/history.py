@@ -8,7 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from hframe_post.hosts.moonraker.history import Event
+from hframe_post.hosts.moonraker.history import LONGEST_TEXT, Event
+from hframe_post.hosts.moonraker.interface import page_of
 from hframe_post.page.measured import WARNING, Card, Chart, Curve, Section, page
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.print_time import duration
@@ -116,11 +117,13 @@ def _check(event: Event) -> tuple[str, str]:
     return _day(event.at), f"{event.kind}: {event.reason or found or 'no resonance'}"
 
 
-def _print(event: Event) -> tuple[str, str]:
+def _print(event: Event) -> tuple[str, str] | tuple[str, str, str]:
     errors = " → ".join(f"{error:.1f}" for error in event.rms_um)
     times = " → ".join(duration(seconds) for seconds in event.seconds)
     known = (event.name, f"{errors} µm RMS" if errors else "no motion", times)
-    return _day(event.at), ", ".join(part for part in known if part)
+    row = _day(event.at), ", ".join(part for part in known if part)
+    # a longer name was cut
+    return (*row, page_of(event.name)) if len(event.name) < LONGEST_TEXT else row
 
 
 def _course(checks: Sequence[Event], axis: str) -> Points:

@@ -133,7 +133,11 @@ for (const section of data.sections) {
     add(charts, figure);
   }
   const rows = make("dl");
-  for (const [label, text] of section.rows) add(rows, make("dt", label), make("dd", text));
+  for (const [label, text, address] of section.rows) {
+    const linked = address && location.protocol !== "file:", shown = make(linked ? "a" : "span", text);
+    if (linked) shown.href = address;
+    add(rows, make("dt", label), add(make("dd"), shown));
+  }
   add($("sections"), add(make("section", undefined, "panel"), make("h2", section.title), charts, rows));
 }
 function drawAll() { for (const [figure, chart] of figures) { draw(figure, chart); legend(figure, chart, null); } }

@@ -59,11 +59,14 @@ class Card:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A heading with charts, and rows of labels and texts below them."""
+    """A heading with charts, and rows of labels and texts below them.
+
+    A row's third text is the address on its server that it links; a page in a file has no server.
+    """
 
     title: str
     charts: Sequence[Chart]
-    rows: Sequence[tuple[str, str]] = ()
+    rows: Sequence[tuple[str, str] | tuple[str, str, str]] = ()
 
 
 def page(

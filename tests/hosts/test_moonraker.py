@@ -6,6 +6,7 @@ MOONRAKER_PYTHON names a Python in which Moonraker is installed, as ``make hosts
 from __future__ import annotations
 
 import base64
+import html
 import os
 import re
 import shutil
@@ -19,6 +20,7 @@ from typing import Any
 import pytest
 
 from hframe_post.hosts.moonraker.answering import PATIENCE
+from hframe_post.hosts.moonraker.interface import PAGE, page_of
 from hframe_post.hosts.moonraker.upload import KEPT, Upload
 from tests.command_line import RECTANGLE
 from tests.conftest import SAMPLES
@@ -35,6 +37,7 @@ pytestmark = [
 CUBE = (SAMPLES / "cube.gcode").read_bytes()
 PART = RECTANGLE.read_bytes()
 LIMIT_EXCEEDED = r"line \d+: belt velocity \(mm/s\) would be \d+\S*, the .* limit is 20"
+KEPT_ENDINGS = (".original", ".html")
 OUTSIDE = CUBE + b"G1 X9000 Y10 F6000\n"
 
 
@@ -73,12 +76,18 @@ def test_an_upload_is_converted_described_printed_and_cancelled(printer: Printer
     assert described["filament_total"] == pytest.approx(1301.66)  # as the slicer has it
     assert described["file_processors"] == ["hframe_post"]
     assert described["size"] == len(converted)
-    page = printer.request("GET", "/server/hframe_post/page", decoded=False)
-    assert "cube.gcode, " in data_of(page)["sections"][-1]["rows"][0][1]
+    row = data_of(printer.request("GET", PAGE, decoded=False))["sections"][-1]["rows"][0]
+    assert row[1].startswith("cube.gcode, ")
+    assert row[2] == page_of("cube.gcode")
+    assert data_of(printer.request("GET", row[2], decoded=False))["name"] == "cube.gcode"
+    links = [line for line in printer.console() if f'"{row[2]}"' in line]
+    assert len(links) == 2  # when it was converted, and when its print began
+    for name in ("../config/printer.toml", ".hframe_post/history", "/etc/passwd", "<b>.gcode"):
+        answer = printer.request("GET", page_of(name), decoded=False).decode()
+        assert f">{html.escape(name)} has no page" in answer
     assert [thumbnail["size"] for thumbnail in described["thumbnails"]] == [4]
-    shown = [line for line in printer.console() if "hframe-post: cube.gcode" in line]
-    assert len(shown) >= 1
-    assert "contour error" in shown[-1]
+    (summary,) = [line for line in printer.console() if "cube.gcode: converted" in line]
+    assert "contour error" in summary
 
 
 def test_the_same_file_uploaded_again_and_a_converted_one_give_the_same_bytes(
@@ -216,7 +225,13 @@ def test_an_upload_is_answered_before_a_proxy_gives_up_and_goes_on(printer: Prin
     assert answer["action"] == "create_file"
     assert not answer["print_started"]
     assert any("part.gcode is still being converted" in line for line in printer.console())
+    waiting, other = started(printer, "waits.gcode", PART), printer.gcodes / "waits.gcode"
+    waits = "// hframe-post: waits.gcode waits until part.gcode is converted; then it is uploaded"
+    until(lambda: any(line.startswith(waits) for line in printer.console()))
+    assert not other.exists()
     printer.gate.unlink()
+    waiting.join()
+    assert other.read_bytes() == printer.converted(PART)
     until(lambda: printer.print_stats()["state"] == "complete")
     assert printer.print_stats()["filename"] == "part.gcode"
     assert (printer.gcodes / "part.gcode").read_bytes() == printer.converted(PART)
@@ -238,9 +253,9 @@ def attempted(printer: Printer, name: str, content: bytes, **form: str) -> Any:
 
 
 def left_over(printer: Printer) -> list[str]:
-    """Return what is in the component's folder but its history and sliced files."""
+    """Return what is in the component's folder but its history, pages and sliced files."""
     names = os.listdir(printer.gcodes / ".hframe_post")
-    return [name for name in names if not name.endswith(".original") and name != "history"]
+    return [name for name in names if name != "history" and not name.endswith(KEPT_ENDINGS)]
 
 
 def test_files_of_an_older_model_are_converted_again_whatever_comes_between(
@@ -297,7 +312,9 @@ def test_files_of_an_older_model_are_converted_again_whatever_comes_between(
     printer.request("DELETE", "/server/files/gcodes/0.gcode")
     kept = printer.gcodes / ".hframe_post"
     count = len([*kept.glob("*.original")])
+    assert len([*kept.glob("*.html")]) == count
     until(lambda: len([*kept.glob("*.original")]) < count)
+    until(lambda: len([*kept.glob("*.html")]) < count)
 
 
 @pytest.mark.parametrize(("room", "fits_twice"), [("1600k", True), ("600k", False)])

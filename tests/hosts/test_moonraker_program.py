@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
@@ -22,7 +23,7 @@ from hframe_post.hosts import moonraker
 from hframe_post.hosts.moonraker import conversion
 from hframe_post.hosts.moonraker.disk import FOLDER, BeyondError, FailureError, alone, cause
 from hframe_post.hosts.moonraker.found import offer
-from hframe_post.hosts.moonraker.interface import Interface
+from hframe_post.hosts.moonraker.interface import Interface, as_html, page_of
 from hframe_post.hosts.moonraker.originals import Originals
 from hframe_post.hosts.moonraker.settings import Settings
 from hframe_post.hosts.moonraker.upload import CONVERTING, REFUSAL, Upload, refuse
@@ -30,13 +31,14 @@ from hframe_post.printer.profile import load
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT, SAMPLES
 from tests.hosts.moonraker import WAIT, until, waiting_for
+from tests.page.pages import data_of
 from tests.recordings import SV08_CONFIG
 
 COMMAND = (sys.executable, "-m", "hframe_post", "-p", str(ROOT / "tests/measured.toml"))
 PART = RECTANGLE.read_bytes()
 CUBE = (SAMPLES / "cube.gcode").read_bytes()
 RECORDED = ROOT / "tests/identification/data/raw_data_y_20250601_120000.csv.xz"  # of a Sovol SV08
-OUTSIDE = PART + b'G1 X9000 Y10 F6000 ; "far" away\n'
+OUTSIDE = PART + b'G1 X9000 Y10 F6000 <b> ; "far" away\n'
 
 
 @pytest.fixture
@@ -49,7 +51,14 @@ def part(tmp_path: Path) -> Path:
 
 
 def kept(part: Path) -> list[str]:
-    return [name for name in os.listdir(part.parents[1] / FOLDER) if name != "history"]
+    return sorted(name for name in os.listdir(part.parents[1] / FOLDER) if name != "history")
+
+
+KEPT = [".html", ".original"]  # of each converted file
+
+
+def endings(part: Path) -> list[str]:
+    return sorted(Path(name).suffix for name in kept(part))
 
 
 def started(part: Path, *command: str) -> subprocess.Popen[bytes]:
@@ -118,15 +127,20 @@ def test_it_writes_the_bytes_of_the_command_line(part: Path, reports: list[Any])
     assert part.read_bytes() == part.with_name("by_hand.gcode").read_bytes()
     assert processed(part) == 0  # a second pass
     assert part.read_bytes() == part.with_name("by_hand.gcode").read_bytes()
-    assert [(part.parents[1] / FOLDER / name).read_bytes() for name in kept(part)] == [PART]
+    page, original = (part.parents[1] / FOLDER / name for name in kept(part))
+    assert original.read_bytes() == PART
+    assert data_of(page)["name"] == "part.gcode"
+    assert original.stem == page.stem
     texts = [each["text"] for each in reports]
-    assert len(texts) == 2
+    assert len(texts) == 4
     assert texts[0].startswith("hframe-post: part.gcode: converted\n")
     assert "contour error" in texts[0]
-    assert texts[1] == "hframe-post: part.gcode: this file is converted already; left as it is"
-    assert [each["failed"] for each in reports] == [False, False]
+    assert texts[1].endswith(page_of("sub/part.gcode"))
+    assert texts[2] == "hframe-post: part.gcode: this file is converted already; left as it is"
+    assert not any(each["failed"] for each in reports)
 
 
+@pytest.mark.slow
 def test_a_file_that_fails_begins_with_its_reason_until_it_can_be_converted(
     part: Path, reports: list[Any]
 ) -> None:
@@ -136,12 +150,22 @@ def test_a_file_that_fails_begins_with_its_reason_until_it_can_be_converted(
         refusal, rest = part.read_bytes().split(b"\n", 1)
         assert refusal.startswith(REFUSAL.encode() + b"not converted: line ")
         assert refusal.count(b'"') == 2
+        assert b"<" not in refusal  # Klipper's console shows it
         assert rest == OUTSIDE
         assert kept(part) == []
     assert all(each["failed"] for each in reports)
     part.write_bytes(part.read_bytes().replace(OUTSIDE, PART))
     assert processed(part) == 0
     assert part.read_bytes().startswith(b"; processed by hframe-post")
+
+
+def test_a_console_shows_names_as_they_are_and_links_pages() -> None:
+    name = "<img src=x onerror=run()> & _G28 PAUSE.gcode"
+    shown = as_html(f"{name}: {page_of(name)}")
+    assert shown.startswith("&lt;img src=x onerror=run()&gt; &amp; _G28 PAUSE.gcode: <a href=")
+    (address,) = re.findall('href="([^"]*)"', shown)
+    assert parse_qs(urlsplit(address).query) == {"file": [name]}
+    assert not re.search("[A-Z_][A-Z0-9_.]", address)  # what Fluidd takes for a command
 
 
 # hframe-post in a process that has taken its memory up to some 50 MB
@@ -185,7 +209,9 @@ def test_a_conversion_that_takes_too_long_is_ended(
     monkeypatch.setattr(conversion, "LONGEST", 0.5 / 3600.0)
     words, target = [*waiting_for(gate), *COMMAND], tmp_path / "target"
     with pytest.raises(BeyondError, match="takes more than"):
-        conversion.converted(part, target, part.name, words, Interface("nowhere"), lambda: False)
+        conversion.converted(
+            part, target, part.name, words, Interface("nowhere"), lambda: False, True
+        )
     assert not target.exists()
 
 
@@ -214,7 +240,7 @@ def test_a_converted_file_is_converted_again_whatever_became_of_its_name(
     for words in ((), ("renamed.gcode",)):
         assert begun("again", newer, *words).wait() == 0
         assert renamed.read_bytes() == converted_by(OTHER, tmp_path_factory.mktemp("by_hand"))
-        assert len(kept(part)) == 1
+        assert endings(part) == KEPT
     assert begun("again", newer, "by_hand.gcode").wait() == 1
     assert by_hand.read_bytes() == before
     assert reports[-1]["text"].endswith("its sliced file is not kept: upload it again")
@@ -240,6 +266,7 @@ def test_no_more_is_kept_than_the_owner_allows(part: Path, reports: list[Any]) -
         assert begun("upload", settings(gcodes, keep=room), path).wait() == 0
     originals = Originals(gcodes, room)
     assert [originals.of(path).exists() for path in paths] == [False, True]
+    assert endings(part) == [".original"]  # a page is larger than the room, and goes first
     assert begun("again", settings(gcodes, keep=0), "sub/second.gcode").wait() == 0
     assert kept(part) == []
     assert all(path.read_bytes().startswith(b"; processed by") for path in paths)
@@ -392,7 +419,7 @@ def test_a_conversion_ends_when_its_file_is_gone(
     if fate == "renamed":
         assert processed(renamed) == 0
         assert renamed.read_bytes().startswith(b"; processed by hframe-post")
-    assert [Path(name).suffix for name in kept(part)] == [".original"] * (fate != "deleted")
+    assert endings(part) == ([] if fate == "deleted" else KEPT)
 
 
 def test_a_file_that_is_deleted_while_it_waits_is_no_failure(

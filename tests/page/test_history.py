@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from hframe_post.hosts.moonraker.history import Event, add
+from hframe_post.hosts.moonraker.interface import page_of
 from tests.chromium import Browser
 from tests.command_line import run
 from tests.conftest import ROOT
@@ -37,7 +38,9 @@ def built(folder: Path) -> Path:
 def test_it_shows_drift_checks_and_prints(tmp_path: Path) -> None:
     data = data_of(built(tmp_path))
     drift, prints = data["sections"]
-    assert prints["rows"][0][1] == f"{EVIL}, 90.0 → 2.5 µm RMS, 18m 55s → 18m 49s"
+    _, text, address = prints["rows"][0]
+    assert text == f"{EVIL}, 90.0 → 2.5 µm RMS, 18m 55s → 18m 49s"
+    assert address == page_of(EVIL)
     (x,) = drift["charts"][0]["lines"]
     assert x["at"] == pytest.approx([-9.0, -5.0], abs=0.1)
     # a calibration counts with what the check after it found in its model

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,18 +26,23 @@ class Answering:
     def __init__(self, files: Any, gcodes: Path, say: Callable[..., None]) -> None:
         self._files, self._gcodes, self._say = files, gcodes, say
         self._upload, files.finalize_upload = files.finalize_upload, self.upload
+        self._names: dict[asyncio.Future[dict[str, Any]], str] = {}  # of those that go on
 
     async def upload(self, form: dict[str, Any]) -> dict[str, Any]:
         """Upload a file in Moonraker's way; return what it answers. Raises its errors.
 
         A file that waits for another one is in no place yet, and is not answered.
         """
-        name = _name_in(form)
+        name, answered = _name_in(form), time.monotonic() + PATIENCE
         work: asyncio.Future[dict[str, Any]] = asyncio.ensure_future(self._upload(form))
-        await asyncio.wait({work}, timeout=PATIENCE)
-        storage = self._files.get_metadata_storage()
-        while not (work.done() or storage.is_file_processing(name)):
+        self._names[work] = name
+        work.add_done_callback(self._names.pop)
+        await asyncio.wait({work}, timeout=LOOK)
+        if not (work.done() or self._is_converted(name)):
+            self._say_it_waits(name)
+        while not (work.done() or self._is_converted(name)):
             await asyncio.wait({work}, timeout=LOOK)
+        await asyncio.wait({work}, timeout=answered - time.monotonic())
         if work.done():
             return work.result()
         work.add_done_callback(self._ended)
@@ -47,6 +53,19 @@ class Answering:
             "item": {**info, "path": name, "root": "gcodes"}, "action": "create_file",
             "print_started": False, "print_queued": False,
         }  # fmt: skip
+
+    def _is_converted(self, name: str) -> bool:
+        converted: bool = self._files.get_metadata_storage().is_file_processing(name)
+        return converted
+
+    def _say_it_waits(self, name: str) -> None:
+        for other in self._names.values():
+            if self._is_converted(other):
+                self._say(
+                    f"{name} waits until {other} is converted; then it is uploaded. Nothing is "
+                    "lost if the interface reports a timeout meanwhile"
+                )
+                return
 
     def _ended(self, work: asyncio.Future[dict[str, Any]]) -> None:
         if not work.cancelled() and work.exception() is not None:

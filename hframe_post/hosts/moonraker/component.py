@@ -16,9 +16,10 @@ from typing import Any
 from .answering import Answering
 from .disk import FOLDER, NAME
 from .freshness import FRESH, STALE, Freshness
-from .interface import ENDPOINT, PAGE
+from .interface import ENDPOINT, as_html
 from .measuring import Measuring
 from .originals import STAMP
+from .pages import Pages
 from .settings import Settings
 
 PROGRAM = str(Path(__file__).resolve().parent)
@@ -47,7 +48,8 @@ class HframePost:
         self.checked = gcodes / FOLDER / "check"  # changed by each check
         self._words = settings.as_json()
         self._processes: dict[asyncio.subprocess.Process, str] = {}  # with their duties
-        self._tidying, self._one_page = False, asyncio.Lock()
+        self._tidying = False
+        self.pages = Pages(self, gcodes, settings.originals)
         self.measuring = Measuring(self.server, self.run, self.say)
         self._freshness = Freshness(
             self,
@@ -75,10 +77,7 @@ class HframePost:
         server.register_endpoint(CONVERT, kinds.POST, self._convert_requested)
         server.register_endpoint(CANCEL, kinds.POST, self._cancel_requested)
         server.register_endpoint(STATUS, kinds.GET, self._status_requested)
-        server.register_endpoint(
-            PAGE, kinds.GET, self._page_requested, ["http"], wrap_result=False,
-            content_type="text/html; charset=UTF-8",
-        )  # fmt: skip
+        self.pages.register(server, kinds.GET)
         server.register_remote_method("hframe_calibrate", self._calibrate)
         server.register_remote_method("hframe_check", self._check)
         server.register_remote_method("hframe_convert", self._convert_typed)
@@ -114,6 +113,7 @@ class HframePost:
         self.show(f"hframe-post: {text}", failed)
 
     def show(self, text: str, failed: bool) -> None:
+        text = as_html(text)
         self.server.send_event("server:gcode_response", f"!! {text}" if failed else f"// {text}")
         if failed:
             announcements = self.server.lookup_component("announcements")
@@ -202,14 +202,6 @@ class HframePost:
         status, output = await self.run("stale")
         stale = json.loads(output)["kept"] if status == 0 else []
         return {"measuring": self.measuring.busy, "stale": stale, "profile_usable": status == 0}
-
-    async def _page_requested(self, _: Any) -> str:
-        """Return the page of the printer's state, as of now. Raises Moonraker's error."""
-        async with self._one_page:
-            status, page = await self.run("page")
-        if status != 0:
-            raise self.server.error("the page was not made: the console says why", 500)
-        return page
 
     async def _to_convert(self, name: str) -> list[str]:
         """Return a file's name if Moonraker knows it, or without one those of all stale files.

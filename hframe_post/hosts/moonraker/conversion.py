@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -14,6 +15,7 @@ from typing import Any
 
 from .disk import NAME, BeyondError, FailureError, GoneError
 from .interface import Interface
+from .originals import PAGE_SUFFIX
 
 LOG = re.compile(r"\s*\d+\.\d{3} s  (?P<text>.*)")  # of hframe-post -v
 PERCENT = re.compile(r"(?P<percent>\d+ %) is read")
@@ -23,22 +25,36 @@ SHORT = re.compile(  # also for the stack of a thread
 WATCH = 0.3  # s between two looks whether the user has deleted the file
 ELSEWHERE = "Convert it on another computer, then upload it again"
 LONGEST = 2.0  # hours that a conversion may take
+TITLE = "SLIC3R_PP_OUTPUT_NAME"  # the variable in which slicers tell the name of a temporary file
 
 
 def converted(
     source: Path, target: Path, name: str, command: Sequence[str], interface: Interface,
-    is_gone: Callable[[], bool],
+    is_gone: Callable[[], bool], with_page: bool,
 ) -> tuple[str, Mapping[str, Any] | None]:  # fmt: skip
     """Convert a file; return the summary as text and as JSON, None if nothing was to be converted.
 
-    name: of the source for people. is_gone: whether the user has deleted the file meanwhile. The
-    JSON is empty if the command writes its own. Raises FailureError with the reason, BeyondError,
-    GoneError.
+    name: of the source for people. is_gone: whether the user has deleted the file meanwhile.
+    with_page: also write its page next to the target, if that succeeds. The JSON is empty if the
+    command writes its own. Raises FailureError with the reason, BeyondError, GoneError.
     """
-    summary = target.with_suffix(".json.new")  # which tidying removes if this is killed
-    written = [] if "--json" in command else ["--json", str(summary)]
-    process = started([*command, *written, "-v", "-o", str(target), str(source)])
     deadline = time.monotonic() + 3600.0 * LONGEST
+    arguments = (source, target, name, command, interface, is_gone, deadline)
+    if with_page and not any(word.startswith("--report") for word in command):
+        with contextlib.suppress(FailureError):  # also of what a page needs more: memory, room
+            return _converted(*arguments, ["--report", str(target.with_suffix(PAGE_SUFFIX))])
+    return _converted(*arguments, [])
+
+
+def _converted(
+    source: Path, target: Path, name: str, command: Sequence[str], interface: Interface,
+    is_gone: Callable[[], bool], deadline: float, more: Sequence[str],
+) -> tuple[str, Mapping[str, Any] | None]:  # fmt: skip
+    """Convert a file until a time. more: words of the command. Raises the same errors."""
+    summary = target.with_suffix(".json.new")  # which tidying removes if this is killed
+    written = [*more] if "--json" in command else ["--json", str(summary), *more]
+    words = [*command, *written, "-v", "-o", str(target), str(source)]
+    process = started(words, {TITLE: name} if more else {})
     try:
         shown, status = _followed(
             process, interface, lambda: is_gone() or time.monotonic() > deadline
@@ -46,7 +62,7 @@ def converted(
         found = json.loads(summary.read_text("utf-8")) if summary.exists() else {}
     finally:
         summary.unlink(missing_ok=True)
-    shown = [line.replace(str(source), name) for line in shown]
+    shown = [line.replace(str(source), name) for line in shown if not line.startswith("file   ")]
     if is_gone():
         raise GoneError
     if status != 0:
@@ -98,13 +114,15 @@ def said(command: Sequence[str], seconds: float) -> list[str]:
     return lines
 
 
-def started(command: Sequence[str]) -> subprocess.Popen[str]:
+def started(
+    command: Sequence[str], variables: Mapping[str, str] | None = None
+) -> subprocess.Popen[str]:
     """Start hframe-post, which ends when its standard input closes. Raises FailureError."""
     try:
         return subprocess.Popen(
             command, text=True, errors="replace",
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            env={**os.environ, "HFRAME_POST_CHILD": "1"},
+            env={**os.environ, "HFRAME_POST_CHILD": "1", **(variables or {})},
         )  # fmt: skip
     except OSError as error:
         raise FailureError(

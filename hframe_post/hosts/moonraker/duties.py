@@ -16,8 +16,8 @@ from typing import Any
 from .conversion import converted, said
 from .disk import BeyondError, FailureError, GoneError, alone, cause, settle, stamp
 from .history import BROKEN, Event, add
-from .interface import Interface
-from .originals import settings_of
+from .interface import PAGE_SHOWS, Interface, page_of
+from .originals import PAGE_SUFFIX, settings_of
 from .recordings import conclude, prepare, reuse
 from .settings import START, Settings
 from .upload import Upload, refuse
@@ -46,7 +46,10 @@ def _uploaded(settings: Settings, path: Path) -> int | None:
     made = one.work.with_suffix(".converted")
     try:
         one.take()
-        text, found = converted(one.work, made, path.name, settings.command, interface, one.is_gone)
+        text, found = converted(
+            one.work, made, path.name, settings.command, interface, one.is_gone,
+            settings.originals.has_room() and not settings_of(one.work),
+        )  # fmt: skip
         one.give_back(None if found is None else made, settings.originals)
     except (FailureError, GoneError, OSError) as error:
         fate = one.let_go() if one.is_gone() else "failed"
@@ -63,9 +66,8 @@ def _uploaded(settings: Settings, path: Path) -> int | None:
             refuse(one, reason)
         return 1
     finally:
-        made.unlink(missing_ok=True)
-    _remember(settings, path, found)
-    interface.report(text)
+        _remove(made)
+    _conclude(settings, path, interface, text, found)
     return 0
 
 
@@ -112,8 +114,9 @@ def _again(settings: Settings, path: Path) -> int:
         if not original.exists():
             raise FailureError("its sliced file is not kept: upload it again")
         text, found = converted(
-            original, new, path.name, settings.command, interface, lambda: stamp(path) != before
-        )
+            original, new, path.name, settings.command, interface,
+            lambda: stamp(path) != before, settings.originals.has_room(),
+        )  # fmt: skip
         settings.originals.replace(path, new, original)
     except GoneError:
         interface.report("its conversion was stopped, because it was deleted or replaced")
@@ -122,16 +125,32 @@ def _again(settings: Settings, path: Path) -> int:
         interface.report(f"left as it was converted before: {cause(error)}", failed=True)
         return 1
     finally:
-        new.unlink(missing_ok=True)
-    _remember(settings, path, found)
-    interface.report(text.replace("converted", "converted again", 1))
+        _remove(new)
+    _conclude(settings, path, interface, text.replace("converted", "converted again", 1), found)
     return 0
 
 
-def _remember(settings: Settings, path: Path, found: Mapping[str, Any] | None) -> None:
-    """Add a conversion to the history, if there was one. On a full disk it is left out."""
+def _remove(made: Path) -> None:
+    """Remove a converted file and its page, unless they are in their places."""
+    made.unlink(missing_ok=True)
+    made.with_suffix(PAGE_SUFFIX).unlink(missing_ok=True)
+
+
+def _conclude(
+    settings: Settings, path: Path, interface: Interface, text: str,
+    found: Mapping[str, Any] | None,
+) -> None:  # fmt: skip
+    """Report a conversion, link its page, and add it to the history, if there was one.
+
+    On a full disk, the history goes without it.
+    """
+    name = _name(Path(settings.gcodes), path)
     with contextlib.suppress(OSError, *BROKEN):
-        add(settings.history, Event.converted(_shown(path), found or {}))
+        add(settings.history, Event.converted(name, found or {}))
+    interface.report(text)
+    with contextlib.suppress(OSError):  # it was deleted meanwhile
+        if settings.originals.page_of(path).exists():
+            interface.report(f"{PAGE_SHOWS}: {page_of(name)}")
 
 
 def page(settings: Settings) -> int:

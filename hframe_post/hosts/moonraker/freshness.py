@@ -38,10 +38,12 @@ class Freshness:
                 self._warn(name, kept)
 
     async def job_changed(self, event: Any, _: dict[str, Any], now: dict[str, Any]) -> None:
-        """Warn of a stale file that was begun elsewhere, such as at the printer's display."""
+        """Say how a file is printed that was begun, also elsewhere, such as at a display."""
         name = str(now.get("filename", ""))
         if event.name != "STARTED" or not self._component.knows(name):
             return
+        if line := await self._component.pages.line_at_start(name):
+            self._component.say(line)
         begun, self._begun = self._begun, ""
         if name != begun:
             old, kept = await self._age(name)
@@ -49,7 +51,7 @@ class Freshness:
                 self._warn(name, kept)
 
     def _warn(self, name: str, kept: bool) -> None:
-        how = f"HFRAME_CONVERT FILENAME={name}" if kept else "upload it again"
+        how = f'HFRAME_CONVERT FILENAME="{name}"' if kept else "upload it again"
         self._component.say(
             f"{name} is printed as it is, converted with an older model. To change that: {how}"
         )

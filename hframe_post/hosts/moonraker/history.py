@@ -28,8 +28,8 @@ BROKEN = (ValueError, TypeError, KeyError, AttributeError)
 class Event:
     """kind: calibration, check or conversion. at: s since 1970. reason: why nothing was changed.
 
-    hz: the main resonance by axis, for a check before and after. name: of the converted file;
-    rms_um, seconds: its contour error and its time, as sliced and as converted.
+    hz: the main resonance by axis, for a check before and after. name: of the converted file
+    in Moonraker; rms_um, seconds: its contour error and its time, as sliced and as converted.
     """
 
     kind: str

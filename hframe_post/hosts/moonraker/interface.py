@@ -3,12 +3,35 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import json
+import os
+import re
 import socket
 import time
 
 ENDPOINT, PAGE = "/server/hframe_post/report", "/server/hframe_post/page"
+LINK = re.compile(rf"{PAGE}(\?file=[a-z0-9%./~-]+)?")
+# capitals are encoded, too: Fluidd puts links of its own around those that are a command
+PLAIN = frozenset(b"abcdefghijklmnopqrstuvwxyz0123456789./~-")
 QUIET = 5.0  # s between two reports of progress
+PAGE_SHOWS = "its page shows the predicted error, layer by layer"
+
+
+def page_of(name: str) -> str:
+    """Return the address of the page of a file. name: in Moonraker."""
+    coded = (chr(byte) if byte in PLAIN else f"%{byte:02x}" for byte in os.fsencode(name))
+    return f"{PAGE}?file={''.join(coded)}"
+
+
+def as_html(text: str) -> str:
+    """Return a text as consoles take it, with links to our pages.
+
+    Mainsail, Fluidd and KlipperScreen read messages as markup. Names and lines of a file are shown
+    as they are. Fluidd copies what is directly in a link to its command line, hence the ``b``.
+    """
+    link = r'<a href="\g<0>" target="_blank"><b>open the page</b></a>'
+    return LINK.sub(link, html.escape(text, quote=False))
 
 
 class Interface:

@@ -133,10 +133,9 @@ def _updated(
     _remember(settings, Event(kind, hz=_resonances(known)))
     result_lines = {"calibration": _identified, "check": _checked}[kind](known)
     plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
-    # Mainsail and Fluidd make it a link
-    shown = f'how the printer does: <a href="{PAGE}" target="_blank">{PAGE}</a>'
-    lines = (*result_lines, f"the model is written into {profile}{plots}", shown)
+    lines = (*result_lines, f"the model is written into {profile}{plots}")
     interface.report("\n".join(lines))  # at once: some consoles show the newest message first
+    interface.report(f"how the printer does: {PAGE}")  # KlipperScreen shows no message with a link
     return 0
 
 

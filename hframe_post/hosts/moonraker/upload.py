@@ -84,7 +84,7 @@ class Upload:
 
     def refuse(self, reason: str, in_front: bool = False) -> None:
         """Replace the file by a line that Klipper refuses, or put that line in front of it."""
-        said = re.sub(r'["\\#*;]+', "'", " ".join(reason.split()))
+        said = re.sub(r'["\\#*;<>]+', "'", " ".join(reason.split()))
         line = f'{REFUSAL}{said}"\n'.encode(errors="replace")
         with self._new() as new:
             if in_front:
