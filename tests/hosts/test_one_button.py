@@ -147,6 +147,12 @@ def test_an_hbot_is_measured_at_three_places(printer: Printer) -> None:
     calibrated(printer, machine, "HFRAME_CALIBRATE", "the model is written into")
     assert said(printer, f"{FOUND}, it racks")
     converts_as_with_the_exact_model(printer)
+    # also after a drift and one check, which does not measure racking
+    machine_becomes(printer, {**machine, "x": DRIFTED["x"], "y": DRIFTED["y"]})
+    printer.type("HFRAME_CHECK")
+    until(lambda: said(printer, "y: the main resonance moved from"))
+    until(lambda: not printer.get("/server/hframe_post/status")["measuring"])
+    as_good_as_exact(printer)
 
 
 @pytest.mark.parametrize("printer", ["cartesian"], indirect=True)

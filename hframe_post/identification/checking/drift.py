@@ -6,12 +6,14 @@ Of q, the deviation after a pulse of acceleration, a later one is expected to be
     A_b = a + b·u + Σ_j c_j (1 + u) Λ_j(log(1 + u))
 
 First all frequencies change alike, as belts slacken: s is what alone explains most of the run. Then
-q_b, the part of q in a band about ω_b, changes by itself, as a complex signal. If the share, the
+each mode changes by itself (``modal``), which is most of what a printer does. What that leaves is
+Δ: q_b, the part of q in a band about ω_b, changes as a complex signal. If the share, the
 damping or the frequency of a mode changes by ε, its A is ε, −ε ζ u or i ε u, so a and b, complex,
 are what is expected first. Hat functions Λ_j, one a step of log(1 + u), follow a mode that turns by
 more, and what no mode describes. With the sensor's gain g and delay τ the run shows
 g e^{−2πifτ} G'(f). All but s is found by least squares with that prior, by Gauss-Newton in g and
-τ. What remains is the noise. Gain at rest stays exact, since q' acts on acceleration.
+τ. What remains is the noise. Gain at rest stays exact, since q' acts on acceleration. Δ is zero
+unless it also explains more of what was not fitted.
 
 A profile with poles and zeros is turned into its impulse response first. Delays and racking stay: a
 short run at one place does not show them. An axis changes only if its new model is better on what
@@ -28,6 +30,7 @@ from scipy import linalg
 
 from hframe_post.arrays import TS, Array, Complex, X
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.checking.modal import drifted
 from hframe_post.identification.checking.report import NOTICED, Drift, Peak
 from hframe_post.identification.checking.run import (
     Recorded,
@@ -37,7 +40,11 @@ from hframe_post.identification.checking.run import (
     of_run,
     scaling,
 )  # fmt: skip
-from hframe_post.identification.responses.frequency_response import NOISE_FLOOR, FrequencyResponse
+from hframe_post.identification.responses.frequency_response import (
+    NOISE_FLOOR,
+    FrequencyResponse,
+    lowest,
+)
 from hframe_post.identification.responses.measured import Run
 from hframe_post.model.impulse_response import LONGEST, ImpulseResponse, Linear
 from hframe_post.model.plant import Plant
@@ -50,6 +57,7 @@ LEAST_EXPLAINED = 0.3  # of what a linear model can explain, by the stretched re
 UNMOVED = 0.5  # the same by the old response, from which on it is that of this printer
 FARTHEST = 0.1  # change of frequencies, relative
 STEPS_HZ, STEPS = 5e-4, 0.01  # relative, by which motor steps shift and change every run
+BETTER = 0.7  # times what modes leave of what was not fitted, from which on Δ is believed
 LEAST_CHANGE = NOTICED * STEPS  # share of the response
 GAIN = 0.05  # standard deviation of log g
 BANDS_HZ, BAND = (12.0, 130.0), 0.25  # between the centres of bands: of log ω
@@ -92,14 +100,18 @@ def drift(model: Linear, recorded: Recorded) -> Drift:
     main, height = _main(G, fine)
     found = _DriftFit(G, part)
     _check_same_printer(found, main)
+    band = (float(part.hz[0]), float(part.hz[-1]))
+    by_modes, by_change, _ = left_unseen(found.modal.G, found.response, recorded.unseen, band)
+    if by_change > BETTER * by_modes:
+        found.drop_change()
     near = np.arange(1.0 - NEAR, 1.0 + NEAR, FINE_HZ / main) * main / found.stretch
     f, h = _peaks(near, np.abs(found.drawn(near)))
     sd = [float(np.hypot(one[1:].std(), by * one[0])) for one, by in ((f, STEPS_HZ), (h, STEPS))]
     peak = Peak((main, float(f[0])), (height, float(h[0])), (sd[0], sd[1]))
-    band, new = (float(part.hz[0]), float(part.hz[-1])), found.response
+    new = found.response
     before, now, apart = left_unseen(G, new, recorded.unseen, band)
     seen = (found.seen or peak.certain) and apart > STEPS
-    return Drift(new, seen, (before, now), peak)
+    return Drift(new, seen, (before, now), peak, found.modal.modes)
 
 
 def _impulse_response(G: Linear) -> ImpulseResponse:
@@ -150,8 +162,8 @@ def _check_same_printer(found: _DriftFit, main: float) -> None:
 class _DriftFit:
     """The response that a run shows, with its posterior.
 
-    stretch, change (m,): s and Δ. seen: whether they explain more of the run than as many numbers
-    explain of noise (Akaike), and change the response by more than motor steps do.
+    stretch: s. modal: the response without Δ. seen: whether they explain more of the run than as
+    many numbers explain of noise (Akaike), and change the response by more than motor steps do.
     """
 
     def __init__(self, G: ImpulseResponse, part: FrequencyResponse) -> None:
@@ -163,24 +175,30 @@ class _DriftFit:
         tried = np.exp(np.arange(-WIDEST, WIDEST + STEP / 2.0, STEP))
         fits = [nearest(self.at(s)) for s in tried.tolist()]
         best = int(np.argmin([left for *_, left in fits]))
-        self.stretch = float(tried[best])
-        stretched = G.stretched(self.stretch)
-        first = stretched.lead - G.lead
-        padded = np.pad(stretched.deviation, len(self._t))[len(self._t) + first :]
-        self._stretched = replace(stretched, deviation=padded[: len(self._t)], lead=G.lead)
+        self.stretch = float(np.exp(lowest(np.log(tried), [left**2 for *_, left in fits])))
+        self.modal = drifted(G, self.stretch, part, fits[best][1])
+        self._by_modes = at_hz(self.modal.G, part.hz)
         self._expected = self._changes()
         self._solve(*fits[best][:2])
+        self.seen = self._is_seen()
+
+    def _is_seen(self) -> bool:
         # by how much χ² falls, and the share of the old response that the new one leaves
-        judged = replace(part, power=self._weight**2)
+        judged = replace(self.part, power=self._weight**2)
         before, now = (scaling(judged)(H)[2] ** 2 for H in (self.at(1.0), self._now))
         gained = (before - now) * float(judged.power @ np.abs(judged.H) ** 2)
-        apart = scaling(replace(part, H=self.at(1.0)))(self._now)[2]
-        self.seen = gained > 2.0 * self._counted and apart > LEAST_CHANGE
+        apart = scaling(replace(self.part, H=self.at(1.0)))(self._now)[2]
+        return bool(gained > 2.0 * self._counted and apart > LEAST_CHANGE)
 
-    def at(self, stretch: float, hz: Array | None = None) -> Complex:
-        """Return the old response at stretched frequencies, by default those of the run."""
-        hz = self.part.hz if hz is None else hz
-        return np.asarray(np.interp(stretch * hz, self._fine, self._at_fine))
+    def drop_change(self) -> None:
+        """Make Δ zero."""
+        self._change = np.zeros(self._expected.shape[1])
+        self._now = self._by_modes
+        self.seen = self._is_seen()
+
+    def at(self, stretch: float) -> Complex:
+        """Return the old response at the frequencies of the run, stretched."""
+        return np.asarray(np.interp(stretch * self.part.hz, self._fine, self._at_fine))
 
     def _changes(self) -> Array:
         """Return what Δ is made of (m, p), each expected as often as its standard deviation."""
@@ -212,7 +230,7 @@ class _DriftFit:
         prior = np.concatenate([[1.0 / GAIN**2, 0.0], np.ones(columns.shape[1])])
         change = np.zeros(columns.shape[1])
         for _ in range(ROUNDS):
-            G = self.at(self.stretch) + columns @ change
+            G = self._by_modes + columns @ change
             sensor = np.sign(gain) * np.exp(log_g - 2j * np.pi * hz * late)
             noise = (power * np.abs(H - sensor * G) ** 2).mean() / power
             weight = np.sqrt(2.0 / (noise + (NOISE_FLOOR * np.abs(H)) ** 2))
@@ -228,13 +246,13 @@ class _DriftFit:
             log_g, late, change = solution[0], late + TS * solution[1], solution[2:]
         self._A, self._weight, self._change = A, weight, change
         self._counted = float(np.trace(linalg.solve(A, data, assume_a="pos")))
-        self._now = self.at(self.stretch) + columns @ change
+        self._now = self._by_modes + columns @ change
 
     @property
     def response(self) -> ImpulseResponse:
         """Return the response as it is now, as long as the old one."""
-        changed = self._stretched.deviation + self._expected @ self._change
-        return replace(self._stretched, deviation=changed)
+        changed = self.modal.G.deviation + self._expected @ self._change
+        return replace(self.modal.G, deviation=changed)
 
     def drawn(self, hz: Array) -> Complex:
         """Return G (k, 1 + DRAWS) at Hz: as found, then drawn from the posterior."""
@@ -242,4 +260,4 @@ class _DriftFit:
         random = np.random.default_rng(0).normal(size=(len(L), DRAWS))
         off = np.asarray(linalg.solve_triangular(L.T, random))[2:]
         changes = np.column_stack([np.zeros(len(off)), off]) + self._change[:, None]
-        return self.at(self.stretch, hz)[:, None] + self._by_change(hz) @ changes
+        return np.asarray(at_hz(self.modal.G, hz)[:, None] + self._by_change(hz) @ changes)

@@ -45,13 +45,14 @@ class Drift:
     """A response as it is now.
 
     seen: whether the fitted motion shows a change. left: share of the unseen response that the old
-    and the new model leave. peak: the main resonance.
+    and the new model leave. peak: the main resonance. modes: Hz of each before and now.
     """
 
     G: ImpulseResponse
     seen: bool
     left: tuple[float, float]
     peak: Peak
+    modes: tuple[tuple[float, float], ...]
 
     @property
     def uncertainty(self) -> float:
@@ -96,6 +97,9 @@ class CheckReport:
         rows = []
         for name, one in self.found.items():
             rows.append((AXIS[name], one.peak.as_text()))
+            if one.certain and len(one.modes) > 1:
+                each = ", ".join(f"{before:.1f} → {now:.1f} Hz" for before, now in one.modes)
+                rows.append((AXIS[name], f"modes {each}"))
             old, new = (f"{100 * left:.0f} %" for left in one.left)
             kept = ""
             if not one.certain:
@@ -119,6 +123,7 @@ class CheckReport:
                     "drifted": one.certain,
                     "unexplained": [round(left, 4) for left in one.left],
                     "resonance": one.peak.as_json(),
+                    "modes_hz": [[round(hz, 3) for hz in mode] for mode in one.modes],
                 }
                 for name, one in self.found.items()
             },
