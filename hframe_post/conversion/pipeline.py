@@ -238,7 +238,7 @@ class PlannedFile:
         self._times, self._following = StageTimes(), following(printer)
         # an extruder that follows its advance limits accelerations, too
         compares = options.speed is None and options.strategy != "none" and not self._following
-        self._faster = FasterTime(printer) if compares else None
+        self._faster = FasterTime(printer, self._sliced) if compares else None
 
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
@@ -274,8 +274,7 @@ class PlannedFile:
         if self._faster is None or "none" not in motion.contour:
             return None
         error = motion.contour["none"].shown.measured(self._printer.speed.error_measure)
-        seconds = self._sliced.seconds
-        return Saving.worth_a_line(self._faster.lost(seconds), seconds, error)
+        return Saving.worth_a_line(self._faster.lost(), self._sliced.seconds, error)
 
     def advance(self, found: AdvanceSummary) -> AdvanceReport | None:
         """Return what was done about pressure advance, if there is any."""

@@ -29,6 +29,7 @@ from hframe_post.writers.stream.print_time import duration
 
 EVERY = 5  # layers, of which one is planned
 ENOUGH = 3  # layers that must have been planned
+MOST_MOVES = 20_000  # that are planned together, since a layer may have any number
 WORTH_SECONDS, WORTH_SHARE = 60.0, 0.01  # from which a saving is shown
 # mm, RMS, at 95 % or peak; within a smaller error, what is not known of the model slows the print
 ENOUGH_ERROR = 0.05
@@ -57,9 +58,12 @@ class Saving:
 
 
 class FasterTime:
-    """Compares the times of layers that pass, as sliced and made faster on this printer."""
+    """Compares the times of layers that pass, as sliced and made faster on this printer.
 
-    def __init__(self, printer: Printer) -> None:
+    sliced: the time of all items, which pass it before.
+    """
+
+    def __init__(self, printer: Printer, sliced: SlicedTime) -> None:
         acceleration, corner = printer.fastest_path
         fast = Pace(acceleration, min(CORNER * acceleration, corner), 1.0)
         self._paces = Paces(dict.fromkeys((*ADJUSTED, TRAVEL), fast), first_layers=FIRST_LAYERS)
@@ -71,14 +75,15 @@ class FasterTime:
         )
         self._fast_rules = replace(rules, limits=limits)
         self._least = printer.limits.min_layer_time
+        self._sliced, self._unchanged = sliced, 0.0  # s of first layers
         self._place, self._begun = Place(), Place()
-        self._items = list[Item]()  # from where it began, if they are planned
+        self._items, self._moves = list[Item](), 0  # from where it began, if they are planned
         self._settings = list[bytes]()
-        self._times = list[tuple[int, float, float]]()  # layers; s as sliced and faster
-        self._unchanged = 0.0  # s of first layers
+        self._now = (0.0, 0.0)  # s of the present layer as sliced and faster
+        self._times = list[tuple[int, float, float]]()  # layers, and these times
 
-    def lost(self, seconds: float) -> float:
-        """Return the seconds that a print of this duration could lose."""
+    def lost(self) -> float:
+        """Return the seconds that the print could lose, once all items have passed."""
         said = slicer_settings(self._settings).layer_time
         least = self._least if said is None else said
         if sum(layers for layers, *_ in self._times) < ENOUGH:
@@ -88,37 +93,47 @@ class FasterTime:
             for layers, before, after in self._times
         )
         share = sum(lost) / sum(before for _, before, _ in self._times)
-        return share * (seconds - self._unchanged)
+        return share * (self._sliced.seconds - self._unchanged)
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
+        layer = 0
         for item in items:
-            if self._place.layer != self._begun.layer:
-                self._compare()
-            if self._place.layer <= FIRST_LAYERS or self._place.layer % EVERY == EVERY - 1:
+            if self._place.layer != layer:
+                self._end_layer(layer)
+                layer = self._place.layer
+            if layer > FIRST_LAYERS and layer % EVERY == EVERY - 1:
                 self._items.append(item)
             if isinstance(item, Moves):
+                self._moves += len(item.points) - 1
                 for mark in item.marks:
                     self._read(mark.text)
             elif isinstance(item, Passthrough):
                 self._read(item.text)
+            if self._moves > MOST_MOVES:
+                self._plan()
             yield item
-        self._compare()
+        self._end_layer(layer)
 
     def _read(self, text: bytes) -> None:
         if not self._place.mark(text) and is_setting(text):
             self._settings.append(text)
 
-    def _compare(self) -> None:
-        """Plan the layers that end here."""
-        before = _seconds(self._items, self._rules)
-        if self._begun.layer <= FIRST_LAYERS:
-            self._unchanged += before
-        elif self._items:
+    def _end_layer(self, layer: int) -> None:
+        self._plan()
+        if layer <= FIRST_LAYERS:
+            self._unchanged = self._sliced.seconds
+        elif any(self._now):
+            self._times.append((self._place.layer - layer or 1, *self._now))
+        self._now = 0.0, 0.0
+
+    def _plan(self) -> None:
+        """Plan the items that were kept, and forget them."""
+        if self._items:
             faster = pace(self._items, self._paces, PieceStart(self._begun))
-            layers = self._place.layer - self._begun.layer or 1
-            self._times.append((layers, before, _seconds(faster, self._fast_rules)))
-        self._items = []
-        self._begun = replace(self._place)
+            before, after = self._now
+            before += _seconds(self._items, self._rules)
+            self._now = before, after + _seconds(faster, self._fast_rules)
+        self._items, self._moves, self._begun = [], 0, replace(self._place)
 
 
 def _seconds(items: Iterable[Item], rules: FirmwareLimits) -> float:

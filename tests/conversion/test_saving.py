@@ -9,22 +9,24 @@ import pytest
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import parsed
 from hframe_post.conversion.saving import FasterTime
+from hframe_post.firmware.registry import firmware
 from hframe_post.library import convert
+from hframe_post.planner.sliced import SlicedTime
 from hframe_post.printer.settings import Printer
 from tests.conftest import SAMPLES
 
 CUBE = SAMPLES / "cube.gcode"
-SLICED = 1135.0  # s
 
 
 def lost(printer: Printer, layers: int, end: bytes = b"") -> float:
     """Return what a cube could lose by its first layers. end: of the file."""
     lines = CUBE.read_bytes().splitlines(keepends=True)
     lines = [*lines[: lines.index(b";LAYER:%d\n" % layers)], end]
-    time = FasterTime(printer)
-    for _ in time.items(parsed(lines, printer, Options())):
+    sliced = SlicedTime(firmware(printer).limits(printer))
+    time = FasterTime(printer, sliced)
+    for _ in time.items(sliced.items(parsed(lines, printer, Options()))):
         pass
-    return time.lost(SLICED)
+    return time.lost()
 
 
 def test_layers_keep_the_time_that_they_need_to_cool(paper: Printer) -> None:
