@@ -40,7 +40,6 @@ OUTCOMES = {
     "cut": (1, r"Error: .*(was cut|shows no resonance test|not two of each)"),
     "norec": (1, r"Error: .*not a Klipper accelerometer file"),
     "waves": (1, r"Error: x, right wall: these waves mean \d+ Hz, but printers ring at"),
-    "weak": (1, r"Error: the motors' limits are too low to compensate these waves"),
     "noform": (1, r"Error: t\.form\.toml is not a form of 'hframe-post calibrate-print'"),
     "value": (1, r"Error: .* is not possible"),
     "nocfg": (1, r"Error: .* is neither a \[section\] nor an option of one: is .* a printer\.cfg"),
@@ -58,7 +57,10 @@ class Done:
     files: str = ""
 
 
-SUMMARY = r"limited by  .*(in the file|in the profile)"
+SUMMARY = (
+    r"not compensated  .*\(after G28\)|limited by  .*(in the file|in the profile)"
+    r"|could take  .*--max-error \d+um"
+)
 NAMES = r"(x|y)-at-[\d_]+"
 DONE = {
     "convert {print} -o out.gcode": Done(SUMMARY, "out.gcode"),
