@@ -6,6 +6,7 @@ compensation allows, at the file's feed rates. The others can lose as large a sh
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -29,7 +30,7 @@ from hframe_post.writers.stream.print_time import duration
 
 EVERY = 5  # layers, of which one is planned
 ENOUGH = 3  # layers that must have been planned
-MOST_MOVES = 20_000  # that are planned together, since a layer may have any number
+MOST = 20_000  # moves and other items that are planned together, since a layer may have any number
 WORTH_SECONDS, WORTH_SHARE = 60.0, 0.01  # from which a saving is shown
 # mm, RMS, at 95 % or peak; within a smaller error, what is not known of the model slows the print
 ENOUGH_ERROR = 0.05
@@ -77,8 +78,8 @@ class FasterTime:
         self._least = printer.limits.min_layer_time
         self._sliced, self._unchanged = sliced, 0.0  # s of first layers
         self._place, self._begun = Place(), Place()
-        self._items, self._moves = list[Item](), 0  # from where it began, if they are planned
-        self._settings = list[bytes]()
+        self._items, self._count = list[Item](), 0  # from where it began, if they are planned
+        self._settings = deque[bytes](maxlen=MOST)
         self._now = (0.0, 0.0)  # s of the present layer as sliced and faster
         self._times = list[tuple[int, float, float]]()  # layers, and these times
 
@@ -104,12 +105,13 @@ class FasterTime:
             if layer > FIRST_LAYERS and layer % EVERY == EVERY - 1:
                 self._items.append(item)
             if isinstance(item, Moves):
-                self._moves += len(item.points) - 1
+                self._count += len(item.points)
                 for mark in item.marks:
                     self._read(mark.text)
             elif isinstance(item, Passthrough):
+                self._count += 1
                 self._read(item.text)
-            if self._moves > MOST_MOVES:
+            if self._count > MOST:
                 self._plan()
             yield item
         self._end_layer(layer)
@@ -133,7 +135,7 @@ class FasterTime:
             before, after = self._now
             before += _seconds(self._items, self._rules)
             self._now = before, after + _seconds(faster, self._fast_rules)
-        self._items, self._moves, self._begun = [], 0, replace(self._place)
+        self._items, self._count, self._begun = [], 0, replace(self._place)
 
 
 def _seconds(items: Iterable[Item], rules: FirmwareLimits) -> float:

@@ -72,7 +72,7 @@ def read_tables(path: Path, content: bytes, columns: Sequence[str] | None) -> li
             return tables
     raise IdentificationError(
         f"{path} is not a Klipper accelerometer file; {_listed(names)}. If another program wrote "
-        "it, 'hframe-post identify' takes it with its columns named: --columns time,x,y,z"
+        "it, name its columns: 'hframe-post identify --columns time,x,y,z'"
     )
 
 
