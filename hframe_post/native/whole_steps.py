@@ -61,7 +61,7 @@ def with_late_starts(
     cells (n + 1, 2): places of x and y; matrix, least, apart: see the others. A command that swings
     by less than ``least`` steps first comes back to where it rested. One segment for all of that
     would be slow and far off. So the rest goes on until then; or, if it swings by more than half
-    of ``least``, a segment of so many steps goes there.
+    of ``least``, a segment of ``least`` steps goes there.
     """
     places = motor_places(cells, matrix)
     starts = np.append(0, ends[:-1])

@@ -89,7 +89,7 @@ BOARDS = {
   M205 B20000.00 S0.00 T0.00 X10.00 Y10.00 Z0.30 E5.00
   M420 S1
 """,
-    "Creality, junction deviation, another extruder": """
+    "Creality, junction deviation": """
 echo: M92 X80.00 Y80.00 Z400.00 E418.75
 echo:  M203 X500.00 Y500.00 Z5.00 E25.00
 echo:  M201 X500.00 Y500.00 Z100.00 E5000.00
@@ -136,7 +136,7 @@ echo:  M205 S0.00 T0.00 B20000 X20.00 Z0.40 E5.00
 20:31:07.838 -> echo:  M204 S1250.00 T1500.00
 20:31:07.838 -> echo:  M205 S0.00 T0.00 B20000.00 X10.00 Y10.00 Z0.20 E4.50
 """,
-    "Prusa MK3, limits of normal and stealth mode": """
+    "Prusa MK3, stealth mode too": """
 Recv: echo:  M92 X100.00 Y100.00 Z400.00 E280.00
 Recv: echo: M350 X16 Y16 Z16 E32
 Recv: echo:Maximum feedrates - normal (mm/s):
@@ -192,34 +192,18 @@ echo:  M205 B20000.00 S0.00 T0.00 J0.02
 # steps per mm, mm/s² of path, travel and retraction, mm/s at most and at corners, mesh
 READ = {
     "Creality, Marlin 2.0, BLTouch": (80.0, 500.0, 500.0, 500.0, 500.0, 10.0, True),
-    "Creality, junction deviation, another extruder": (
-        80.0,
-        500.0,
-        500.0,
-        500.0,
-        500.0,
-        9.83,
-        False,
-    ),
+    "Creality, junction deviation": (80.0, 500.0, 500.0, 500.0, 500.0, 9.83, False),
     "Artillery Genius, as delivered": (80.12, 800.0, 2000.0, 10000.0, 300.0, 8.0, False),
     "Artillery, Marlin 2.0": (80.12, 800.0, 2000.0, 10000.0, 300.0, 7.61, False),
     "SKR, Marlin 2.1": (80.0, 500.0, 1000.0, 500.0, 300.0, 8.0, False),
     "Marlin 1.1 of 2017, one jerk for x and y": (80.0, 500.0, 1000.0, 500.0, 300.0, 20.0, False),
     "a clone of a Prusa, log with times": (100.0, 1250.0, 1250.0, 1500.0, 200.0, 10.0, False),
-    "Prusa MK3, limits of normal and stealth mode": (
-        100.0,
-        1250.0,
-        1250.0,
-        1250.0,
-        200.0,
-        8.0,
-        False,
-    ),
+    "Prusa MK3, stealth mode too": (100.0, 1250.0, 1250.0, 1250.0, 200.0, 8.0, False),
     "CR-10S of 2017, slow filament": (80.0, 1000.0, 5000.0, 1000.0, 300.0, 20.0, False),
     "Anycubic i3 Mega, Marlin 2.0": (80.29, 500.0, 500.0, 5000.0, 500.0, 10.0, False),
     "Snapmaker A350, a rotary axis": (400.0, 750.0, 1000.0, 1000.0, 120.0, 6.02, True),
     "Tevo, two extruders": (80.06, 800.0, 1000.0, 1500.0, 500.0, 6.22, False),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("board", BOARDS)
@@ -248,7 +232,7 @@ def test_m201_limits_each_motor(answers: Path, kinematics: str, diagonal: float)
 
 
 def test_limits_of_stealth_mode_are_left_out_and_the_owner_knows(answers: Path) -> None:
-    mode = "Prusa MK3, limits of normal and stealth mode"
+    mode = "Prusa MK3, stealth mode too"
     answers.write_text(BOARDS[mode])
     assert any("in stealth mode" in line for line in MarlinSettings([answers]).warnings())
 

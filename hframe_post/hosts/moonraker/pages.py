@@ -50,8 +50,8 @@ class Pages:
         if page is None:
             return NOTICE.format(html.escape(
                 f"{name} has no page: it is not here, not converted yet, or converted when there "
-                "was no room for pages. To convert a file again and make its page, type "
-                f'HFRAME_CONVERT FILENAME="{name}"'
+                "was too little disk space for pages. To convert a file again and make its page, "
+                f'type HFRAME_CONVERT FILENAME="{name}"'
             ))  # fmt: skip
         content: bytes = page
         return content

@@ -154,7 +154,7 @@ def _resonances(found: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
 
 
 def _other_modes(found: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
-    """Return the modes beside the main one of each axis that check found, before and after."""
+    """Return the modes other than the main one that check found of each axis, before and after."""
     others = {}
     for name, one in found["functions"].items():
         if name in AXES and "modes_hz" in one:
