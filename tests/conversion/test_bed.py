@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,15 +15,12 @@ from hframe_post.conversion import spans
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream, prepared
-from hframe_post.errors import HframeError, PrinterError
 from hframe_post.model.filters import Filter
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.lpfbs import Lpfbs
 from hframe_post.model.plant import Bed, heavier
-from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.native.contour import in_motion
 from hframe_post.prediction.predict import contour_error
-from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load, model_digest, parse
 from hframe_post.printer.settings import Printer
 from tests.gcode_tools import converted
@@ -113,19 +109,6 @@ def test_a_heavier_mode_is_that_of_a_heavier_bed(fixed: Printer, factor: float) 
     assert pytest.approx(1.0, abs=1e-12) == G.dc_gain
 
 
-def test_lags_and_delays_stay(paper: Printer) -> None:
-    """So does the lag at low speed, which does not depend on the mass."""
-    for G in (
-        transfer_function(paper.plant.Gyy),
-        TransferFunction(np.zeros(0, complex), np.array([0.0, 0.5], complex), 0.5),
-    ):
-        new = transfer_function(heavier(G, 1.3))
-        real = G.poles.imag == 0.0
-        np.testing.assert_array_equal(new.poles[real], G.poles[real])
-        slow = np.array([2.0 * math.pi * 0.05 * TS])
-        assert np.angle(new.response(slow)) == pytest.approx(np.angle(G.response(slow)), rel=0.01)
-
-
 # ---------------------------------------------------------------------- prints
 
 
@@ -190,14 +173,6 @@ def test_the_summary_says_what_was_followed(slinger: Printer, fixed: Printer) ->
     assert "plastic" not in converted(laps(), fixed, FBS)[1].as_text()
 
 
-def test_a_bed_that_stays_as_heavy_changes_no_line(fixed: Printer) -> None:
-    heavy = replace(fixed, plant=replace(fixed.plant, bed=Bed(50.0, fixed.limits.filament_mass)))
-    one, other = (converted(laps(), p, FBS)[0].splitlines() for p in (fixed, heavy))
-    assert [line for line in other if not line.startswith(b";")] == [
-        line for line in one if not line.startswith(b";")
-    ]
-
-
 # ---------------------------------------------------------------------- windows and profiles
 
 
@@ -211,13 +186,6 @@ def test_windows_are_certified_for_every_mass(fixed: Printer) -> None:
             assert isinstance(solver, Lpfbs)
             assert solver.radius < 1.0
         assert compensator.at(300.0) is compensator.at(300.1)
-
-
-def test_a_window_that_no_longer_suits_is_refused(fixed: Printer) -> None:
-    compensation = replace(fixed.compensation, L=5, n_C=3, n_up=3, effort=(0.0, 0.0))
-    rigid = replace(fixed.plant, bed=Bed(1.0, 1.0))
-    with pytest.raises(HframeError, match="diverges"):
-        prepared(replace(fixed, plant=rigid, compensation=compensation)).at(2.0)
 
 
 MINE = """extends = "example-cartesian"
@@ -234,17 +202,3 @@ def test_a_profile_knows_its_bed() -> None:
     assert plant.bed.mass == 0.8
     assert plant.bed.filament == pytest.approx(1.27e-6 * math.pi * 1.75**2 / 4.0)
     assert model_digest(MINE) == model_digest(MINE.replace("moving_mass = 0.8\n", ""))
-
-
-def test_a_bed_that_does_not_move_has_no_moving_mass() -> None:
-    with pytest.raises(PrinterError, match="does not move in y") as caught:
-        parse(MINE.replace("cartesian", "corexy"), "mine")
-    assert caught.value.key == "plant.moving_mass"
-
-
-def test_the_mass_stays_when_a_printer_is_identified_again(tmp_path: Path) -> None:
-    file = tmp_path / "mine.toml"
-    file.write_text(MINE)
-    before = load(str(file))
-    text = with_plant(str(file), load("example-cartesian").plant, before.compensation.windows, [])
-    assert parse(text, "mine").plant.bed == before.plant.bed

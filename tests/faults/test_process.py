@@ -97,14 +97,6 @@ def test_what_nobody_hears_is_done_all_the_same(folder: Path, command: str) -> N
     assert (folder / "in.gcode").read_bytes().startswith(b"; processed by hframe-post")
 
 
-def test_standard_output_by_its_name(folder: Path) -> None:
-    script = "{ echo before; $ME in.gcode -q -o /dev/stdout; echo after; } >all"
-    assert shell(script, folder) == (0, "")
-    lines = (folder / "all").read_text().splitlines()
-    assert (lines[0], lines[-1]) == ("before", "after")
-    assert lines[1].startswith("; processed by hframe-post")
-
-
 def test_a_reader_that_leaves_is_no_error_to_tell(folder: Path) -> None:
     status, printed = shell("$ME in.gcode -q -o - | head -c 10 >/dev/null", folder)
     assert (status, printed) == (0, "")
@@ -170,15 +162,6 @@ def test_names_reach_the_output_as_one_printable_line(folder: Path, name: bytes)
         assert line.startswith((b";", b"G1 ", b"M", b"SET_", b"G9", b"G4 ")) or line in known
 
 
-def test_two_processes_on_one_file(folder: Path) -> None:
-    """Each finds its input whole; who comes second finds it converted, or sees it change."""
-    status, printed = shell("$ME in.gcode -q & $ME in.gcode -q; echo $? >status; wait", folder)
-    assert status == 0
-    assert "Traceback" not in printed
-    assert (folder / "in.gcode").read_bytes().startswith(b"; processed by hframe-post")
-    assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml", "status"}
-
-
 def test_two_processes_write_one_file(folder: Path) -> None:
     """Whoever is last has it, whole."""
     for name, strategy in (("one", "racking"), ("other", "none")):
@@ -228,9 +211,3 @@ def test_a_disk_that_is_full_or_cannot_be_written(
     printed = done.stderr.decode()
     assert (done.returncode, printed.count("\n")) == (1, 1), printed
     assert cause in printed
-
-
-def test_what_is_write_protected_is_not_replaced(folder: Path) -> None:
-    (folder / "in.gcode").chmod(0o444)
-    refused(shell("$ME in.gcode -q", folder), folder, "in.gcode: is write-protected")
-    assert (folder / "in.gcode").stat().st_mode & 0o777 == 0o444

@@ -78,16 +78,6 @@ def test_pygcode_reads_the_same_words(name: str) -> None:
         assert numbers(line, arguments, MOTION_WORDS[code] + "F") == expected
 
 
-def test_every_command_occurs() -> None:
-    lines = [line for text in FILES.values() for line in geometric_lines(text)]
-    assert {name for _, name, _ in lines} == set(NAMES)
-    arcs = [
-        set(re.findall(rb"[IJR]", line.text)) for line, name, _ in lines if name in ("G2", "G3")
-    ]
-    assert {b"R"} in arcs
-    assert {b"I", b"J"} in arcs
-
-
 def without_e(text: bytes) -> list[bytes]:
     """Return the first lines of a file that only draw: no E, and no line that Machine lacks."""
     kept = []

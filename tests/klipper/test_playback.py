@@ -16,7 +16,6 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.conversion.report import Report
 from hframe_post.firmware.klipper.ramps import StreamLimits
-from hframe_post.gcode.state import LimitSource
 from hframe_post.model.nozzle import Response
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import contour_error
@@ -274,53 +273,10 @@ def test_every_sample_is_played_as_intended(tmp_path: Path) -> None:
     check(played("rectangle.gcode", tmp_path, options))
 
 
-@pytest.mark.slow
-@pytest.mark.klipper
-def test_fewer_lines_are_played_in_the_same_time(tmp_path: Path) -> None:
-    """The summary says how far they are off, and the host is off by no more."""
-    paper = profile.load("paper")
-    assert paper.firmware.klipper is not None
-    table = replace(paper.firmware.klipper, lines_per_second=60.0)
-    weak = replace(paper, firmware=replace(paper.firmware, tables=(table,)))
-    lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
-    lines = lines[: lines.index(b";LAYER:2\n")]
-    run = lines_played(lines, tmp_path, Options("racking", limits="printer"), weak)
-    start, offset = first_offset(run)
-    t = np.arange(start, len(run.command)) * TS + offset
-    off = run.playback.position(t)[:, :2] - run.command[start:]
-    assert run.report.busiest_second <= 60
-    off_by = rms(np.hypot(*off.T))
-    assert off_by > 0.005
-    below(off_by, 1.3 * run.report.approximation, "RMS distance to the command, mm")
-    assert f"at most {run.report.busiest_second} in a second" in run.report.as_text()
-
-
 @pytest.mark.klipper
 def test_spans_are_played_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spans, "SECONDS", 4.0)
     check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 6))
-
-
-@pytest.mark.klipper
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["cube.gcode", "prism.gcode"])
-@pytest.mark.parametrize("limits", ["file-all", "printer"])
-def test_whole_samples_are_played_as_intended(
-    tmp_path: Path, name: str, limits: LimitSource
-) -> None:
-    check(played(name, tmp_path, Options("racking", limits=limits)))
-
-
-@pytest.mark.klipper
-@pytest.mark.slow
-def test_prism_takes_about_as_long_as_klipper_takes_without_compensation(tmp_path: Path) -> None:
-    """With Cura's limits, settling included; and it is played as intended."""
-    run = played("prism.gcode", tmp_path, Options("racking"))
-    check(run)
-    limits = {"max_accel": 500.0, "square_corner_velocity": 5.0, "minimum_cruise_ratio": 0.0}
-    own = play(SAMPLES / "prism.gcode", limits=limits, workdir=tmp_path)
-    below(run.report.time.after, 1.05 * own.print_time, "print time, s")
-    near(run.report.time.before, own.print_time, 0.01 * own.print_time, "print time as sliced, s")
 
 
 @pytest.mark.klipper

@@ -54,47 +54,6 @@ def test_it_is_the_same_again(paper: Printer, tmp_path: Path) -> None:
     assert first == built(paper, sliced(), tmp_path / "2.html")
 
 
-def test_errors_are_ranges_where_the_model_is_uncertain(paper: Printer, tmp_path: Path) -> None:
-    exact, unsure = (
-        data_of(built(replace(paper, uncertainty=share), sliced(), tmp_path / "r.html"))
-        for share in (None, 0.04)
-    )
-    best, known = exact["strategies"][-1], unsure["strategies"][-1]
-    assert "range" not in best
-    low, high = known["range"]
-    assert low < known["rms"] < high
-    assert best["rms"] < known["rms"]  # µm: the median, and what the model leaves of itself
-    for parts in ("layers", "byFeature"):
-        assert len(unsure[parts]) == len(exact[parts])
-        for one, other in zip(exact[parts], unsure[parts], strict=True):
-            assert one["rms"][0] == other["rms"][0]  # µm without compensation
-            assert one["rms"][-1] < other["rms"][-1]
-
-
-def test_labels_of_the_summary_are_separated_from_their_text() -> None:
-    found = re.search(r"= /(.+)/\.exec\(note\)", (PAGES / "frame.js").read_text("utf-8"))
-    assert found is not None
-    summary = run(SAMPLES / "rectangle.gcode", "-n").stderr.decode().splitlines()
-    labels = {row[1] for line in summary if (row := re.match(found[1], line))}
-    assert labels >= {"profile", "print time", "not compensated", "limited by", "belts"}
-
-
-def test_the_command_writes_it_with_the_conversion(tmp_path: Path) -> None:
-    part = SAMPLES / "rectangle.gcode"
-    out, report = tmp_path / "out.gcode", tmp_path / "report.html"
-    assert run(part, "-o", out, "--report", report).returncode == 0
-    printed = data_of(report.read_bytes())
-    assert printed["name"] == "rectangle.gcode"
-    assert printed["chosen"] == "racking"
-    assert out.is_file()
-    assert run("-", "-o", out, "--report", report, stdin=part.read_bytes()).returncode == 2
-    part_of_evil = tmp_path / "bad.gcode"
-    part_of_evil.write_text("G28\nG1 X10 Y10\nG1 X9999\n")
-    failed = run(part_of_evil, "-o", tmp_path / "no.gcode", "--report", tmp_path / "no.html")
-    assert failed.returncode == 1
-    assert not (tmp_path / "no.html").exists()
-
-
 def test_a_simulation_writes_it_too(tmp_path: Path) -> None:
     part, report = SAMPLES / "rectangle.gcode", tmp_path / "report.html"
     assert run("simulate", part, "--plant", "paper", "--report", report).returncode == 0

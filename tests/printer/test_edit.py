@@ -16,7 +16,6 @@ from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.lpfbs import Window
 from hframe_post.printer.edit import with_plant, with_windows
 from hframe_post.printer.profile import load, parse, shipped
-from tests.coupled import coupled_plant
 
 PAPER = shipped()["paper"]
 KEYS = ("L", "n_C", "n_up", "effort")
@@ -93,22 +92,6 @@ def test_a_setting_that_the_base_makes_is_added(mine: Path, key: str, newline: s
     assert after.count(b"\r") == (after.count(b"\n") if newline == "\r\n" else 0)
 
 
-def test_a_profile_without_the_table_is_given_one(mine: Path) -> None:
-    before = b'extends = "paper"  # the base\n\n[limits]\nvelocity = 100 # slow\n'
-    after = changed(mine, before)
-    assert after.startswith(before)
-    profile = parse(after.decode(), "mine")
-    assert profile.compensation.windows == pair()
-    assert profile.limits.velocity == 100.0
-
-
-def test_an_empty_table_at_the_end_of_the_file_is_filled(mine: Path) -> None:
-    for ending in ("", "\n", " # nothing yet", "\r\n"):
-        after = changed(mine, f'extends = "paper"\n[compensation]{ending}')
-        assert parse(after.decode(), "mine").compensation.windows == pair()
-        assert after.startswith(b'extends = "paper"\n[compensation]')
-
-
 def test_a_shipped_profile_is_extended() -> None:
     for name in shipped():
         text = with_windows(name, pair())
@@ -118,19 +101,6 @@ def test_a_shipped_profile_is_extended() -> None:
         assert profile.compensation.windows == pair()
         assert profile.limits == load(name).limits
         assert profile.kinematics == load(name).kinematics
-
-
-def test_settings_of_other_tables_and_in_comments_are_left_alone(mine: Path) -> None:
-    before = (
-        'extends = "paper"\n# [compensation]\n# L = 1\n[compensation]\n# L = 2, n_C = 3\n'
-        "L = 5 # L = 6\nn_C=88\n  n_up  =  44\neffort = [1,2]# [ 3 ]\n\n[steps]\n"
-        "belt = 0.01\nz = 0.01\ne = 0.01\nclock_hz = 1e5\n"
-    )
-    after = changed(mine, before).decode()
-    stated = ("L = 8 # L = 6", "n_C=55", "  n_up  =  27", "effort = [30.0,58.75]# [ 3 ]")
-    for line in stated:
-        assert line in after.splitlines()
-    assert others(after.encode()) == others(before.encode())
 
 
 @pytest.mark.parametrize(
@@ -185,19 +155,6 @@ def test_a_plant_replaces_the_old_one_wherever_it_is_written(mine: Path, text: s
     assert "theirs" in after
     assert "# found today" in after
     assert "old" not in after
-
-
-def test_couplings_are_written_as_they_are_read(mine: Path) -> None:
-    plant = coupled_plant(1, racks=True)
-    mine.write_text('extends = "paper"\n')
-    found = parse(with_plant(str(mine), plant, pair(), []), "mine").plant
-    assert len(found.cross) == len(plant.cross) == 4
-    for one, other in zip(found.couplings, plant.couplings, strict=True):
-        assert (one.answer, one.command) == (other.answer, other.command)
-        G, other_G = transfer_function(one.G), transfer_function(other.G)
-        assert (one.along, one.centre, G.gain) == (other.along, other.centre, other_G.gain)
-        np.testing.assert_array_equal(G.poles, other_G.poles)
-        np.testing.assert_array_equal(G.zeros, other_G.zeros)
 
 
 def test_a_file_that_was_spoiled_meanwhile_is_told_about(mine: Path) -> None:

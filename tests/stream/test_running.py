@@ -31,10 +31,6 @@ def test_slow_consumer_gets_every_item() -> None:
     assert found == list(range(6))
 
 
-def test_none_is_an_item_like_any_other() -> None:
-    assert list(prefetch([None, 1, None])) == [None, 1, None]
-
-
 def test_work_is_done_before_it_is_asked_for() -> None:
     made, enough = [], threading.Event()
 
@@ -52,18 +48,6 @@ def test_work_is_done_before_it_is_asked_for() -> None:
     assert list(items) == list(range(1, 10))
 
 
-def test_nothing_is_done_before_the_first_item_is_asked_for() -> None:
-    made = []
-
-    def source() -> Iterator[int]:
-        made.append(0)
-        yield 0
-
-    items = prefetch(source())
-    assert made == []
-    assert list(items) == made == [0]
-
-
 class FaultError(Exception):
     pass
 
@@ -79,14 +63,6 @@ def test_exception_follows_the_items_before_it(n: int) -> None:
     with pytest.raises(FaultError, match="after the items"):
         found.extend(prefetch(failing(n)))
     assert found == list(range(n))
-
-
-def test_exception_passes_through_several_stages() -> None:
-    items = prefetch(k + 1 for k in prefetch(failing(5)))
-    found: list[int] = []
-    with pytest.raises(FaultError):
-        found.extend(items)
-    assert found == [1, 2, 3, 4, 5]
 
 
 def endless() -> Iterator[int]:
@@ -117,15 +93,6 @@ def test_abandoned_stage_closes_its_source() -> None:
     items.close()  # type: ignore[attr-defined]
     del items
     assert closed.wait(5.0)
-
-
-def test_forgotten_stages_end() -> None:
-    items = prefetch(-k for k in prefetch(endless()))
-    assert [next(items) for _ in range(3)] == [0, -1, -2]
-    del items
-    deadline = time.monotonic() + 5.0
-    while threading.active_count() > 1 and time.monotonic() < deadline:
-        time.sleep(0.01)
 
 
 def test_fault_of_the_consumer_ends_the_stage() -> None:

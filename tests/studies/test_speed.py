@@ -17,7 +17,7 @@ from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError
 from hframe_post.library import convert, load_printer
 from hframe_post.model.plant import Plant
-from hframe_post.planner.pacing import ADJUSTED, FIRST_LAYERS, NAMES, UNCHANGED
+from hframe_post.planner.pacing import ADJUSTED, FIRST_LAYERS, NAMES
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Extruder, Printer
@@ -98,16 +98,6 @@ def test_the_bound_holds_when_the_print_is_computed_anew(
         assert max(of_model, *of_drawn) <= fast.bound.limit(name)
 
 
-@pytest.mark.slow
-def test_the_bound_holds_on_printers_slightly_off_the_model(tight: Fastest) -> None:
-    """The search did not use these printers."""
-    kept = 0
-    for plant in draws(tight.printer.plant, MODEL_ERROR, 12, 1):
-        _, errors = judged(tight, plant, 4)
-        kept += all(errors[name] <= tight.bound.limit(name) for name in tight.trial.errors)
-    assert kept >= 11
-
-
 def test_no_layer_is_too_short_and_what_limits_the_speed_is_reported(
     paper: Printer, loose: Fastest
 ) -> None:
@@ -119,12 +109,6 @@ def test_no_layer_is_too_short_and_what_limits_the_speed_is_reported(
     printed = speed_as_text(loose)
     assert re.search(r"faster .*\(-\d+ %\), outer-wall within \d+ µm \(at 95 %\)", printed)
     assert re.search(r"\d+ µm without hframe-post", printed)
-
-
-@pytest.mark.slow
-def test_an_impossible_bound_is_an_error(paper: Printer) -> None:
-    with pytest.raises(HframeError, match="allow more"):
-        search(cube, paper, Options("racking"), Bound(1e-4))
 
 
 @pytest.mark.slow
@@ -159,11 +143,6 @@ def test_layers_whose_feed_changes_take_as_long_as_in_a_plan_of_the_whole_print(
     assert again[5] > 1.3 * times[5]
     known = {**times, 20: 100.0}  # not what a plan gives, so it shows what is planned again
     assert drive.layer_times_again(after, before, known)[20] == 100.0
-
-
-def test_kept_kinds_are_not_judged(loose: Fastest) -> None:
-    assert not set(loose.trial.errors) & set(UNCHANGED)
-    assert set(loose.options.paces.kinds if loose.options.paces else {}).isdisjoint(UNCHANGED)
 
 
 @pytest.mark.slow
@@ -297,14 +276,3 @@ def test_accelerations_reach_the_bound_in_few_trials(
             break
         searches.trials.append(tried(searches.corrected({"skin": 1.0}).acceleration["skin"]))
     assert NEAR <= used <= LIMIT
-
-
-def test_of_two_trials_at_one_acceleration_the_later_counts() -> None:
-    """The error of a feature also depends on what else changed: the earlier one is within it."""
-    settings = SpeedSettings({"skin": 4e3}, {"skin": 1.0})
-    trials = [
-        TrialPrint(settings, {"skin": [error]}, {}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
-        for error in (0.094, 0.096)
-    ]
-    searches = Searches(Bound(0.1), 1e6, trials)
-    assert searches.corrected({"skin": 1.0}).acceleration["skin"] < 3.99e3
