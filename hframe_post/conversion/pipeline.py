@@ -35,7 +35,7 @@ from hframe_post.conversion.meters import (
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.path_meter import PathMeter
 from hframe_post.conversion.report import AdvanceReport, BandReport, Plastic, Report
-from hframe_post.conversion.saving import FasterTime, Saving
+from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.advance import Advance
@@ -49,7 +49,6 @@ from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import PieceStart, pace
 from hframe_post.planner.sampling import sample
-from hframe_post.planner.sliced import SlicedTime
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
@@ -233,20 +232,14 @@ class PlannedFile:
         self._lines, self._printer, self._options = lines, printer, options
         self._input = InputMeter()
         self._path = PathMeter(printer.limits, options.paces is not None)
-        self._firmware, bands = firmware(printer), MotorBands.from_printer(printer)
-        self._sliced = SlicedTime(self._firmware.limits(printer), bands)
+        self._firmware, self._sliced = firmware(printer), SlicedFile(printer)
         self._times, self._following = StageTimes(), following(printer)
-        # an extruder that follows its advance limits accelerations, too
-        compares = options.speed is None and options.strategy != "none" and not self._following
-        self._faster = FasterTime(printer, self._sliced) if compares else None
 
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         items = parsed(self._input.lines(self._lines), self._printer, self._options)
         items = self._times.timed("read", self._input.items(items))
         items = self._sliced.items(items)
-        if self._faster is not None:
-            items = self._faster.items(items)
         items = self._path.items(items)
         plans = scheduled(items, self._printer, followed=self._following)
         return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))
@@ -260,21 +253,13 @@ class PlannedFile:
             check_prediction(motion.contour["none"].rms)
         return Report(
             self._options.strategy, self._input.summary, self._path.summary,
-            PrintTime(self._sliced.seconds, motion.duration), motion.peaks, motion.clamped,
+            PrintTime(self._sliced.own.seconds, motion.duration), motion.peaks, motion.clamped,
             motion.contour, motion.width,
             notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
             bands=self._bands(motion.in_bands), metered=motion.metered,
-            saving=self._saving(motion),
         )  # fmt: skip
-
-    def _saving(self, motion: MotionSummary) -> Saving | None:
-        """Return the time that the print could lose within the error without compensation."""
-        if self._faster is None or "none" not in motion.contour:
-            return None
-        error = motion.contour["none"].shown.measured(self._printer.speed.error_measure)
-        return Saving.worth_a_line(self._faster.lost(), self._sliced.seconds, error)
 
     def advance(self, found: AdvanceSummary) -> AdvanceReport | None:
         """Return what was done about pressure advance, if there is any."""
@@ -287,7 +272,7 @@ class PlannedFile:
 
     def _bands(self, after: TimeInBands) -> BandReport | None:
         bands = self._printer.speed.avoid
-        return BandReport(bands, self._sliced.in_bands, after) if bands else None
+        return BandReport(bands, self._sliced.own.in_bands, after) if bands else None
 
     def _plastic(self, fed: float) -> Plastic | None:
         bed, limits = self._printer.plant.bed, self._printer.limits

@@ -32,13 +32,19 @@ from hframe_post.model.shapers import (
     shaper,
 )
 from hframe_post.planner.lookahead import plan
-from hframe_post.prediction.predict import contour_error
+from hframe_post.prediction.best_shaper import (
+    HZ,
+    MOST_DAMPING,
+    Paths,
+    error,
+    guess,
+    quadratic_form,
+)
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import excerpt
-from hframe_post.studies.shapers.guess import HZ, MOST_DAMPING, Paths, guess, quadratic_form
 
 PIECES = 5  # of a print, of some seconds each, on which settings are compared
 WORTH = 0.95  # of the error of a shaper, with which one that needs a newer Klipper is shown
@@ -52,36 +58,6 @@ KLIPPER_DAMPINGS = (0.075, 0.1, 0.15)  # that the printer may have
 KLIPPER_ACCELERATION, KLIPPER_CORNER = 5000.0, 5.0  # mm/s², mm/s, of the smoothing
 KLIPPER_LEAST = {"zv": 21.0, "mzv": 23.0, "ei": 29.0, "2hump_ei": 39.0, "3hump_ei": 48.0}  # Hz
 KLIPPER_MOST, KLIPPER_STEP = 150.0, 0.2  # Hz
-
-
-def paths(lines: Iterable[bytes], printer: Printer, options: Options) -> Paths:
-    """Return pieces of motion from all over a print; none if nothing is extruded.
-
-    The first layer is left out where there are more: it is so slow that all shapers are alike.
-    """
-    pieces = excerpt(parsed(lines, printer, options), first_layers=0)
-    pieces = [piece for piece in pieces if piece.start.place.layer > 1] or pieces
-    chosen = np.linspace(0, len(pieces) - 1, min(PIECES, len(pieces))).astype(int).tolist()
-    options = Options("none", tolerance=None)  # the path without rests at stops
-    plans = (plan(pieces[k].items, printer.limits) for k in chosen)
-    samples = (sampled(items, printer, options, skip_slow=True) for items in plans)
-    found = [_path(stretch) for chunks in samples for stretch in stretches(chunks)]
-    return [(path, counted) for path, counted in found if counted.any()]
-
-
-def _path(chunks: Iterable[Samples]) -> tuple[Array, Flags]:
-    xyze = np.concatenate([chunk.xyze for chunk in chunks])
-    return xyze[:, :Z], np.diff(xyze[:, E], prepend=xyze[0, E]) > 0.0
-
-
-def error(plant: Plant, shaping: Shaping, paths: Paths) -> Shaping:
-    """Return the shaping with its RMS contour error (mm) on the extruding samples of paths."""
-    off, x, y = list[Array](), shaping.x.shaper, shaping.y.shaper
-    for path, counted in paths:
-        command = np.column_stack([x.run(path[:, X]), y.run(path[:, Y])])
-        at = np.flatnonzero(counted)
-        off.append(contour_error(path, nozzle(plant, path[0], command), at))
-    return replace(shaping, rms=float(np.sqrt(np.square(np.concatenate(off)).mean())))
 
 
 def best(plant: Plant, paths: Paths, name: str, Q: Array) -> Shaping:
@@ -106,18 +82,6 @@ def best(plant: Plant, paths: Paths, name: str, Q: Array) -> Shaping:
         method="Nelder-Mead", options={"maxfev": 120},
     )  # fmt: skip
     return tried_at(refined.x)
-
-
-@one_blas_thread()
-def good(plant: Plant, paths: Paths, firmware: Firmware) -> Shaping | None:
-    """Return about the most accurate of the firmware's shapers, in a tenth of a second.
-
-    None if there are no paths. It is within some percent of what ``search`` finds.
-    """
-    if not paths:
-        return None
-    Q = quadratic_form(plant, paths)
-    return min((error(plant, guess(Q, name), paths) for name in firmware.shapers), key=BY_ERROR)
 
 
 def search(plant: Plant, paths: Paths) -> list[Shaping]:
