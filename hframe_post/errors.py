@@ -18,7 +18,7 @@ def install_advice(package: str) -> str:
     """Return the command that adds a package to this installation of hframe-post."""
     folders = Path(sys.prefix).parts
     python = f'"{sys.executable}"' if " " in sys.executable else sys.executable
-    if getattr(sys, "frozen", False) or "pipx" in folders:
+    if "pipx" in folders:
         return f"pipx inject hframe-post {package}"
     if "uv" in folders:  # which puts no pip into its environments
         return f"uv pip install --python {python} {package}"

@@ -22,8 +22,9 @@ from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import settling_samples
 from hframe_post.conversion import files
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import prepared, stamp
+from hframe_post.conversion.pipeline import parsed, prepared, stamp
 from hframe_post.conversion.report import Report
+from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.errors import (
     ArgumentError,
     GcodeError,
@@ -31,7 +32,6 @@ from hframe_post.errors import (
     OptionError,
     PrinterError,
 )
-from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.gcode.lines import Input, Source
 from hframe_post.model.nozzle import nozzle
 from hframe_post.model.plant import Plant
@@ -333,11 +333,9 @@ def _watch(source: Path, outputs: Outputs) -> None:
 
 def _pictured(options: Options, source: Input, printer: Printer, plant: Plant) -> Options:
     """Return options that collect a page's picture, with the best input shaper for the print."""
-    from hframe_post.studies.shapers.search import good, paths
-
     predicted = dict.fromkeys(("none", *options.strategies))
-    pieces = paths(islice(source.again(), SHAPED_LINES), printer, options)
-    shaping = good(plant, pieces, firmware_of(printer))
+    items = parsed(islice(source.again(), SHAPED_LINES), printer, options)
+    shaping = SlicedFile.from_items(items, printer).shaping(plant)
     return replace(options, predict=tuple(predicted), picture=True, shaping=shaping)
 
 

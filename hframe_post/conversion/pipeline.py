@@ -66,8 +66,15 @@ if TYPE_CHECKING:
 
 def parsed(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Item]:
     """Read G-code and set the pace of its moves. Raises HframeError."""
-    reading = ReadOptions.from_printer(printer, options.limits, options.extrusion)
-    items = read(lines, reading)
+    return paced(_read(lines, printer, options), options)
+
+
+def _read(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Item]:
+    return read(lines, ReadOptions.from_printer(printer, options.limits, options.extrusion))
+
+
+def paced(items: Iterator[Item], options: Options) -> Iterator[Item]:
+    """Set the pace of moves, if a speed was asked for."""
     return items if options.paces is None else pace(items, options.paces)
 
 
@@ -237,9 +244,9 @@ class PlannedFile:
 
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
-        items = parsed(self._input.lines(self._lines), self._printer, self._options)
+        items = _read(self._input.lines(self._lines), self._printer, self._options)
         items = self._times.timed("read", self._input.items(items))
-        items = self._sliced.items(items)
+        items = paced(self._sliced.items(items), self._options)
         items = self._path.items(items)
         plans = scheduled(items, self._printer, followed=self._following)
         return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))
@@ -249,12 +256,17 @@ class PlannedFile:
 
         Raises HframeError if the model predicts an error that no working printer has.
         """
-        if "none" in motion.contour:
-            check_prediction(motion.contour["none"].rms)
+        contour, width, shaping = motion.contour, motion.width, None
+        if "none" in (self._options.predict or ()) and self._options.strategy != "none":
+            today = self._sliced.today
+            contour, width = {**contour, **today.contour}, {**width, **today.width}
+            shaping = today.shaping
+        if "none" in contour:
+            check_prediction(contour["none"].rms)
         return Report(
             self._options.strategy, self._input.summary, self._path.summary,
             PrintTime(self._sliced.own.seconds, motion.duration), motion.peaks, motion.clamped,
-            motion.contour, motion.width,
+            contour, width, shaping=shaping,
             notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 from hframe_post.arrays import TS, E
 from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.conversion.meters import ErrorMeter
 from hframe_post.firmware.registry import firmware
+from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
 from hframe_post.planner.bands import MotorBands
 from hframe_post.planner.sliced import AsSliced
-from hframe_post.prediction.best_shaper import good, paths
+from hframe_post.prediction.best_shaper import Paths, good, paths
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import ended, successive
@@ -25,6 +27,8 @@ from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Planned,
 PIECE_S = 3.0  # of a piece, which begins and ends at rest; 4 times as long at most
 LEAST_S = 80.0  # to keep of a print; at most twice as much is kept
 SHAPED = 4  # pieces on which the shaper is chosen: its error is within 5 % of that on all
+
+Piece = tuple[float, tuple[Planned, ...]]  # its seconds, and what it consists of
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +49,16 @@ class SlicedFile:
     def __init__(self, printer: Printer) -> None:
         rules = firmware(printer).limits(printer)
         self._printer, self.own = printer, AsSliced(rules, MotorBands.from_printer(printer))
-        self._pieces, self._every, self._count = list[tuple[float, tuple[Planned, ...]]](), 1, 0
+        self._pieces, self._every, self._count = list[Piece](), 1, 0
         self._piece, self._begun_at = list[Planned](), 0.0  # s of the print
+
+    @classmethod
+    def from_items(cls, items: Iterable[Item], printer: Printer) -> SlicedFile:
+        """Return what was kept of all items."""
+        sliced = cls(printer)
+        for _ in sliced.items(items):
+            pass
+        return sliced
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
         for item in items:
@@ -55,18 +67,26 @@ class SlicedFile:
         self._keep(self.own.planned(None))
         self._end()
 
+    @cached_property
+    def paths(self) -> Paths:
+        """Return the motion of a few pieces, once all items have passed."""
+        return paths(self._samples(self._pieces[:: max(len(self._pieces) // SHAPED, 1)]))
+
+    @cached_property
     def today(self) -> Today:
         """Return the errors of the pieces, once all items have passed."""
-        plant, pieces = self._printer.plant, [piece for _, piece in self._pieces]
-        few = pieces[:: max(len(pieces) // SHAPED, 1)]
-        shaping = good(plant, paths(self._samples(few)), firmware(self._printer).shapers)
-        meter, samples = ErrorMeter(plant), self._samples(pieces)
+        shaping = self.shaping(self._printer.plant)
+        meter, samples = ErrorMeter(self._printer.plant), self._samples(self._pieces)
         for _ in meter.samples(shape(samples, {} if shaping is None else {SHAPER: shaping})):
             pass
         return Today(shaping, meter.contour, meter.width)
 
-    def _samples(self, pieces: Iterable[tuple[Planned, ...]]) -> Iterator[Samples]:
-        return successive(ended(self._motion(piece)) for piece in pieces)
+    def shaping(self, plant: Plant) -> Shaping | None:
+        """Return about the best input shaper of the firmware; None if nothing is extruded."""
+        return good(plant, self.paths, firmware(self._printer).shapers)
+
+    def _samples(self, pieces: Iterable[Piece]) -> Iterator[Samples]:
+        return successive(ended(self._motion(piece)) for _, piece in pieces)
 
     def _motion(self, piece: tuple[Planned, ...]) -> Iterator[Samples]:
         """Yield a piece's samples, not many more than it may have."""

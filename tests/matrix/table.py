@@ -57,10 +57,7 @@ class Done:
     files: str = ""
 
 
-SUMMARY = (
-    r"not compensated  .*\(after G28\)|limited by  .*(in the file|in the profile)"
-    r"|could take  .*--max-error \d+um"
-)
+SUMMARY = r"not compensated  .*\(after G28\)|limited by  .*(in the file|in the profile)"
 NAMES = r"(x|y)-at-[\d_]+"
 DONE = {
     "convert {print} -o out.gcode": Done(SUMMARY, "out.gcode"),
