@@ -200,6 +200,7 @@ def simulate(
     title: str = "",
     notes: Iterable[str] = (),
     outputs: Outputs | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> SimulationReport:
     """Predict what every strategy would do for a print: in all, by layer and by feature.
 
@@ -207,7 +208,8 @@ def simulate(
     simulated: the printer whose plant is simulated, if not the one compensated for. model_error:
     for each share (0.05: frequencies, damping and racking gain off by up to 5 %) ``draws`` random
     printers are simulated, too; equal seeds give equal printers. steps: round commands to whole
-    motor steps first. page, title, notes, outputs: as in ``convert``. Raises HframeError, OSError.
+    motor steps first. page, title, notes, outputs, progress: as in ``convert``. The source is read
+    twice; one that can be read only once is kept in memory. Raises HframeError, OSError.
     """
     from hframe_post.studies.simulation import simulate as simulation
     from hframe_post.studies.simulation.uncertainty import draws as drawn
@@ -224,10 +226,18 @@ def simulate(
     )
     options = replace(options, strategy="racking", predict=tuple(STRATEGIES))
     given = Input(source)
+    if given.once:
+        given = Input(list(given.lines(progress)))
+
+    def lines() -> Iterable[bytes]:
+        nonlocal progress
+        shown, progress = progress, None
+        return given.lines(shown)
+
     if page is not None:
         options = _pictured(options, given, printer, actual.plant)
     with ExitStack() as opened:
-        report = simulation.simulate(given.lines(), printer, options, study)
+        report = simulation.simulate(lines, printer, options, study)
         if page is not None:
             from hframe_post.page.build import page as print_page
 

@@ -44,7 +44,7 @@ from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
-from hframe_post.planner.bands import MotorBands, TimeInBands, avoid_bands
+from hframe_post.planner.bands import TimeInBands, avoid_bands
 from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import PieceStart, pace

@@ -102,13 +102,13 @@ class SlicedFile:
                 if item.handling is Handling.RELEASE:
                     self._end()
                 continue
-            moves = isinstance(item, Plan)
-            if not self._piece and not (moves and item.speed[0] == 0.0):
+            leaves, arrives = item.speed[[0, -1]] if isinstance(item, Plan) else (1.0, 0.0)
+            if not self._piece and leaves:
                 self._begun_at = self.own.seconds
                 continue
             self._piece.append(item)
-            seconds, rests = self.own.seconds - self._begun_at, not moves or item.speed[-1] == 0.0
-            if seconds >= PIECE_S and (rests or seconds >= 4.0 * PIECE_S):
+            seconds = self.own.seconds - self._begun_at
+            if seconds >= PIECE_S and (not arrives or seconds >= 4.0 * PIECE_S):
                 self._end()
 
     def _end(self) -> None:

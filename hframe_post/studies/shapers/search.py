@@ -7,20 +7,17 @@ so a comparison with it is fair. Its section for printer.cfg is an alternative t
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, X, Y, Z
-from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import parsed, sampled
+from hframe_post.arrays import TS, Array, X, Y
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.model.impulse_response import Linear
-from hframe_post.model.nozzle import nozzle
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import (
     WITH_PARAMETERS,
@@ -31,7 +28,6 @@ from hframe_post.model.shapers import (
     most_damping,
     shaper,
 )
-from hframe_post.planner.lookahead import plan
 from hframe_post.prediction.best_shaper import (
     HZ,
     MOST_DAMPING,
@@ -40,13 +36,7 @@ from hframe_post.prediction.best_shaper import (
     guess,
     quadratic_form,
 )
-from hframe_post.printer.settings import Printer
-from hframe_post.stream.chunks import stretches
-from hframe_post.stream.running import one_blas_thread
-from hframe_post.stream.types import Samples
-from hframe_post.studies.inputs import excerpt
 
-PIECES = 5  # of a print, of some seconds each, on which settings are compared
 WORTH = 0.95  # of the error of a shaper, with which one that needs a newer Klipper is shown
 BY_ERROR = attrgetter("rms")
 
