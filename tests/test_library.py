@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import hframe_post as hp
+from examples.paper.results import path
 from hframe_post.arrays import TS, Array
 from hframe_post.conversion.pipeline import first_line
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
-from hframe_post.paper.results import path
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.simulation.uncertainty import draws

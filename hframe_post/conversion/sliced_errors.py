@@ -18,7 +18,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
 from hframe_post.planner.bands import MotorBands
 from hframe_post.planner.sliced import AsSliced
-from hframe_post.prediction.best_shaper import Paths, good, paths
+from hframe_post.prediction.best_shaper import Paths, paths, ranked
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import ended, successive
@@ -83,7 +83,9 @@ class SlicedFile:
 
     def shaping(self, plant: Plant) -> Shaping | None:
         """Return about the best input shaper of the firmware; None if nothing is extruded."""
-        return good(plant, self.paths, firmware(self._printer).shapers)
+        if not self.paths:
+            return None
+        return ranked(plant, self.paths, firmware(self._printer).shapers)[0]
 
     def _samples(self, pieces: Iterable[Piece]) -> Iterator[Samples]:
         return successive(ended(self._motion(piece)) for _, piece in pieces)

@@ -22,6 +22,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import AxisShaping, Shaper, Shaping, most_damping
 from hframe_post.prediction.predict import contour_error
 from hframe_post.stream.chunks import stretches
+from hframe_post.stream.running import one_blas_thread
 from hframe_post.stream.types import Samples
 
 Paths = list[tuple[Array, Flags]]  # each (n, 2), mm, and which samples extrude, (n,)
@@ -46,16 +47,11 @@ def paths(chunks: Iterable[Samples]) -> Paths:
     return found
 
 
-def good(plant: Plant, paths: Paths, names: Iterable[str]) -> Shaping | None:
-    """Return about the most accurate shaper of these names, in a tenth of a second.
-
-    None if there are no paths. It is within some percent of what a search finds.
-    """
-    if not paths:
-        return None
+@one_blas_thread()
+def ranked(plant: Plant, paths: Paths, names: Iterable[str]) -> list[Shaping]:
+    """Return shapers with good settings for these paths, the most accurate first."""
     Q = quadratic_form(plant, paths)
-    found = (error(plant, guess(Q, name), paths) for name in names)
-    return min(found, key=lambda shaping: shaping.rms)
+    return sorted((error(plant, guess(Q, name), paths) for name in names), key=lambda s: s.rms)
 
 
 def error(plant: Plant, shaping: Shaping, paths: Paths) -> Shaping:

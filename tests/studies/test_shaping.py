@@ -19,13 +19,12 @@ from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.model.shapers import AxisShaping, Shaping, most_damping, shaper
-from hframe_post.prediction.best_shaper import Paths, error, good, guess, quadratic_form
+from hframe_post.prediction.best_shaper import Paths, error, guess, quadratic_form, ranked
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shapers.search import (
-    best,
     calibrated_with,
     search,
     shapings_as_text,
@@ -69,7 +68,7 @@ def test_long_waits_and_slow_lines_take_no_memory(paper: Printer) -> None:
 
 def test_nothing_extruded_is_an_error(paper: Printer) -> None:
     none = paths([b"G28\n", b"G1 X10 Y10 Z1\n", b"G1 X50\n"], paper)
-    assert good(paper.plant, none, KLIPPER) is None
+    assert not none
     with pytest.raises(HframeError, match="nothing is extruded"):
         search(paper.plant, none)
 
@@ -78,7 +77,7 @@ def test_the_best_shaper_beats_the_calibrated_and_that_none(paper: Printer, corn
     none = Shaping(AxisShaping("zv", 1e5, 0.0), AxisShaping("zv", 1e5, 0.0))
     bare = error(paper.plant, none, corner).rms
     usual = error(paper.plant, calibrated_with(paper.plant, "mzv"), corner).rms
-    found = best(paper.plant, corner, "mzv", quadratic_form(paper.plant, corner))
+    (found,) = ranked(paper.plant, corner, ["mzv"])
     assert found.rms < 0.65 * usual < 0.65 * bare
     assert found.rms == error(paper.plant, found, corner).rms
 
