@@ -204,6 +204,7 @@ class Report:
             "plastic_on_bed": asdict(self.plastic) if self.plastic else None,
             "pressure_advance_s": self.advance.as_json() if self.advance else None,
             "motor_bands": self.bands.as_json() if self.bands else None,
+            "against": self._against() or None,
         }
         return {
             "warnings": self.warnings(),
@@ -219,7 +220,6 @@ class Report:
             "line_width_error_percent": {
                 n: self.width[n].percents() for n in sorted(self.strategies) if n in self.width
             },
-            "against": self._against(),
             "peak_belt_speed": round(self.peaks.belt_velocity, 3),
             "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},

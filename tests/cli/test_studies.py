@@ -53,7 +53,7 @@ def test_simulate_tells_what_a_conversion_does_and_by_layer_and_feature(simulati
     assert simulation.keys() - conversion.keys() == {
         "simulated_plant", "quantised", "strategies", "features", "layers", "model_error",
     }  # fmt: skip
-    unwritten = {"lines_written", "busiest_second_lines"}
+    unwritten = {"lines_written", "busiest_second_lines", "against"}
     assert conversion.keys() - simulation.keys() == unwritten
     assert simulation["filament_mm"] == {"before": conversion["filament_mm"]["before"]}
     for key in conversion.keys() - unwritten - {"filament_mm", "command"}:
