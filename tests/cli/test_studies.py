@@ -1,4 +1,4 @@
-"""simulate, tune and paper as their users meet them: processes, files, exit statuses."""
+"""simulate and tune as their users meet them: processes, files, exit statuses."""
 
 from __future__ import annotations
 
@@ -252,7 +252,6 @@ USAGE = [
     (["tune", "--effort", "nan"], "'nan' is not a number"),
     (["tune", "--figure", "a.pdf"], "--figure must end in"),
     (["tune", "--seed", "-1"], "--seed"),
-    (["paper", "extra"], "unexpected extra argument"),
 ]
 
 
@@ -336,23 +335,3 @@ def test_tune_changes_its_own_profile_however_it_is_laid_out(tmp_path: Path) -> 
     )
     assert load(str(mine)).compensation.L == 10
     assert list(tmp_path.iterdir()) == [mine]
-
-
-# ---------------------------------------------------------------------- paper
-
-
-@pytest.mark.paper
-@pytest.mark.slow
-def test_paper_prints_its_tables() -> None:
-    # another default profile is not the paper's printer
-    done = run("paper", HFRAME_PRINTER="example-cartesian")
-    assert (done.returncode, done.stderr) == (0, b"")
-    titles = [line for line in done.stdout.decode().splitlines() if line and line[0] != "|"]
-    starts = ["Tables I, II", "Fig. 8", "Fig. 9", "Appendix C"]
-    for title, start in zip(titles, starts, strict=True):
-        assert title.startswith(start)
-
-
-def test_paper_tells_at_once_what_it_lacks(tmp_path: Path) -> None:
-    refused(run("paper", "--prism", tmp_path / "no.gcode"), 1, "no.gcode: No such file")
-    refused(run("paper", "-p", "example-cartesian"), 1, "does not rack")
