@@ -46,7 +46,7 @@ g1x3y2e.5
 """
 FILES = {
     **{path.name: path.read_bytes() for folder in (SAMPLES, QUIRKS) for path in folder.glob("*")},
-    **{name: each.text.encode() for name, each in SLICES.items()},
+    **{name: b"".join(each.lines) for name, each in SLICES.items()},
     "by hand": BY_HAND,
 }
 

@@ -13,11 +13,9 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.options import Options
 from hframe_post.printer.profile import load
-from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import few
+from tests.gcode_tools import converted
 
 from .head import head
 
@@ -90,10 +88,9 @@ INSIDE = [name for name in SLICES if name not in ("Cura's meshes", "ideaMaker")]
 
 
 @cache
-def converted(name: str) -> str:
+def output(name: str) -> str:
     lines = [line.encode() + b"\n" for line in SLICES[name].splitlines()]
-    conversion = GcodeConversion(lines, load("paper"), Options("racking"))
-    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    text, _ = converted(lines, load("paper"))
     return text.decode()
 
 
@@ -143,14 +140,14 @@ def test_the_head_does_not_go_to_an_excluded_object(name: str, excluded: str) ->
     A travel in front of its label is made as sliced. OrcaSlicer's spiral lift would be inside.
     """
     results = []
-    for text in (SLICES[name], converted(name)):
+    for text in (SLICES[name], output(name)):
         lines = with_commands(text)
         other = "EXCLUDE_OBJECT_START NAME=" + ("B" if excluded != "B" else "C")
         at = [k for k, line in enumerate(lines) if line == other][1]
         results.append(visits(lines, at + 9, excluded))
-    (as_sliced, end, fed), (found, our_end, ours) = results
+    (as_sliced, end, fed), (found, our_end, our_fed) = results
     assert found <= (0 if name in INSIDE else as_sliced)
-    assert ours == pytest.approx(fed, abs=1e-6)
+    assert our_fed == pytest.approx(fed, abs=1e-6)
     np.testing.assert_allclose(our_end, end, atol=0.01)
 
 
@@ -158,7 +155,7 @@ def test_the_head_does_not_go_to_an_excluded_object(name: str, excluded: str) ->
 @pytest.mark.parametrize("name", few(INSIDE, 1))
 @pytest.mark.parametrize("lines", [4, pytest.param(170, marks=pytest.mark.slow)])
 def test_wherever_an_object_is_excluded_it_is_left_alone(name: str, lines: int) -> None:
-    text = with_commands(converted(name))
+    text = with_commands(output(name))
     begun = next(k for k, line in enumerate(text) if "OBJECT_START" in line)
     rng = np.random.default_rng(lines)
     end = head(with_commands(SLICES[name]))[0][-1]
