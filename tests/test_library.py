@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
-from inspect import isclass, isfunction
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +17,6 @@ from hframe_post.arrays import TS, Array
 from hframe_post.printer.settings import Printer
 from tests.conftest import MEASURED, SAMPLES
 
-DESCRIPTORS = (property, classmethod, staticmethod)
-VERBS = """Add Certify Check Compensate Compute Convert Find Identify Load Predict Raise Read
-Recommend Return Run Simulate Solve Write Yield""".split()  # noqa: SIM905
 RECTANGLE = SAMPLES / "rectangle.gcode"
 
 
@@ -61,22 +57,6 @@ def test_every_name_offered_is_there_and_says_what_it_is(name: str) -> None:
     if name != "__version__":
         assert offered.__doc__, f"{name} has no docstring"
         assert not offered.__doc__.startswith(f"{name}("), f"{name} has only a generated docstring"
-
-
-@pytest.mark.parametrize("name", hp.__all__)
-def test_functions_and_methods_are_documented_by_an_imperative_verb(name: str) -> None:
-    offered = getattr(hp, name)
-    functions = {name: offered} if isfunction(offered) else {}
-    if isclass(offered):
-        functions = {
-            each: getattr(member, "fget", None) or getattr(offered, each)
-            for each, member in vars(offered).items()
-            if not each.startswith("_") and (callable(member) or isinstance(member, DESCRIPTORS))
-        }
-    for each, function in functions.items():
-        doc = function.__doc__
-        assert doc, f"{name}: {each} has no docstring"
-        assert doc.split()[0] in VERBS, f"{name}: {each}: {doc.splitlines()[0]}"
 
 
 # ---------------------------------------------------------------------- arrays

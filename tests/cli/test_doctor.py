@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -109,46 +107,6 @@ def test_doctor_finds_each_harm(machine: Path, file: str, old: str, new: str, fo
     chosen = "as you chose" in found or "replaces the [" in found
     assert lines[0].startswith("note" if chosen else "PROBLEM")
     assert status == (1 if "PROBLEM" in printed else 0)
-
-
-LOGGED = "Git version: 'v0.13.0-99-g0123456ab'\n===== Config file =====\n"
-
-
-@pytest.mark.parametrize(
-    ("version", "affected"),
-    [("v0.13.0-635-g352bc8b2e-dirty", True), ("v0.13.0-642-g77d5d942e", False)],
-)
-def test_doctor_knows_the_klipper_that_does_not_turn_shaping_off(
-    machine: Path, tmp_path: Path, version: str, affected: bool
-) -> None:
-    config = tmp_path / "printer_data" / "config"
-    shutil.copytree(machine, config)
-    cfg = config / "printer.cfg"
-    cfg.write_text(cfg.read_text().replace("[input_shaper]", "[input_shaper]\nshaper_freq_x: 51.5"))
-    own, home = config / "printer.toml", str(config / "config")
-    run("setup", cfg, "-o", config, XDG_CONFIG_HOME=home)
-    doctor = partial(run, "doctor", "-p", own, "--printer-cfg", cfg, HFRAME_PRINTER=str(own))
-    unknown = doctor()
-    assert unknown.returncode == 0, unknown.stdout
-    assert b"note     Klipper's version is not known: show its log with --klippy" in unknown.stdout
-    log = config.parent / "logs" / "klippy.log"
-    log.parent.mkdir()
-    log.write_text(f"{LOGGED}Start\nGit version: '{version}'\nBranch: master\n\xff")
-    done = doctor()
-    assert done.returncode == affected, done.stdout
-    text = f"PROBLEM  {log}: Klipper {version} ignores SET_INPUT_SHAPER SHAPER_FREQ_X=0"
-    assert (text in done.stdout.decode()) == affected
-    assert b"--klippy-log" not in done.stdout
-    log.rename(tmp_path / "other.log")
-    assert doctor("--klippy-log", tmp_path / "other.log").returncode == affected
-    (tmp_path / "other.log").write_text("no version")
-    assert (
-        b"does not show Klipper's version" in doctor("--klippy-log", tmp_path / "other.log").stdout
-    )
-    cfg.write_text((machine / "printer.cfg").read_text())  # no frequency: nothing to turn off
-    run("setup", cfg, "-o", config, XDG_CONFIG_HOME=home)
-    log.write_text(f"Git version: '{version}'\n")
-    assert doctor().returncode == 0
 
 
 def test_a_marlin_owner_is_told_of_no_printer_cfg(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from subprocess import CompletedProcess
 from typing import Any
 
 import click
-import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -116,34 +115,6 @@ def test_tune_recommends_and_writes_a_profile_that_loads(tmp_path: Path) -> None
     assert sum(a != b for a, b in zip(before, after, strict=True)) == 4
     assert (tmp_path / "t.svg").read_text().startswith("<?xml")
     assert len(list(tmp_path.iterdir())) == 3
-
-
-@pytest.mark.slow
-def test_tune_chooses_acceleration_and_jerk_by_time_against_error(tmp_path: Path) -> None:
-    out = tmp_path / "out.toml"
-    done = run(
-        "tune", "-L", "8", "--effort", "10", "--draws", "2",
-        "--json", tmp_path / "t.json", "--figure", tmp_path / "t.svg", "-o", out,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr.decode()
-    printed = json.loads((tmp_path / "t.json").read_text())
-    seconds = [point["seconds"] for point in printed["pareto"]]
-    error = [point["median_under_model_error_um"] for point in printed["pareto"]]
-    assert seconds == sorted(seconds)
-    assert error == sorted(error, reverse=True)
-    chosen = printed["chosen"]
-    assert chosen in printed["pareto"]
-    # worth it: no other point halves the error for a tenth of the time
-    cost = [e * t ** (np.log(2.0) / np.log(1.1)) for e, t in zip(error, seconds, strict=True)]
-    assert chosen == printed["pareto"][int(np.argmin(cost))]
-    profile = load(str(out))
-    for name in ("acceleration", "deceleration", "jerk"):
-        assert getattr(profile.limits, name) == chosen[name]
-    assert profile.limits.jerk < 5e7
-    shown = done.stdout.decode()
-    assert "best with the profile's limits: L = 8" in shown
-    assert "\nrecommended: acceleration = " in shown
-    assert shown.count("recommended") == 1, shown
 
 
 # ---------------------------------------------------------------------- what goes wrong

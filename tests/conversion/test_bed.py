@@ -12,7 +12,6 @@ from scipy import linalg
 
 from hframe_post.arrays import TS, Array, E, Y
 from hframe_post.conversion import spans
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream, prepared
 from hframe_post.model.filters import Filter
@@ -21,7 +20,7 @@ from hframe_post.model.lpfbs import Lpfbs
 from hframe_post.model.plant import Bed, heavier
 from hframe_post.native.contour import in_motion
 from hframe_post.prediction.predict import contour_error
-from hframe_post.printer.profile import load, model_digest, parse
+from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.gcode_tools import converted
 from tests.quantities import below
@@ -155,17 +154,6 @@ def test_commands_stand_still_where_the_model_changes(slinger: Printer) -> None:
     assert changes >= LAPS - 1
 
 
-def test_bytes_do_not_depend_on_processes(slinger: Printer) -> None:
-    texts = [
-        b"".join(
-            piece if isinstance(piece, bytes) else piece.line
-            for piece in GcodeConversion(iter(laps()), slinger, replace(FBS, jobs=jobs))
-        )
-        for jobs in (1, 2)
-    ]
-    assert texts[0] == texts[1]
-
-
 def test_the_summary_says_what_was_followed(slinger: Printer, fixed: Printer) -> None:
     text = converted(laps(), slinger, FBS)[1].as_text()
     assert "y's model followed 300 g of plastic on 1 kg, in steps of at most 2" in text
@@ -186,19 +174,3 @@ def test_windows_are_certified_for_every_mass(fixed: Printer) -> None:
             assert isinstance(solver, Lpfbs)
             assert solver.radius < 1.0
         assert compensator.at(300.0) is compensator.at(300.1)
-
-
-MINE = """extends = "example-cartesian"
-[plant]
-moving_mass = 0.8
-[limits]
-filament_density = 1.27
-"""
-
-
-def test_a_profile_knows_its_bed() -> None:
-    plant = parse(MINE, "mine").plant
-    assert plant.bed is not None
-    assert plant.bed.mass == 0.8
-    assert plant.bed.filament == pytest.approx(1.27e-6 * math.pi * 1.75**2 / 4.0)
-    assert model_digest(MINE) == model_digest(MINE.replace("moving_mass = 0.8\n", ""))

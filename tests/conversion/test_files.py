@@ -146,19 +146,6 @@ def test_suffix_chooses_the_format(tmp_path: Path) -> None:
     assert len(found) == 5 + 2  # with the events of two
 
 
-@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.npz"])
-def test_failure_leaves_every_file_as_it_was(tmp_path: Path, name: str) -> None:
-    part = tmp_path / "part.gcode"
-    part.write_bytes(RECTANGLE.read_bytes() + b"G1 X150 Y100\nG55\n")
-    (tmp_path / name).write_bytes(b"old")
-    (tmp_path / f"{name}.events").write_bytes(b"old events")
-    before = files(tmp_path)
-    done = run(part, "-o", tmp_path / name)
-    assert done.returncode == 1
-    assert b"G55" in done.stderr
-    assert files(tmp_path) == before
-
-
 @pytest.mark.parametrize("name", ["out.gcode", "out.csv"])
 def test_a_conversion_to_the_same_target_replaces_what_an_earlier_one_wrote(
     tmp_path: Path, paper: Printer, name: str

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,13 +13,11 @@ from hframe_post import library
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.errors import LimitError
-from hframe_post.gcode.state import LimitSource
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.command_line import run
 from tests.matrix.files import sliced
 from tests.quantities import below
-from tests.ruler import filled
 from tests.simulator import Axis, Machine, Mode
 
 OWNERS = Path(__file__).parent.parent / "matrix" / "owners"
@@ -86,21 +83,3 @@ def test_a_limit_that_the_owner_states_is_kept_by_a_gentler_command(
     if strategy == "racking":
         none, compensated = errors(report)
         below(compensated, 0.5 * none, "contour error, µm RMS")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("acceleration", ACCELERATIONS)
-@pytest.mark.parametrize("kind", KINDS)
-def test_an_owner_without_a_sensor_prints(tmp_path: Path, kind: str, acceleration: int) -> None:
-    set_up(tmp_path, kind, acceleration)
-    profile, form = tmp_path / "printer.toml", tmp_path / "t.form.toml"
-    words = ("calibrate-print", "-p", profile, "--heat", "210,60", "-o", tmp_path / "t.gcode")
-    assert run(*words).returncode == 0
-    form.write_text(filled(form.read_text(), {"x": 42.0, "y": 28.0}))
-    done = run("calibrate-print", "--form", form, "-p", profile, "-o", profile)
-    assert done.returncode == 0, done.stderr
-    for limits in get_args(LimitSource):  # corners as in the file, and the firmware's own
-        report = library.convert(LAYER, None, load(str(profile)), Options(limits=limits))
-        assert report.clamped.samples == 0, limits
-        none, compensated = errors(report)
-        below(compensated, 0.25 * none, "contour error, µm RMS")

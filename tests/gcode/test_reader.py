@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -10,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError
@@ -218,18 +215,6 @@ def test_a_line_that_could_be_misread_is_an_error(line: str) -> None:
         items(*HOME, line)
     assert caught.value.line == len(HOME) + 1
     assert str(caught.value).startswith(f"line {len(HOME) + 1}: ")
-
-
-def test_quirks_that_cannot_be_followed_say_where() -> None:
-    with pytest.raises(GcodeError) as caught:
-        list(read((QUIRKS / "modes.gcode").read_bytes().splitlines(), ReadOptions(KLIPPER)))
-    assert caught.value.line == 12
-
-
-@given(st.lists(st.binary(max_size=40), max_size=8))
-def test_no_bytes_raise_anything_else(lines: list[bytes]) -> None:
-    with contextlib.suppress(GcodeError):
-        assert list(read([b"G1 X1 Y1 Z1", *lines], ReadOptions(KLIPPER)))
 
 
 # ---------------------------------------------------------------------- arcs

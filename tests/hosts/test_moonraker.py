@@ -12,19 +12,17 @@ import re
 import shutil
 import subprocess
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from hframe_post.hosts.moonraker.answering import PATIENCE
 from hframe_post.hosts.moonraker.interface import PAGE, page_of
 from hframe_post.hosts.moonraker.upload import KEPT
 from tests.command_line import RECTANGLE
 from tests.conftest import SAMPLES
-from tests.hosts.moonraker import Printer, Server, processes, until
+from tests.hosts.moonraker import Printer, processes, until
 from tests.page.pages import data_of
 
 PYTHON = os.environ.get("MOONRAKER_PYTHON", "")
@@ -156,27 +154,6 @@ def conversions(printer: Printer) -> list[int]:
     return processes(f"{printer.gcodes}/.hframe_post/")
 
 
-def test_an_upload_is_answered_before_a_proxy_gives_up_and_goes_on(printer: Printer) -> None:
-    printer.gate.touch()
-    began = time.monotonic()
-    answer = Server.upload(printer, "part.gcode", PART, print="true")
-    assert PATIENCE <= time.monotonic() - began < 50.0  # nginx's limit is 60 s
-    assert answer["item"]["path"] == "part.gcode"
-    assert answer["action"] == "create_file"
-    assert not answer["print_started"]
-    assert any("part.gcode is still being converted" in line for line in printer.console())
-    waiting, other = started(printer, "waits.gcode", PART), printer.gcodes / "waits.gcode"
-    waits = "// hframe-post: waits.gcode waits until part.gcode is converted; then it is uploaded"
-    until(lambda: any(line.startswith(waits) for line in printer.console()))
-    assert not other.exists()
-    printer.gate.unlink()
-    waiting.join()
-    assert other.read_bytes() == printer.converted(PART)
-    until(lambda: printer.print_stats()["state"] == "complete")
-    assert printer.print_stats()["filename"] == "part.gcode"
-    assert (printer.gcodes / "part.gcode").read_bytes() == printer.converted(PART)
-
-
 def started(printer: Printer, name: str, content: bytes, **form: str) -> threading.Thread:
     """Start an upload that may end with the server."""
     arguments = (printer, name, content)
@@ -280,16 +257,3 @@ def test_a_full_disk_leaves_nothing_that_could_be_printed(
         assert rest == CUBE if fits_twice else rest.startswith(KEPT)
     finally:
         printer.stop()
-
-
-def test_removing_it_leaves_moonraker_as_it_was(printer: Printer) -> None:
-    before = printer.as_set_up
-    printer.config.write_text(before)
-    assert "[hframe_post]" in before
-    assert printer.set_up("--moonraker").count("added") == 0
-    assert printer.config.read_text() == before
-    assert "removed" in printer.set_up("--no-moonraker")
-    assert "hframe_post" not in printer.config.read_text()
-    assert not (printer.components / "hframe_post").is_symlink()
-    printer.set_up("--moonraker")
-    assert printer.config.read_text() == before

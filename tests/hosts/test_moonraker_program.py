@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import lzma
 import os
 import re
 import socket
@@ -22,16 +21,13 @@ import pytest
 from hframe_post.hosts import moonraker
 from hframe_post.hosts.moonraker import conversion
 from hframe_post.hosts.moonraker.disk import FOLDER, BeyondError, FailureError, alone
-from hframe_post.hosts.moonraker.found import offer
 from hframe_post.hosts.moonraker.interface import Interface, as_html, page_of
 from hframe_post.hosts.moonraker.originals import Originals
 from hframe_post.hosts.moonraker.settings import Settings
 from hframe_post.hosts.moonraker.upload import CONVERTING, REFUSAL, Upload, refuse
-from hframe_post.printer.profile import load
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT, SAMPLES
 from tests.hosts.moonraker import WAIT, until, waiting_for
-from tests.recordings import SV08_CONFIG
 
 COMMAND = (sys.executable, "-m", "hframe_post", "-p", str(ROOT / "tests/measured.toml"))
 PART = RECTANGLE.read_bytes()
@@ -336,33 +332,6 @@ def test_without_room_for_a_line_the_file_is_out_of_reach_but_not_lost(
 
 def full(*_: object) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
-@pytest.mark.slow
-def test_recordings_that_the_owner_has_made_are_offered_and_used(
-    part: Path, reports: list[Any]
-) -> None:
-    config, folder = part.with_name("printer.cfg"), part.with_name("ShakeTune_results")
-    config.write_text(f"{SV08_CONFIG}[adxl345]\n")
-    home = str(part.parent)
-    assert run("setup", config, "-o", home, HOME=home, XDG_CONFIG_HOME=home).returncode == 0
-    profile = part.with_name("printer.toml")
-    told = settings(part.parents[1], *COMMAND[:-1], str(profile), recordings=str(part.parent))
-    assert begun("reuse", told).wait() == 1
-    assert "no raw_data_….csv in" in reports[-1]["text"]
-    assert not offer(told, profile)
-    recording = part.with_name(RECORDED.stem)
-    recording.write_bytes(lzma.decompress(RECORDED.read_bytes()))
-    (folder / "input_shaper").mkdir(parents=True)
-    old = folder / "input_shaper/shaper_y.csv"  # of another year: it says nothing of today
-    old.write_text("#time,accel_x,accel_y,accel_z\n")
-    os.utime(old, (1e9, 1e9))
-    prepared(told)
-    assert "recordings by Klipper or Shake&Tune found: 1, " in reports[-1]["text"]
-    assert begun("reuse", told).wait() == 0, reports
-    assert any("y rings at " in report["text"] for report in reports)
-    assert not load(str(profile)).invented
-    assert not offer(told, profile)  # it has been used
 
 
 def recorded(told: Settings, job: str) -> None:

@@ -15,17 +15,6 @@ LIMITS = {
     "square_corner_velocity": 5.0,
     "minimum_cruise_ratio": 0.0,
 }
-ROUND_TRIP = """\
-G28
-G90
-M83
-G1 X100 Y40 Z0.4 E2 F6000
-G1 Y120 E3
-G1 E-1.5 F1800
-G1 X17.3 Y61.7 F9000
-M9999 S1
-G1 E1.5 F1800
-"""
 
 
 def play_text(folder: Path, text: str, **limits: float) -> Playback:
@@ -37,11 +26,6 @@ def play_text(folder: Path, text: str, **limits: float) -> Playback:
 def trapezoid_time(distance: float, speed: float, accel: float) -> float:
     """Return the time in s from rest to rest for a distance long enough to reach the speed."""
     return distance / speed + speed / accel
-
-
-@pytest.fixture(scope="module")
-def round_trip(tmp_path_factory: pytest.TempPathFactory) -> Playback:
-    return play_text(tmp_path_factory.mktemp("round_trip"), ROUND_TRIP)
 
 
 @pytest.mark.parametrize(("max_velocity", "max_accel"), [(500.0, 1000.0), (80.0, 2500.0)])
@@ -89,38 +73,6 @@ M84
     playback = play_text(tmp_path, text)
     assert playback.warnings == ()
     np.testing.assert_allclose(playback.position([playback.end]), [[0.0, 0.0, 0.0]], atol=1e-9)
-
-
-def test_filament_follows_its_own_queue(round_trip: Playback) -> None:
-    extruder = round_trip.extruder
-    assert len(extruder) == 4
-    starts = extruder["print_time"]
-    ends = [*starts[1:], round_trip.end]
-    np.testing.assert_allclose(round_trip.extruded(starts), [0, 2, 5, 3.5], atol=1e-9)
-    np.testing.assert_allclose(round_trip.extruded(ends), [2, 5, 3.5, 5], atol=1e-9)
-
-
-def test_step_counts_agree_with_the_planner(round_trip: Playback) -> None:
-    steps = round_trip.steps()
-    x, y, z = round_trip.position([round_trip.end])[0]
-    (e,) = round_trip.extruded([round_trip.end])
-    np.testing.assert_allclose([x, y, z], [17.3, 61.7, 0.4], atol=1e-9)
-    for motor, position in {"A": x + y, "B": x - y, "z": z, "e": e}.items():
-        train = steps[motor]
-        assert abs(train.direction.sum() * train.size - position) <= train.size
-
-
-def test_step_times_agree_with_the_planner(round_trip: Playback) -> None:
-    steps = round_trip.steps()
-    t = np.linspace(round_trip.start, round_trip.end, 5001)
-    x, y, z = round_trip.position(t).T
-    e = round_trip.extruded(t)
-    for motor, position in {"A": x + y, "B": x - y, "z": z, "e": e}.items():
-        train = steps[motor]
-        assert np.all(np.diff(train.time) > 0.0)
-        # A step falls half way; compression may shift it by 25 us, which is 5 um at 212 mm/s.
-        slack = 0.5 * train.size + 0.006
-        np.testing.assert_allclose(train.position(t), position, atol=slack)
 
 
 @pytest.mark.parametrize(

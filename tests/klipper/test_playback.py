@@ -16,15 +16,11 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.conversion.report import Report
 from hframe_post.firmware.klipper.ramps import StreamLimits
-from hframe_post.model.nozzle import Response
-from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Extruder, Printer
-from hframe_post.studies.inputs import rectangle
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import SAMPLES
-from tests.coupled import coupled_plant
 from tests.quantities import below, near
 
 from .host import BEFORE_2024, Playback, play
@@ -160,32 +156,6 @@ def lateness(off: Array, velocity: Array) -> Array:
 
 def rms(x: Array) -> float:
     return float(np.sqrt(np.square(x).mean())) if len(x) else 0.0
-
-
-def nozzle_error(run: Played, path: Array, plant: Plant) -> float:
-    """Return the RMS contour error of the printer that plays this, mm."""
-    start, offset = first_offset(run)
-    t = np.arange(len(run.command)) * TS + offset
-    command = np.vstack([run.command[:start], run.playback.position(t[start:])[:, :2]])
-    nozzle = Response(plant, command[0]).run(command)
-    moving = np.flatnonzero(np.abs(np.diff(path, axis=0)).max(axis=1) > 0.0)
-    return float(np.sqrt(np.square(contour_error(path, nozzle, moving)).mean()))
-
-
-@pytest.mark.slow
-@pytest.mark.klipper
-def test_couplings_are_cancelled_through_klipper(tmp_path: Path) -> None:
-    paper = profile.load("paper")
-    coupled = replace(paper, plant=coupled_plant(2), invented=False)
-    decoupled = replace(coupled, plant=coupled.plant.decoupled())
-    lines, options = rectangle(coupled), Options("racking", limits="printer", clamp=True)
-    path = np.concatenate([c.xyze[:, :2] for c in SampleStream(lines, coupled, options).computed()])
-    errors = []
-    for printer in (decoupled, coupled):
-        run = lines_played(lines, tmp_path, options, printer)
-        check(run)
-        errors.append(nozzle_error(run, path, coupled.plant))
-    below(errors[1], 0.25 * errors[0], "RMS contour error with couplings cancelled, mm")
 
 
 @pytest.mark.klipper

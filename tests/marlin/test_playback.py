@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,12 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hframe_post.arrays import TS, Array, E, Integers, Z
+from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
-from hframe_post.firmware.marlin.motion import MarlinMotion
 from hframe_post.firmware.marlin.planner import GENERATIONS
-from hframe_post.native.ramps import whole_feeds
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Extruder, Printer
@@ -227,19 +224,6 @@ def test_classic_jerk_plays_the_same(marlin: Printer, planner: str) -> None:
     below(rms(off), 0.012, "RMS distance to the command, mm")
 
 
-def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
-    marlin: Printer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def plainly(self: MarlinMotion, at: Array, T: Array, *rest: Any) -> tuple[Integers, Array]:
-        return whole_feeds(self._blocks(at).d / T, per_feed=rest[-1]), 0.0 * T
-
-    monkeypatch.setattr(MarlinMotion, "feeds", plainly)
-    monkeypatch.setattr(MarlinMotion, "durations", lambda self, at, v, *_: 0.0 * v)
-    monkeypatch.setattr("hframe_post.writers.stream.timing.CATCH_UP", 0.0)
-    first, late, _ = played(laps(), marlin).track()
-    assert abs(drift(first, late)) > 20.0
-
-
 @pytest.mark.parametrize("planner", GENERATIONS)
 def test_lifts_and_retractions_take_the_time_that_they_are_planned_to(
     marlin: Printer, planner: str
@@ -278,19 +262,6 @@ def test_cube_keeps_time_and_place_across_lifts_and_retractions(
     assert cube.machine.merged == 0
 
 
-def test_a_file_takes_as_long_as_sliced_as_the_board_takes(marlin: Printer) -> None:
-    """With its corners: junction deviation lets it pass a right angle at 17.7 mm/s, not at 5."""
-    table = marlin.firmware.marlin
-    assert table is not None
-    board, told = [], []
-    for count in (5, 15):
-        machine = Machine(built(marlin, junction_deviation=table.junction_deviation))
-        board.append(max(run.duration for run in machine.read(b"".join(laps(count)))))
-        told.append(converted(laps(count), marlin)[1].time.before)
-    of_ten = board[1] - board[0]
-    near(told[1] - told[0], of_ten, 0.008 * of_ten, "ten laps as sliced, s")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("planner", GENERATIONS)
 def test_a_slow_board_takes_as_long_for_a_layer_as_sliced_as_is_told(planner: str) -> None:
@@ -305,15 +276,6 @@ def test_a_slow_board_takes_as_long_for_a_layer_as_sliced_as_is_told(planner: st
         told.append(converted(lines, slinger, Options("none"))[1].time.before)
     layer = board[1] - board[0]
     near(told[1] - told[0], layer, 0.008 * layer, "a layer as sliced, s")
-
-
-@pytest.mark.slow
-def test_prism_keeps_place(marlin: Printer) -> None:
-    lines = sample("prism.gcode")
-    prism = played(lines[: lines.index(b";LAYER:8\n")], marlin)
-    _, late, off = prism.track()
-    below(np.median(off), 0.015, "median distance to the command, mm")
-    below(np.median(np.abs(np.diff(late))), 5e-4, "median change of the lateness, s")
 
 
 def contour(block: Samples, printer: Printer, name: str) -> float:
@@ -342,22 +304,6 @@ def test_the_predicted_error_includes_whole_steps(marlin: Printer, lines: list[b
     exact, theirs = (contour(block, marlin, name) for name in both)
     wanted = np.hypot(exact, 1e3 * report.lines_error("racking"))
     near(theirs, float(wanted), 0.15 * float(wanted), "contour error, µm RMS")
-
-
-def test_nozzle_follows_with_marlins_command(
-    marlin: Printer, rectangle: Played, commands: Callable[[str], Samples]
-) -> None:
-    """The predicted contour error holds for the simulated firmware's command, too."""
-    block = commands("racking")
-    one = played(sample("rectangle.gcode"), marlin)
-    late, _ = one.lateness(len(block) // 2, 0.0, 0.4)
-    theirs = one.at(np.arange(len(block)) * TS + late)
-    both = replace(block, commands={**block.commands, "racking": theirs})
-    ideal, ours = (contour(b, marlin, "racking") for b in (block, both))
-    assert block.xyze[:, :Z].shape == theirs.shape
-    none = contour(commands("none"), marlin, "none")
-    below(ours, ideal + 6.0, "RMS contour error, µm")
-    below(ours, none / 8, "RMS contour error, µm")
 
 
 # ---------------------------------------------------------------------- the extruder

@@ -138,57 +138,6 @@ def test_the_nozzle_beside_the_path_is_magnified_and_the_canvas_lets_the_page_sc
 
 
 @pytest.mark.slow
-def test_modes_filters_and_keys_change_what_is_drawn(
-    browser: Browser, paper: Printer, tmp_path: Path
-) -> None:
-    path = tmp_path / "report.html"
-    lines = sliced().splitlines(keepends=True)
-    report = convert(lines, None, paper, page=path)
-    browser.screen(1280, 1500)
-    browser.open(path)
-    frame = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
-    browser.value("state.strategy = 0, show(1)")
-    pictures = set()
-    for mode in ("error", "width", "speed", "acceleration", "motor"):
-        browser.value(f"$('mode').value = '{mode}', $('mode').dispatchEvent(new Event('change'))")
-        browser.value(frame)
-        pictures.add(browser.value("canvas.toDataURL()"))
-    assert len(pictures) == 5
-    squares = browser.value("""(() => {
-        let squares = 0, length = 0;
-        for (let k = 1; k < path.x.length; k++) if (!isStart(k) && !isTravel(k)) {
-            const far = Math.hypot(...way(k)) / width(k, 0);  // of the nozzle
-            squares += far * (width(k, 0) - 1) ** 2; length += far;
-        }
-        return squares / length; })()""")
-    assert np.sqrt(squares) == pytest.approx(report.width["none"].rms, rel=0.3)
-    assert browser.value("Math.max(...path.x.keys().map(motorSpeed))") == pytest.approx(100, abs=2)
-
-    browser.value("canvas.focus()")
-    for key, found in (("ArrowUp", "state.layer === 2"), ("ArrowLeft", "state.until === 0.99")):
-        browser("Input.dispatchKeyEvent", type="keyDown", key=key)
-        assert browser.value(found)
-    browser.value("[...document.querySelectorAll('#filter input')].forEach(one => one.click())")
-    assert browser.value("state.hidden.size") >= 1
-    assert browser.value("nearest(...toScreen(120, 100, canvas.getBoundingClientRect()))") == -1
-    assert browser.complaints == []
-
-
-@pytest.mark.slow
-def test_nothing_of_a_hostile_file_is_run(browser: Browser, paper: Printer, tmp_path: Path) -> None:
-    path = tmp_path / "evil.html"
-    built(paper, sliced(EVIL), path, EVIL)
-    browser.screen(390, 844, dark=True)
-    browser.open(path)
-    browser.value("pick(first[1] + 2)")
-    assert browser.value("window.evil") is None
-    assert browser.value("document.querySelectorAll('img').length") == 0
-    assert EVIL in browser.value("document.getElementById('features').textContent")
-    assert browser.value("document.documentElement.scrollWidth") <= 390
-    assert browser.complaints == []
-
-
-@pytest.mark.slow
 def test_it_fits_phones_and_desks_by_day_and_by_night(
     browser: Browser, paper: Printer, tmp_path: Path, artefacts: Path
 ) -> None:

@@ -213,14 +213,6 @@ def test_answers_of_real_boards(answers: Path, board: str) -> None:
     assert read == pytest.approx(READ[board], rel=1e-3)
 
 
-@pytest.mark.parametrize(("kinematics", "diagonal"), [("cartesian", 2.0**0.5), ("corexy", 1.0)])
-def test_m201_limits_each_motor(answers: Path, kinematics: str, diagonal: float) -> None:
-    """On a cartesian printer, x and y each have it. On a CoreXY, a diagonal has no more."""
-    limits = profile(MarlinSettings([answers]), kinematics).limits
-    assert limits.acceleration_by_axis == (diagonal > 1.0)
-    assert limits.deceleration == pytest.approx(diagonal * limits.acceleration, abs=1.0)
-
-
 def test_whatever_the_log_writes_before_the_answers(answers: Path) -> None:
     plain = profile(MarlinSettings([answers]))
     lines = answers.read_text().splitlines()
@@ -283,14 +275,3 @@ def test_headers_add_what_the_answers_leave_open(answers: Path, tmp_path: Path) 
     header.write_text("#define DELTA\n")
     with pytest.raises(HframeError, match="DELTA"):
         MarlinSettings([answers, header]).kinematics()
-
-
-def test_a_missing_value_is_an_error_that_names_it(answers: Path) -> None:
-    with pytest.raises(HframeError, match="no values of M203"):
-        changed(answers, "M203", "M999")
-    answers.write_text(M503.read_text())
-    with pytest.raises(HframeError, match="M201 has no Z"):
-        profile(changed(answers, "Z100.00 E5000.00", ""))
-    answers.write_text(M503.read_text())
-    with pytest.raises(HframeError, match="M204 P-1500 is not possible"):
-        profile(changed(answers, "P1500", "P-1500"))

@@ -71,13 +71,6 @@ def test_extension_takes_the_rest_from_its_base() -> None:
     assert mine.description == paper.description
 
 
-def test_lever_arm_is_needed_only_where_something_racks() -> None:
-    racking = edited(r"^x_c = [^\n]*\n", "")
-    assert error(racking).key == "plant.x_c"
-    assert "\nx_c" not in shipped()["example-corexy"]
-    assert load("example-corexy").plant.Gxtheta is None
-
-
 # ---------------------------------------------------------------------- digest
 
 
@@ -292,36 +285,12 @@ def test_missing_key_or_table_is_an_error(pattern: str, key: str) -> None:
     assert (found.key, "missing" in found.cause) == (key, True)
 
 
-def test_extension_of_an_unknown_profile_names_the_known_ones() -> None:
-    for base in ('"papr"', "3", "['paper']"):
-        found = error(f"extends = {base}\n")
-        assert found.key == "extends"
-        assert all(name in found.cause for name in shipped())
-
-
 # ---------------------------------------------------------------------- bad files
 
 
 @pytest.mark.parametrize("text", ["[limits", "a = ", "a = 1\na = 2", "velocity 3", "\x00"])
 def test_what_is_not_toml_is_an_error(text: str) -> None:
     assert "not valid TOML" in error(text).cause
-
-
-@pytest.mark.parametrize(
-    ("text", "cause"),
-    [
-        ("a = " + 20_000 * "[" + 20_000 * "]", "nested too deeply"),
-        ("a = " + 2_000 * "{a=" + "1" + 2_000 * "}", "nested too deeply"),
-        ("[" + ".".join(3_000 * "a") + "]", "nested too deeply"),
-        ("[limits]\njerk = 1" + 5_000 * "0", "not valid TOML: Exceeds the limit"),
-        ("description = '" + 2_000_000 * "x" + "'", "larger than 1048576 bytes: no profile is"),
-    ],
-    ids=["arrays", "tables", "keys", "digits", "length"],
-)
-def test_hostile_toml_is_an_error(tmp_path: Path, text: str, cause: str) -> None:
-    path = tmp_path / "hostile.toml"
-    path.write_text(extending(text))
-    assert cause in failing(path).cause
 
 
 def test_speed_is_one_number_or_a_table_by_kind_of_feature() -> None:
@@ -346,9 +315,3 @@ def failing(path: Path) -> PrinterError:
         load(str(path))
     assert caught.value.source == str(path)
     return caught.value
-
-
-def test_missing_file_names_the_shipped_profiles(tmp_path: Path) -> None:
-    cause = failing(tmp_path / "none.toml").cause
-    assert all(name in cause for name in shipped())
-    assert "no such profile or file" in failing(tmp_path).cause

@@ -6,7 +6,6 @@ import json
 import math
 import re
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ import pytest
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError
-from hframe_post.library import convert, load_printer
 from hframe_post.model.plant import Plant
 from hframe_post.planner.pacing import ADJUSTED, FIRST_LAYERS, NAMES
 from hframe_post.prediction.predict import judge
@@ -146,20 +144,6 @@ def test_layers_whose_feed_changes_take_as_long_as_in_a_plan_of_the_whole_print(
 
 
 @pytest.mark.slow
-def test_convert_within_an_error(tmp_path: Path) -> None:
-    part, out = tmp_path / "in.gcode", tmp_path / "out.gcode"
-    part.write_bytes(b"".join(cube()))
-    bounds = "outer-wall=30um,infill=0.2mm"
-    done = run(part, "-o", out, "--max-error", bounds, "--json", tmp_path / "s.json")
-    assert done.returncode == 0
-    report = json.loads((tmp_path / "s.json").read_text())
-    assert report["speed"]["features"]["outer-wall"]["bound_um"] == 30.0
-    assert report["print_time_s"]["after"] == pytest.approx(
-        report["speed"]["print_time_s"]["after"]
-    )
-
-
-@pytest.mark.slow
 def test_same_bytes_each_time_and_whatever_the_processes(tmp_path: Path) -> None:
     part = tmp_path / "in.gcode"
     part.write_bytes(b"".join(cube()))
@@ -198,45 +182,6 @@ def test_a_profile_asks_for_it_and_an_option_says_no(tmp_path: Path) -> None:
     piped = run("-", "-p", mine)
     assert piped.returncode == 2
     assert b"--max-error off" in piped.stderr
-
-
-def test_batch_and_library_follow_the_profile_and_batch_resumes(tmp_path: Path) -> None:
-    part, mine, out = tmp_path / "in.gcode", tmp_path / "mine.toml", tmp_path / "out"
-    mine.write_text(
-        'extends = "paper"\n[speed]\nmax_error = 0.1\nmodel_error = 0.0\n'
-        "[plant]\ninvented = false\n"
-    )
-    part.write_bytes(b"".join(cube()))
-    again = partial(run, "batch", part, "-d", out, "-p", mine, "--resume")
-    assert b"1 converted, 0 skipped" in again().stderr
-    assert b"0 converted, 1 skipped" in again().stderr
-    made = (out / "in.gcode").read_bytes()
-    printer = load_printer(mine)
-    fast = convert(part, tmp_path / "same.gcode", printer)
-    assert (tmp_path / "same.gcode").read_bytes() == made
-    plain = convert(list(cube()), tmp_path / "plain.gcode", printer, Options(max_error={}))
-    assert plain.time.before == fast.time.before  # the firmware's own, whatever was asked
-    assert plain.time.after > fast.time.after + 1.0
-    with pytest.raises(HframeError, match="a list of lines"):
-        convert(iter(cube()), tmp_path / "once.gcode", printer)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "cause"),
-    [
-        (("--max-error", "30"), "30um"),
-        (("--max-error", "nose=30um"), "outer-wall"),
-        (("--max-error", "0um"), "between"),
-        (("--speed-up", "2"), "--max-error"),
-        (("--max-width-error", "5%"), "--max-error"),
-        (("--max-error", "30um", "--max-width-error", "5"), "such as 5%"),
-        (("--max-error", "30um", "--speed-up", "0.5"), "from 1"),
-    ],
-)
-def test_wrong_usage(arguments: tuple[str, ...], cause: str) -> None:
-    done = run(SAMPLES / "cube.gcode", "-n", *arguments)
-    assert done.returncode == 2
-    assert cause in done.stderr.decode()
 
 
 def test_a_profile_bounds_acceleration_and_corners_of_the_path(paper: Printer) -> None:
