@@ -1,8 +1,8 @@
 """``python -m tests.fuzz.guided TARGET``: coverage-guided fuzzing with atheris (extra ``fuzz``).
 
 Other arguments are libFuzzer's: -max_total_time=1800, and a folder that keeps what it learned.
-Without compiled loops, whose coverage it would not see. It ends at the first defect, and writes
-it to crash-…; once it is corrected, that belongs into found/TARGET.
+Lines are read one by one: it would not see the coverage of compiled loops. It ends at the first
+defect, and writes it to crash-…; once it is corrected, that belongs into found/TARGET.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ def main() -> None:
     name, *options = sys.argv[1:]
     with atheris.instrument_imports(include=["hframe_post"]):
         targets: Any = import_module("tests.fuzz.targets")
-        native: Any = import_module("hframe_post.native")
-    native.built = lambda: None
+        batching: Any = import_module("hframe_post.gcode.batching")
+    batching.plain_moves = import_module("tests.gcode_tools").one_by_one
     with tempfile.TemporaryDirectory() as folder:
         for k, seed in enumerate(targets.seeds(name)):
             Path(folder, str(k)).write_bytes(seed)
