@@ -256,3 +256,13 @@ def log(text: str) -> None:
 
 def _print_log(text: str) -> None:
     click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)
+
+
+def old_option(name: str, instead: str) -> Callable[[Command], Command]:
+    """Return a hidden option that ends in one line: what replaced it."""
+
+    def gone(_: click.Context, option: click.Parameter, value: str | None) -> None:
+        if value is not None:
+            raise click.UsageError(f"{option.opts[0]} is gone: {instead}")
+
+    return click.option(name, hidden=True, expose_value=False, callback=gone)
