@@ -2,7 +2,7 @@ PYTHON ?= python3
 # Without bytecode, each process that a test starts would compile the package again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: check lint test slow hosts programs debian docs bench fuzz guided random-printers audit
+.PHONY: check lint test bytes slow hosts programs debian docs bench fuzz guided random-printers audit
 
 # both at once: mypy needs one core for as long as a sixth of the tests take on two
 check:
@@ -16,6 +16,10 @@ lint:
 
 test:
 	$(PYTHON) -m pytest -n auto --dist worksteal
+
+# What slices become, to the byte, and their reports; UPDATE=1 rewrites tests/bytes/manifest.json.
+bytes:
+	$(PYTHON) -m pytest -m slow tests/bytes $(if $(UPDATE),--update-golden,-n auto)
 
 # HOSTS: a folder for environments with the real Moonraker and OctoPrint, and for Klipper's source
 HOSTS ?= $(HOME)/.cache/hframe-post-hosts

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import sys
 from typing import NoReturn
 
 
@@ -15,10 +14,6 @@ def main() -> NoReturn:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     # numpy would start a thread for each processor, which takes 0.1 s of them; all work uses one
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if getattr(sys, "frozen", False):  # a single file, which its child processes run, too
-        from multiprocessing import freeze_support
-
-        freeze_support()
 
     from hframe_post.cli.main import run
 

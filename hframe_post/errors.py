@@ -18,7 +18,7 @@ def install_advice(package: str) -> str:
     """Return the command that adds a package to this installation of hframe-post."""
     folders = Path(sys.prefix).parts
     python = f'"{sys.executable}"' if " " in sys.executable else sys.executable
-    if getattr(sys, "frozen", False) or "pipx" in folders:
+    if "pipx" in folders:
         return f"pipx inject hframe-post {package}"
     if "uv" in folders:  # which puts no pip into its environments
         return f"uv pip install --python {python} {package}"
@@ -86,14 +86,6 @@ class PrinterError(HframeError):
     def __init__(self, cause: str, key: str = "", source: str = "") -> None:
         self.cause, self.key, self.source = cause, key, source
         super().__init__("".join(f"{part}: " for part in (source, key) if part) + cause)
-
-
-class StepFileError(HframeError):
-    """A file that should hold step times does not."""
-
-    def __init__(self, cause: str, path: Path, line: int | None = None) -> None:
-        self.cause, self.path, self.line = cause, path, line
-        super().__init__(f"{path}: {_place(line)}{cause}")
 
 
 class IdentificationError(HframeError):

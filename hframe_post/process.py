@@ -30,8 +30,6 @@ def processor_count() -> int:
 
 def own_command() -> list[str]:
     """Return the first words of a command that runs this tool in another process."""
-    if getattr(sys, "frozen", False):  # a single file that needs no Python
-        return [sys.executable]
     return [sys.executable, "-m", "hframe_post"]
 
 

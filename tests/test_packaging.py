@@ -19,7 +19,7 @@ import pytest
 import hframe_post
 from hframe_post.errors import install_advice
 from tests.conftest import ROOT, SAMPLES
-from tools.release_check import KIAUH, missing
+from tools.release_check import missing
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 
@@ -73,20 +73,6 @@ def converts(program: Path, folder: Path) -> None:
     assert (folder / "out" / rectangle.name).read_bytes().startswith(b"; processed by hframe-post")
 
 
-@pytest.mark.slow
-def test_the_single_file_needs_no_python(tmp_path: Path) -> None:
-    subprocess.run([sys.executable, ROOT / "tools" / "single_file.py", tmp_path], check=True)
-    program = tmp_path / "hframe-post"
-    assert program.stat().st_size < 100e6
-    for arguments in (["--version"], ["printers"], ["doctor"]):
-        empty = {"PATH": "", "HOME": str(tmp_path)}
-        subprocess.run([program, *arguments], check=True, env=empty, cwd=tmp_path)
-    converts(program, tmp_path)
-    part, report = SAMPLES / "rectangle.gcode", tmp_path / "report.html"
-    subprocess.run([program, part, "-n", "-q", "--report", report], check=True)
-    assert b"loading" in report.read_bytes()
-
-
 IMPORTED_AS = {"pybgcode": "pybgcode-jneilliii"}
 
 
@@ -126,7 +112,6 @@ def test_version_is_that_of_the_installation() -> None:
 
 FILLED_IN = {
     "pyproject.toml": "[project.urls]\nHomepage = ''\nRepository = ''\nChangelog = ''\n",
-    KIAUH: '{"metadata": {"repo": "https://example.org"}}',
     "README.md": "![a figure](https://example.org/a.svg)\npipx install hframe-post\n",
     "docs/install.md": "pipx install hframe-post\n",
     "docs/start.md": "pipx install hframe-post\n",
@@ -137,7 +122,6 @@ FILLED_IN = {
     ("page", "now", "forgotten", "words"),
     [
         ("pyproject.toml", "Homepage", "Home", r": \[project.urls\] has no Homepage"),
-        (KIAUH, "repo", "report", ": there is no repo"),
         ("README.md", "https://example.org/", "docs/", ":1: PyPI shows figures"),
         ("docs/start.md", "install hframe-post", "install .", ":1: .*: pipx install \\."),
         ("docs/install.md", "pipx", "It is in no index", ":1: .*: It is in no index"),

@@ -8,7 +8,6 @@ The workflow that releases a tag begins with it.
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 import tomllib
@@ -16,7 +15,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 LABELS = ("Homepage", "Repository", "Changelog")  # OctoPrint and Moonraker show them
-KIAUH = "integrations/kiauh/hframe_post/metadata.json"
 PAGES = ("README.md", "docs/install.md", "docs/start.md")
 FROM_FOLDER = re.compile(
     r"(pipx|uv tool|pip) install (--force )?\.(?![\w/])|(not in an|in no) index"
@@ -27,8 +25,6 @@ def missing(root: Path) -> list[str]:
     """Return what is to be filled in, a line each."""
     urls = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["project"]["urls"]
     found = [f"pyproject.toml: [project.urls] has no {each}" for each in LABELS if each not in urls]
-    if "repo" not in json.loads((root / KIAUH).read_text("utf-8"))["metadata"]:
-        found.append(f"{KIAUH}: there is no repo")
     for page in PAGES:
         for number, line in enumerate((root / page).read_text("utf-8").splitlines(), 1):
             if FROM_FOLDER.search(line):

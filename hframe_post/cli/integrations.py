@@ -205,8 +205,6 @@ def plugin_files(command: list[str], profile: str) -> dict[str, str]:
         for path in folder.rglob("*")
         if path.is_file() and path.suffix != ".pyc"
     }
-    if "__init__.py" not in files:
-        raise HframeError("the single-file program has no plugin: install with pipx")
     own = {"COMMAND": repr(command), "PROFILE": repr(profile)}
     files["__init__.py"] = re.sub(
         r"^(COMMAND|PROFILE) = .*$", lambda found: f"{found[1]} = {own[found[1]]}",

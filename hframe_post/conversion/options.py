@@ -30,7 +30,7 @@ TOLERANCE = 0.014  # mm; moves the nozzle by 1 µm RMS, because the printer smoo
 MAX_SPEED_UP = 20.0  # times the file's feed rates
 UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0}
 
-Kind = Literal["gcode", "bgcode", "steps", "step-bits", "samples"]
+Kind = Literal["gcode", "bgcode", "steps", "samples"]
 Retract = Literal["standing", "moving"]
 
 

@@ -35,7 +35,6 @@ from hframe_post.conversion.meters import (
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.path_meter import PathMeter
 from hframe_post.conversion.report import AdvanceReport, BandReport, Plastic, Report
-from hframe_post.conversion.saving import FasterTime, Saving
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.advance import Advance
@@ -236,17 +235,12 @@ class PlannedFile:
         self._firmware, bands = firmware(printer), MotorBands.from_printer(printer)
         self._sliced = SlicedTime(self._firmware.limits(printer), bands)
         self._times, self._following = StageTimes(), following(printer)
-        # an extruder that follows its advance limits accelerations, too
-        compares = options.speed is None and options.strategy != "none" and not self._following
-        self._faster = FasterTime(printer, self._sliced) if compares else None
 
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         items = parsed(self._input.lines(self._lines), self._printer, self._options)
         items = self._times.timed("read", self._input.items(items))
         items = self._sliced.items(items)
-        if self._faster is not None:
-            items = self._faster.items(items)
         items = self._path.items(items)
         plans = scheduled(items, self._printer, followed=self._following)
         return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))
@@ -266,15 +260,7 @@ class PlannedFile:
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
             bands=self._bands(motion.in_bands), metered=motion.metered,
-            saving=self._saving(motion),
         )  # fmt: skip
-
-    def _saving(self, motion: MotionSummary) -> Saving | None:
-        """Return the time that the print could lose within the error without compensation."""
-        if self._faster is None or "none" not in motion.contour:
-            return None
-        error = motion.contour["none"].shown.measured(self._printer.speed.error_measure)
-        return Saving.worth_a_line(self._faster.lost(), self._sliced.seconds, error)
 
     def advance(self, found: AdvanceSummary) -> AdvanceReport | None:
         """Return what was done about pressure advance, if there is any."""

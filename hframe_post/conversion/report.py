@@ -13,7 +13,6 @@ from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
 from hframe_post.conversion.meters import InputSummary, PrintTime
 from hframe_post.conversion.path_meter import PathSummary, percent
-from hframe_post.conversion.saving import Saving
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.bands import TimeInBands
 from hframe_post.prediction.line_width import PIECE
@@ -154,8 +153,7 @@ class Report:
     errors, if one was asked for. metered: sums of the options' meters. notices: warnings of the
     printer's profile. plastic: of a bed that moves. other_tools: commands after which the plant is
     not that of the tool that prints; None if the profile does not say. advance: pressure advance,
-    if there is any. bands: of motor speed, if the profile avoids any. saving: of time that
-    is possible within the error without compensation, if it is known and large enough.
+    if there is any. bands: of motor speed, if the profile avoids any.
     """
 
     strategy: str
@@ -182,7 +180,6 @@ class Report:
     other_tools: tuple[str, ...] | None = None
     advance: AdvanceReport | None = None
     bands: BandReport | None = None
-    saving: Saving | None = None
 
     def lines_error(self, name: str) -> float:
         """Return by how much (mm RMS) the written lines, in whole steps, add to a strategy's error.
@@ -204,7 +201,6 @@ class Report:
             "plastic_on_bed": asdict(self.plastic) if self.plastic else None,
             "pressure_advance_s": self.advance.as_json() if self.advance else None,
             "motor_bands": self.bands.as_json() if self.bands else None,
-            "could_take_less_s": round(self.saving.seconds) if self.saving else None,
         }
         return {
             "warnings": self.warnings(),
@@ -280,7 +276,6 @@ class Report:
                 f"steps            {self.steps.rows} rows, {self.steps.ticks} ticks of "
                 f"{self.steps.clock_hz:g} Hz; {motors}"
             )
-        lines += [self.saving.as_text()] if self.saving else []
         return "\n".join([*self.warning_lines(), *head, *lines, *self.speed_text.splitlines()])
 
     def _width_as_text(self) -> list[str]:

@@ -42,10 +42,6 @@ class Code(ABC):
         """
         return {"G91": b"G90\n", "M82": b"M83\n"}.get(name, b"")  # where G90 leaves E as it is
 
-    def labels_object(self, text: bytes) -> bool:
-        """Return whether the firmware may leave out the moves before or after this line."""
-        return False
-
     def reset_extruder(self, filament: float) -> bytes:
         """Return a line that resets the firmware's count of filament (mm), or nothing."""
         return b""

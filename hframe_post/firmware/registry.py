@@ -12,12 +12,8 @@ from hframe_post.firmware.klipper.firmware import Klipper
 from hframe_post.firmware.marlin.firmware import Marlin
 from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.settings import Printer
-from hframe_post.registry import Registry
 
-FIRMWARES: Registry[Firmware] = Registry(
-    "firmwares", {each.name: each for each in (Klipper(), Marlin())},
-    lambda found: found if isinstance(found, Firmware) else None,
-)  # fmt: skip
+FIRMWARES: dict[str, Firmware] = {each.name: each for each in (Klipper(), Marlin())}
 
 
 def firmware(printer: Printer) -> Firmware:

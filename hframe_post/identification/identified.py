@@ -35,16 +35,18 @@ class Measured:
     """A transfer function as measured.
 
     places: the response at each position (mm of x). mean: their average. spread: RMS difference of
-    the positions from the mean, relative. delay_bounds: of the recording, s. excited_hz: the
-    lowest frequency that is excited. resonance_hz: the lowest strong resonance, if the
+    the positions from the mean, relative; repeated: likewise of runs in one direction.
+    delay_bounds: of the recording, s. excited_hz:
+    lowest and highest frequency that is excited. resonance_hz: the lowest strong resonance, if the
     recordings are not calibrated. known_start: whether they are of strokes.
     """
 
     places: list[tuple[float, FrequencyResponse]]
     mean: FrequencyResponse
     spread: float
+    repeated: float
     delay_bounds: tuple[float, float]
-    excited_hz: float = 0.0
+    excited_hz: tuple[float, float] = (0.0, np.inf)
     resonance_hz: float | None = None
     known_start: bool = False
 
@@ -56,7 +58,8 @@ class Measured:
         """Return what was excited within the band; None if the recordings are calibrated."""
         if self.resonance_hz is None:
             return None
-        band = max(band_hz[0], self.excited_hz), band_hz[1]
+        low, high = self.excited_hz
+        band = max(band_hz[0], low), min(band_hz[1], high)
         return Excited([run.within(band) for run in self.runs], self.resonance_hz)
 
 
@@ -122,10 +125,10 @@ class Identified:
         """Return why the models are too poor for a profile, or None if they are good enough."""
         for name in AXIS.keys() & self.fits.keys():
             measured = self.measured[name]
-            if measured.resonance_hz is not None and measured.spread > OTHER_PRINTER:
+            if measured.resonance_hz is not None and measured.repeated > OTHER_PRINTER:
                 return (
                     f"the recordings of {AXIS[name]} differ from each other by "
-                    f"{100 * measured.spread:.0f} %. They are of two printers, of one that was "
+                    f"{100 * measured.repeated:.0f} %. They are of two printers, of one that was "
                     "changed in between, or of other motions than their names say: identify each "
                     "by itself"
                 )

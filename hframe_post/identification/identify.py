@@ -44,6 +44,7 @@ from hframe_post.identification.racking import find_racking
 from hframe_post.identification.responses.crossed import Crossed, crossed
 from hframe_post.identification.responses.frequency_response import (
     Distortion,
+    FrequencyResponse,
     average,
     share_left,
     spread,
@@ -141,10 +142,13 @@ def _measured(group: RunGroup, settings: MeasurementSettings) -> Measured:
     responses = [run.response for run in group.runs]
     places = [(run.place, run.response) for run in group.runs]
     differ = spread(responses, settings.band_hz)
-    low = max(settings.band_hz[0], group.excited_hz)
+    alike: dict[tuple[float, float] | None, list[FrequencyResponse]] = {}
+    for run in group.runs:
+        alike.setdefault(run.direction, []).append(run.response)
+    repeated = max(spread(each, settings.band_hz) for each in alike.values())
     return Measured(
-        places, average(responses), differ, group.delay_bounds, low, group.resonance_hz,
-        group.known_start,
+        places, average(responses), differ, repeated, group.delay_bounds, group.excited_hz,
+        group.resonance_hz, group.known_start,
     )  # fmt: skip
 
 

@@ -13,6 +13,8 @@ from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
 
+TESTED = 0.8  # of the band that the model must explain, from which a test was long enough
+
 
 def conclude(
     gathered: Gathered, profile: Printer, settings: MeasurementSettings
@@ -69,6 +71,13 @@ class IdentificationReport:
         """Return what the user should not rely on, with the contour error that may remain."""
         identified = self.identified
         messages = [*identified.warnings]
+        for name, axis in AXIS.items():
+            measured = identified.measured.get(name)
+            if measured is not None and measured.excited_hz[1] < TESTED * measured.mean.hz[-1]:
+                messages.append(
+                    f"{axis} was tested up to {measured.excited_hz[1]:.0f} Hz, so what rings above "
+                    "is not known. Test up to 135 Hz (max_freq of [resonance_tester])"
+                )
         messages += [
             found.rocking.message(name) for name, found in identified.fits.items() if found.rocking
         ]

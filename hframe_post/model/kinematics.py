@@ -22,7 +22,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hframe_post.arrays import TS, Array
-from hframe_post.registry import Registry
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,17 +38,13 @@ class Belts:
     z_is_separate: bool = True
 
 
-TYPES: Registry[Belts] = Registry(
-    "kinematics",
-    {
-        "hbot": Belts(((1.0, 1.0), (1.0, -1.0)), racks=True),
-        "corexy": Belts(((1.0, 1.0), (1.0, -1.0))),
-        "hybrid-corexy": Belts(((1.0, -1.0), (0.0, 1.0))),
-        "corexz": Belts(((1.0, 0.0), (0.0, 1.0)), bed_moves=True, z_is_separate=False),
-        "cartesian": Belts(((1.0, 0.0), (0.0, 1.0)), bed_moves=True),
-    },
-    lambda found: found if isinstance(found, Belts) else None,
-)
+TYPES = {
+    "hbot": Belts(((1.0, 1.0), (1.0, -1.0)), racks=True),
+    "corexy": Belts(((1.0, 1.0), (1.0, -1.0))),
+    "hybrid-corexy": Belts(((1.0, -1.0), (0.0, 1.0))),
+    "corexz": Belts(((1.0, 0.0), (0.0, 1.0)), bed_moves=True, z_is_separate=False),
+    "cartesian": Belts(((1.0, 0.0), (0.0, 1.0)), bed_moves=True),
+}
 
 
 @dataclass(frozen=True, slots=True)

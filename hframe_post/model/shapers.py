@@ -36,7 +36,6 @@ from numpy.polynomial.polynomial import polyval, polyval2d
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError
-from hframe_post.registry import Registry
 
 TOLERATED = 0.05  # V of the ei family: remaining share of the ringing without a shaper
 
@@ -230,19 +229,15 @@ def _smoother(_: float, name: str) -> Impulses:
     return np.maximum(np.polyval(weights, T), 0.0), length * T
 
 
-KINDS: Registry[Kind] = Registry(
-    "shapers",
-    {
-        "zv": Kind(partial(_zv, more=0)),
-        "mzv": Kind(_mzv, parameters=(("n", int), ("t", float))),
-        "ei": Kind(_ei, 0.4, (("v_tol", float),)),
-        "2hump_ei": Kind(partial(_humps, table=TWO_HUMPS), 0.3),
-        "3hump_ei": Kind(partial(_humps, table=THREE_HUMPS), 0.2),
-        **{f"zv{'d' * more}": Kind(partial(_zv, more=more)) for more in (1, 2, 3)},
-        **{name: Kind(partial(_smoother, name=name)) for name in SMOOTHERS},
-    },
-    lambda found: found if isinstance(found, Kind) else None,
-)
+KINDS = {
+    "zv": Kind(partial(_zv, more=0)),
+    "mzv": Kind(_mzv, parameters=(("n", int), ("t", float))),
+    "ei": Kind(_ei, 0.4, (("v_tol", float),)),
+    "2hump_ei": Kind(partial(_humps, table=TWO_HUMPS), 0.3),
+    "3hump_ei": Kind(partial(_humps, table=THREE_HUMPS), 0.2),
+    **{f"zv{'d' * more}": Kind(partial(_zv, more=more)) for more in (1, 2, 3)},
+    **{name: Kind(partial(_smoother, name=name)) for name in SMOOTHERS},
+}
 WITH_PARAMETERS = ("mzv(n=4,t=0.9)", "mzv(n=5,t=1.1)")  # those that Klipper's manual names
 NAME = re.compile(r"(\w+)(?:\s*\((.*)\))?")
 

@@ -13,7 +13,6 @@ from typing import Any, ClassVar, TypeVar
 
 from hframe_post.errors import PrinterError
 from hframe_post.printer.schema import checked, known_keys, not_negative, positive, within
-from hframe_post.registry import Registry
 
 FASTEST, HARDEST = 1e4, 1e7  # largest mm/s and mm/s² of a setting
 MARLIN_PLANNERS = ("2.0", "2.1", "2.1-dev", "ft-motion")
@@ -173,15 +172,7 @@ class FirmwareSettings:
         return self.table(MarlinTable)
 
 
-def _table_of(firmware: Any) -> type[FirmwareTable] | None:
-    """Return the class of a firmware's table, of which nothing else is known here."""
-    table = getattr(firmware, "table", None)
-    return table if isinstance(table, type) and issubclass(table, FirmwareTable) else None
-
-
-TABLES: Registry[type[FirmwareTable]] = Registry(
-    "firmwares", {"klipper": KlipperTable, "marlin": MarlinTable}, _table_of
-)
+TABLES: dict[str, type[FirmwareTable]] = {"klipper": KlipperTable, "marlin": MarlinTable}
 NAMES = ("harmless", "returns", "other_tools")
 NAME = re.compile(r"[A-Za-z_][\w.]*\*?", re.ASCII)
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import re
-import runpy
 import sys
-import zipfile
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -18,7 +16,6 @@ import pytest
 from hframe_post.cli.integrations import script
 from tests.command_line import run
 from tests.conftest import ROOT, SAMPLES
-from tools.cura_package import build as cura_package
 
 LAYERS = 3
 PROGRAM = f'"{sys.executable}" -m hframe_post'
@@ -201,32 +198,3 @@ def test_it_is_installed_into_every_version(cura: object, tmp_path: Path) -> Non
     assert found.getSettingData()["key"] == "HframePost"
     assert found.getSettingValueByKey("profile") == "paper-strong"
     assert install("-p", "nobody").returncode == 1
-
-
-def test_the_package_puts_the_script_where_cura_looks(
-    cura: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    packed = cura_package(tmp_path)
-    assert packed.read_bytes() == cura_package(tmp_path / "again").read_bytes()
-    with zipfile.ZipFile(packed) as files:
-        files.extractall(tmp_path / "cura")
-    about = json.loads((tmp_path / "cura/package.json").read_text())
-    place = tmp_path / "cura/files/plugins" / about["package_id"]
-    assert json.loads((place / "plugin.json").read_text())["version"] == about["package_version"]
-
-    class Resources:
-        Resources = 1
-
-        @staticmethod
-        def getStoragePath(kind: int) -> str:
-            return str(tmp_path / "5.9")
-
-    stand_ins = {"Extension": object, "Resources": Resources}
-    for name, member in stand_ins.items():
-        module = ModuleType(f"UM.{name}")
-        setattr(module, name, member)
-        monkeypatch.setitem(sys.modules, f"UM.{name}", module)
-    assert runpy.run_path(str(place / "__init__.py"))["register"](None)
-    installed = tmp_path / "5.9/scripts/HframePost.py"
-    assert installed.read_text() == script("hframe-post", "")
-    assert loaded(installed).getSettingData()["key"] == "HframePost"

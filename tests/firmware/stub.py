@@ -1,6 +1,6 @@
 """A third firmware, made by the recipe of docs/architecture.md: it turns corners without braking.
 
-``installed`` adds it as a package would that pip has installed.
+``add`` makes it known to this process, ``installed`` to those that a test starts.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from hframe_post.firmware.code import Code, coordinates, modes, plain
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
 from hframe_post.firmware.motion import MotionRules, NextTo
+from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.model.shapers import Shaping
 from hframe_post.native.ramps import whole_feeds
-from hframe_post.printer.firmware_tables import FirmwareTable
+from hframe_post.printer.firmware_tables import TABLES, FirmwareTable
 from hframe_post.printer.schema import positive
 from hframe_post.printer.settings import Printer
 from hframe_post.printer.setup import Known, Tables, gentle, motors
@@ -141,8 +142,11 @@ STUB = Stub()
 
 
 def installed(folder: Path) -> None:
-    """Make a folder, if it is on PYTHONPATH, hold a distribution that adds the stub."""
-    info = folder / "stub_firmware-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stub-firmware\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[hframe_post.firmwares]\nstub = {__name__}:STUB\n")
+    """Let every Python with this folder on its PYTHONPATH know the stub."""
+    (folder / "sitecustomize.py").write_text(f"from {__name__} import add\n\nadd()\n")
+
+
+def add() -> None:
+    """Add the stub to the firmwares, as a program of its owner does."""
+    FIRMWARES[STUB.name] = STUB
+    TABLES[STUB.name] = StubTable

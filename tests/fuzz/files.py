@@ -8,7 +8,6 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from random import Random
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -22,12 +21,10 @@ from hframe_post.identification.recordings import accelerometer
 from hframe_post.printer.profile import load
 from hframe_post.printer.setup import Known, profile_text
 from hframe_post.studies.comparison.compare import compare
-from hframe_post.writers import step_file
 from tests.conftest import ROOT, SAMPLES
 from tests.fuzz import mutations
 from tests.printers import M503, profile_of
 from tests.slices import SLICES
-from tests.step_tools import write_steps
 
 RECTANGLE = (SAMPLES / "rectangle.gcode").read_bytes()
 Reader = Callable[[Path], object]
@@ -102,10 +99,9 @@ def _binary(path: Path) -> object:
 READERS: dict[str, Reader] = {
     "bgcode": _binary, "recording": _recorded, "cfg": _configured,
     "m503": _answered,
-    "steps": lambda path: [len(block.tick) for block in step_file.read(path)],
     "compare": _compared,
 }  # fmt: skip
-SUFFIXES = {"steps": "csv", "compare": "gcode", "recording": "csv.gz"}
+SUFFIXES = {"compare": "gcode", "recording": "csv.gz"}
 
 
 @cache
@@ -120,12 +116,6 @@ def originals() -> dict[str, bytes]:
     config = ROOT / "tests" / "klipper" / "printer.cfg"
     return {
         "bgcode": binary.getvalue(), "recording": gzip.compress(recording.getvalue(), mtime=0),
-        "cfg": config.read_bytes(), "m503": M503.read_bytes(), "steps": _steps(),
+        "cfg": config.read_bytes(), "m503": M503.read_bytes(),
         "compare": RECTANGLE,
     }  # fmt: skip
-
-
-def _steps() -> bytes:
-    with TemporaryDirectory() as folder:
-        write_steps(Path(folder, "a.csv"), RECTANGLE.splitlines(keepends=True), load("paper"))
-        return Path(folder, "a.csv").read_bytes()[:200_000]

@@ -348,11 +348,11 @@ def test_diagonals_are_one_recording_however_many() -> None:
         d = (0.5**0.5, sign * 0.5**0.5)
         x, y = (replace(one, H=one.H / d[0]) for one in printer.measured(d, seed))
         runs.append(RunResponse(X_C, x, x, 0.0, COMMAND, None, y, None, None, d, (X_C, 150.0)))
-    (found,) = crossed(0, RunGroup(runs, (0.0, 0.0), 4.0, 32.0, 32.0), BAND)
+    (found,) = crossed(0, RunGroup(runs, (0.0, 0.0), (4.0, 200.0), 32.0, 32.0), BAND)
     true = printer.response(found.along.hz)
     assert off(found.along.H, true[:, 0, 0]) < 0.05
     assert off(found.across.H, true[:, 1, 0]) < 0.05
-    assert not crossed(0, RunGroup(runs[:2], (0.0, 0.0), 4.0, 32.0, 32.0), BAND)
+    assert not crossed(0, RunGroup(runs[:2], (0.0, 0.0), (4.0, 200.0), 32.0, 32.0), BAND)
 
 
 # ---------------------------------------------------------------------- a head that pitches

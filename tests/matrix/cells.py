@@ -55,8 +55,6 @@ def answer(cell: Cell, folder: Path, home: Path) -> Answer:
         words = [each for word in cell.words.split() for each in _expanded(word, cell, home)]
         if cell.printer not in OWNERS and words[0] not in NO_PROFILE:
             words += ["-p", cell.printer]
-        elif words[0] == "paper":  # whose default is the paper's printer
-            words += ["-p", PROFILE]
         configuration = folder / "config"
         default = configuration / "hframe-post" / "config.toml"
         default.parent.mkdir(parents=True, exist_ok=True)

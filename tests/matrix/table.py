@@ -33,7 +33,6 @@ OUTCOMES = {
     "nomove": (1, r"Error: line 9: there is not a single move in this file"),
     "failed": (1, r"0 converted, 0 skipped, 1 failed; --resume tries only those again"),
     "differ": (1, r"the same up to there: .* moves"),
-    "stiff": (1, r"Error: .* this printer does not rack, so there is nothing to reproduce"),
     "marlin": (1, r"Error: .* firmware\.dialect: marlin "),
     "baud": (1, r"Error: .* firmware\.marlin\.baud: OctoPrint prints over a serial line"),
     "klippr": (1, r"Error: .* firmware\.dialect: this profile is for klipper; only boards that"),
@@ -57,10 +56,7 @@ class Done:
     files: str = ""
 
 
-SUMMARY = (
-    r"not compensated  .*\(after G28\)|limited by  .*(in the file|in the profile)"
-    r"|could take  .*--max-error \d+um"
-)
+SUMMARY = r"not compensated  .*\(after G28\)|limited by  .*(in the file|in the profile)"
 NAMES = r"(x|y)-at-[\d_]+"
 DONE = {
     "convert {print} -o out.gcode": Done(SUMMARY, "out.gcode"),
@@ -110,8 +106,6 @@ DONE = {
     "octoprint-plugin --folder {folder}": Done(
         "Restart OctoPrint.", r"(there/plugins/hframe_post/\S+ ?){4}"
     ),
-    "paper": Done(""),
-    "paper --prism {print}": Done(""),
 }
 
 

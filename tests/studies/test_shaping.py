@@ -23,7 +23,6 @@ from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shapers.guess import Paths, guess, quadratic_form
 from hframe_post.studies.shapers.search import (
     PIECES,
-    best,
     calibrated_with,
     error,
     good,
@@ -75,7 +74,7 @@ def test_the_best_shaper_beats_the_calibrated_and_that_none(paper: Printer, corn
     none = Shaping(AxisShaping("zv", 1e5, 0.0), AxisShaping("zv", 1e5, 0.0))
     bare = error(paper.plant, none, corner).rms
     usual = error(paper.plant, calibrated_with(paper.plant, "mzv"), corner).rms
-    found = best(paper.plant, corner, "mzv", quadratic_form(paper.plant, corner))
+    (found,) = search(paper.plant, corner, ["mzv"])
     assert found.rms < 0.65 * usual < 0.65 * bare
     assert found.rms == error(paper.plant, found, corner).rms
 

@@ -163,13 +163,13 @@ class RunResponse:
 class RunGroup:
     """Runs shifted to one common delay, and the bounds of that delay in s.
 
-    known_start: whether they are of strokes. Of uncalibrated runs also the lowest frequency that is
-    excited, the lowest strong resonance, and that of all axes which the same sensor felt.
+    known_start: whether they are of strokes. Of uncalibrated runs also between which frequencies
+    they are excited, the lowest strong resonance, and that of all axes which the same sensor felt.
     """
 
     runs: list[RunResponse]
     delay_bounds: tuple[float, float]
-    excited_hz: float = 0.0
+    excited_hz: tuple[float, float] = (0.0, np.inf)
     resonance_hz: float | None = None
     lowest_hz: float = 0.0
     known_start: bool = False

@@ -84,14 +84,19 @@ def _group(
     settings: MeasurementSettings,
 ) -> RunGroup:
     responses = [_run_response(axis, one, located, settings) for one in chosen]
-    low = max(one.seen.excited_hz for one in chosen)
+    low = max(one.seen.excited_hz[0] for one in chosen)
+    high = min(one.seen.excited_hz[1] for one in chosen)
     resonance = float(np.median([one.seen.resonance_hz for one in chosen]))
     group = with_common_delay(_with_common_gain(responses, low, resonance))
     # a mode that x and y share may be a clear peak in one of them only
     felt = (other for other in located if _mounted_alike(chosen[0], other))
     lowest = min(resonance, *(other.seen.resonance_hz for other in felt))
     return replace(
-        group, delay_bounds=(0.0, 0.0), excited_hz=low, resonance_hz=resonance, lowest_hz=lowest
+        group,
+        delay_bounds=(0.0, 0.0),
+        excited_hz=(low, high),
+        resonance_hz=resonance,
+        lowest_hz=lowest,
     )
 
 
