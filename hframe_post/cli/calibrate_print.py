@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from hframe_post.cli.options import files_read, number, printer_option, quoted, say, share
+from hframe_post.cli.options import (
+    files_read,
+    number,
+    printer_option,
+    quoted,
+    say,
+    share,
+    write_kernel,
+)
 from hframe_post.cli.sweep import FILE
 from hframe_post.errors import HframeError
 from hframe_post.printer.edit import with_advance, with_plant
@@ -263,3 +271,4 @@ def _save(output: Path, printer: str, text: str) -> None:
     """Write a profile, which may replace the one that was read."""
     with Outputs(files_read(printer)) as outputs:
         outputs.open(output, Path(printer)).write(text.encode())
+        write_kernel(outputs, output, text)

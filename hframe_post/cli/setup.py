@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from hframe_post.cli.moonraker import RESTART, Moonraker, agreed, find_printer_cfg, make
-from hframe_post.cli.options import files_read, number, quoted
+from hframe_post.cli.options import files_read, number, quoted, write_kernel
 from hframe_post.errors import HframeError
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.klipper.macros import FILE
@@ -120,6 +120,7 @@ def setup(
     with Outputs(files_read(*files)) as outputs:
         if new.text != old:
             outputs.open(target).write(new.text.encode())
+        write_kernel(outputs, target, new.text)
         for name, text in companions.items():
             if not _holds(folder / name, text):
                 outputs.open(folder / name).write(text.encode())

@@ -71,8 +71,8 @@ class Taps:
 class Figures:
     """What the test path shows. leaves, without: RMS error (mm) with and without compensation.
 
-    deviation: the most that a command leaves the path in x or y, mm. belt_velocity,
-    belt_acceleration: greatest of the command.
+    without: less the plant's lag, which shows in no print. deviation: the most that a command
+    leaves the path in x or y, mm. belt_velocity, belt_acceleration: greatest of the command.
     """
 
     leaves: float
@@ -130,7 +130,7 @@ def played(c: Array) -> Array:
 
 
 def kernel(plant: Plant, kinematics: Kinematics, bounds: Bounds) -> Kernel:
-    """Return the kernel of a plant, as mild as the belts need and then as short as its error allows.
+    """Return the kernel of a plant, as mild as the belts need and as short as its error allows.
 
     Of a plant that changes along x it is that at ``bounds.place``. Raises ArgumentError if the
     command outruns the belts at any effort.
@@ -160,9 +160,11 @@ def kernel(plant: Plant, kinematics: Kinematics, bounds: Bounds) -> Kernel:
         tried = _Try.of(plant, spectra, path, effort, chosen.window, window)
         if tried.leaves <= most:
             chosen = tried
+    n = np.arange(len(path), dtype=float)
+    late = np.column_stack([np.interp(n - spectra[a].lag, n, path[:, a]) for a in (X, Y)])
     figures = Figures(
         chosen.leaves,
-        _rms(nozzle(plant, path[0], path) - path),
+        _rms(nozzle(plant, path[0], path) - late),
         float(np.abs(chosen.command - path).max()),
         *_rates(kinematics, chosen.command),
     )
@@ -208,7 +210,9 @@ def _command(
     for coupling, its in couplings:
         added = coupling.lever(path) * its.run(path[:, coupling.command])
         target[:, coupling.answer] -= added
-    return np.column_stack([its.run(target[:, axis]) for axis, its in zip((X, Y), axes)])
+    return np.column_stack(
+        [its.run(target[:, axis]) for axis, its in zip((X, Y), axes, strict=True)]
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,6 +232,8 @@ class Spectrum:
 
 def taps(G: Spectrum, D: Spectrum | None, ahead: int, past: int, effort: float) -> Taps:
     """Return the taps that make of G what D is, or 1 without D."""
+    from scipy.linalg import solve_toeplitz  # takes a second to import
+
     hz = OMEGA / (2.0 * np.pi * TS)
     W = 1.0 / (hz**4 + CORNER_HZ**4)
     W /= W.mean()
@@ -240,8 +246,7 @@ def taps(G: Spectrum, D: Spectrum | None, ahead: int, past: int, effort: float) 
     r = np.fft.irfft(W * np.conj(GB) * wanted)[k]
     A = np.stack([np.ones(n), k / past])
     m = np.array([rest, (lag - rest * G.lag) / past])
-    toeplitz = H[np.abs(np.subtract.outer(k, k))]
-    solved = np.linalg.solve(toeplitz, np.column_stack([r, A.T]))
+    solved = solve_toeplitz(H, np.column_stack([r, A.T]))
     free, by_A = solved[:, 0], solved[:, 1:]
     h = free + by_A @ np.linalg.solve(A @ by_A, m - A @ free)
     h[ahead] += rest - h.sum()  # to the last digit: a printer at rest stands at its path
@@ -260,18 +265,19 @@ def strokes(bounds: Bounds) -> Array:
     straight = (away[1:] * away[:-1]).sum(axis=1) >= -1e-9  # at most a square corner
     corners = [0.0, *np.where(straight, bounds.corner, 0.0).tolist(), 0.0]
     for length, way, (v_s, v_e) in zip(lengths, away, pairwise(corners), strict=True):
-        move = Trapezoid(float(length), bounds.velocity, bounds.acceleration,
-                         *(min(v, _reached(float(length), bounds)) for v in (v_s, v_e)))  # fmt: skip
+        reached = min(float(np.sqrt(length * bounds.acceleration)), bounds.velocity)
+        move = Trapezoid(
+            float(length),
+            bounds.velocity,
+            bounds.acceleration,
+            min(v_s, reached),
+            min(v_e, reached),
+        )
         t = np.arange(carry, move.seconds, TS)
         pieces.append(at + np.outer(move.distance(t), way))
         carry = (carry - move.seconds) % TS
         at = at + length * way
     return np.concatenate([*pieces, np.tile(at, (1000, 1))])
-
-
-def _reached(length: float, bounds: Bounds) -> float:
-    """Return the speed that is reached within a length from rest, mm/s."""
-    return min(float(np.sqrt(length * bounds.acceleration)), bounds.velocity)
 
 
 def _rms(error: Array) -> float:

@@ -66,9 +66,7 @@ def read(data: bytes) -> KernelFile:
         )
     body, _, digest = data.rpartition(DIGEST)
     if digest != hashlib.sha256(body).hexdigest().encode() + b"\n":
-        raise ValueError(
-            "it is damaged or was edited: write it again with 'hframe-post identify'"
-        )
+        raise ValueError("it is damaged or was edited: write it again with 'hframe-post identify'")
     names, numbers = dict[str, str](), dict[str, float]()
     axes, couplings = dict[str, Taps](), list[Coupling]()
     for line in body[len(FORMAT) :].decode().splitlines():

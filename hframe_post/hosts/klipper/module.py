@@ -1,8 +1,9 @@
 """The extras module ``[hframe_live]``: while it is on, a kernel takes the input shaper's place.
 
-It is on if the owner has it on and nothing that must see the bare motion is running: homing and
-probing, tests of resonances, and files that were converted. It changes between the two at rest
-only, with all steps made: then both kinematics have every motor at the same place.
+It is on if the owner has it on and nothing that needs the bare motion is running: homing, probing,
+tests of resonances, and files that turn the input shaper off, as converted files and measurements
+of hframe-post do. It changes at rest only, with all steps made: then both kinematics have every
+motor at the same place.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import importlib
 import logging
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,9 @@ from .native import Native
 
 NAME = "hframe_live"
 KINEMATICS = ("cartesian", "corexy", "hybrid_corexy", "corexz")
+SET_SHAPER = "SET_INPUT_SHAPER"
 BARE = (  # commands that measure the printer, Klipper's and Shake&Tune's, or set the input shaper
-    "TEST_RESONANCES", "SHAPER_CALIBRATE", "SET_INPUT_SHAPER", "AXES_MAP_CALIBRATION",
+    "TEST_RESONANCES", "SHAPER_CALIBRATE", SET_SHAPER, "AXES_MAP_CALIBRATION",
     "AXES_SHAPER_CALIBRATION", "COMPARE_BELTS_RESPONSES", "CREATE_VIBRATIONS_PROFILE",
     "EXCITATE_AXIS_AT_FREQ",
 )  # fmt: skip
@@ -51,10 +54,13 @@ class HframeLive:
         if config.has_section("input_shaper"):
             self.shaper = self.printer.load_object(config, "input_shaper")
         self.gcode = self.printer.lookup_object("gcode")
+        if self.shaper is None:
+            self.gcode.register_command(SET_SHAPER, lambda gcmd: None)
         self.gcode.register_command(
-            "SET_HFRAME_LIVE", self.cmd_SET_HFRAME_LIVE,
+            "SET_HFRAME_LIVE",
+            self._command,
             desc="Compensate in Klipper: ENABLE=1 or 0; without it, show whether it does",
-        )  # fmt: skip
+        )
         for event, handler in (
             ("klippy:connect", self._connect),
             ("klippy:ready", self._ready),
@@ -110,30 +116,35 @@ class HframeLive:
         self._update()
 
     def _ready(self) -> None:
-        for command in BARE:
-            former = self.gcode.register_command(command, None)
+        for name in BARE:
+            former = self.gcode.register_command(name, None)
             if former is not None:
-                desc = self.gcode.gcode_help.get(command)
-                self.gcode.register_command(command, self._bare(former), desc=desc)
+                desc = self.gcode.gcode_help.get(name)
+                self.gcode.register_command(name, partial(self._bare, name, former), desc=desc)
         logging.info("%s: %s", NAME, self._said())
         if self.kernel is None:
             self.gcode.respond_info(f"{NAME}: {self._said()}")
 
-    def _bare(self, command: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Return the command with the kernel off, and the input shaper on, while it runs."""
+    def _bare(self, name: str, former: Callable[[Any], Any], gcmd: Any) -> None:
+        """Run a command with the kernel off and the input shaper as it is without it."""
+        self.reasons.add("command")
+        self._update()
+        try:
+            former(gcmd)
+            if name == SET_SHAPER:
+                self._note_shaper(gcmd)
+        finally:
+            self._set("command", False)
 
-        def run(gcmd: Any) -> Any:
-            self._set("command", True)
-            try:
-                return command(gcmd)
-            finally:
-                self._set("command", False)
-
-        return run
+    def _note_shaper(self, gcmd: Any) -> None:
+        """Leave the motion bare from a command on that turns the input shaper off."""
+        hz = [gcmd.get_float(f"SHAPER_FREQ_{axis}", None) for axis in "XY"]
+        if any(each is not None for each in hz):
+            (self.reasons.discard if any(hz) else self.reasons.add)("unshaped file")
 
     def _next_file(self) -> None:
         self.tower = ""
-        self._set("converted", False)
+        self._set("unshaped file", False)
 
     def _set(self, reason: str, off: bool) -> None:
         (self.reasons.add if off else self.reasons.discard)(reason)
@@ -198,13 +209,15 @@ class HframeLive:
         for _, _, ours in self.motors if self.active else ():
             self.native.lib.hframe_live_reset(ours)
 
-    def cmd_SET_HFRAME_LIVE(self, gcmd: Any) -> None:
-        self.enabled = bool(gcmd.get_int("ENABLE", int(self.enabled), minval=0, maxval=1))
+    def _command(self, gcmd: Any) -> None:
+        enable = gcmd.get_int("ENABLE", None, minval=0, maxval=1)
         tower = gcmd.get_float("TOWER", None, minval=0.0)
         if tower is not None:
             self.tower = TOWER[int(tower) % len(TOWER)]
-        converted = gcmd.get_int("CONVERTED", int("converted" in self.reasons), minval=0, maxval=1)
-        self._set("converted", bool(converted))
+        if enable is not None:
+            self.enabled = bool(enable)
+            self.reasons.discard("unshaped file")
+        self._update()
         gcmd.respond_info(f"{NAME}: {self._said()}")
 
     def _said(self) -> str:
