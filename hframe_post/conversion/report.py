@@ -263,7 +263,7 @@ class Report:
         return self.summary(())
 
     def summary(self, head: Iterable[str]) -> str:
-        """Return what an owner asks first, the profile's notices above it; the head; all figures."""
+        """Return notices and what an owner asks first, then the head, then all figures."""
         lines = [
             *(f"WARNING          {text}" for text in self.notices),
             *self._result(),
