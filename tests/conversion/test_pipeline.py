@@ -141,7 +141,7 @@ def test_clamping_keeps_the_command_on_the_bed_and_reports(paper: Printer) -> No
     assert min(x for x, _, _ in follow(text).points[1:]) >= 0.0
     assert report.clamped.samples > 0
     assert report.clamped.line == 3
-    assert "\nWARNING          clamped " in report.as_text()
+    assert "\nWARNING          less is compensated on " in report.as_text()
 
 
 def weak(profile: Printer, **motors: float) -> Printer:

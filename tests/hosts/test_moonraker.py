@@ -84,7 +84,7 @@ def test_an_upload_is_converted_described_printed_and_cancelled(printer: Printer
         assert f">{html.escape(name)} has no page" in answer
     assert [thumbnail["size"] for thumbnail in described["thumbnails"]] == [4]
     (summary,) = [line for line in printer.console() if "cube.gcode: converted" in line]
-    assert "contour error" in summary
+    assert "ringing" in summary
 
 
 def test_what_fails_cannot_be_printed_and_says_why(printer: Printer) -> None:
