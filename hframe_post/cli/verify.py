@@ -19,7 +19,6 @@ from hframe_post.cli.sweep import (
     write_motion,
 )
 from hframe_post.errors import IdentificationError
-from hframe_post.printer.edit import with_verification
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.writers.files import Outputs
 
@@ -120,7 +119,7 @@ def _judge(
     profile = load(printer)
     sources = [*files_read(printer), *read_from]
     with Outputs(sources) as profiles:
-        file = profiles.open(output, Path(printer)) if output is not None else None
+        file = ModelOutput(profiles, output, printer) if output is not None else None
         with Outputs([*sources, *([output] if output else [])]) as reports:
             write_json = open_json(reports, json_file)
             html = reports.open(report_file) if report_file is not None else None
@@ -146,4 +145,5 @@ def _judge(
         click.echo(as_text(moved), err=str(json_file) == "-")
         if file is not None:
             day = max(map(recorded_on, recorded)).isoformat()
-            file.write(with_verification(printer, day, verdict.reduction).encode())
+            mark = Verified(day, round(verdict.reduction, 4), profile.firmware.dialect, profile.model)
+            file.write(replace(profile, verified=mark))
