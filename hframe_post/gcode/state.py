@@ -36,6 +36,7 @@ class ReadOptions:
     extrusion: what E is before the first M82 or M83; None: detect it.
     travel: where the path may go; None: anywhere.
     retraction: what G10 and G11 do; None: only the firmware knows.
+    acceleration: mm/s² of travel that passes through, until the file sets another.
     """
 
     dialect: Dialect
@@ -44,6 +45,7 @@ class ReadOptions:
     travel: Travel | None = None
     vocabulary: Vocabulary = field(default_factory=Vocabulary.with_names)
     retraction: Retraction | None = None
+    acceleration: float = math.inf
 
     @classmethod
     def from_printer(
@@ -51,10 +53,11 @@ class ReadOptions:
     ) -> ReadOptions:
         """Return the options for a printer. Raises HframeError if its firmware is unknown."""
         own = printer.firmware
+        its = firmware(printer)
         vocabulary = Vocabulary.with_names(own.harmless, own.returns, own.other_tools or ())
         return cls(
-            firmware(printer).reads(printer), limits, extrusion, printer.travel, vocabulary,
-            printer.retraction,
+            its.reads(printer), limits, extrusion, printer.travel, vocabulary,
+            printer.retraction, its.limits(printer).travel,
         )  # fmt: skip
 
 
