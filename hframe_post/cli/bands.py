@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from hframe_post.cli.json_summary import json_option, open_json
+from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import files_read, printer_option, quoted, say
 from hframe_post.cli.sweep import HEIGHT, chips_option, recordings_argument
 from hframe_post.errors import IdentificationError

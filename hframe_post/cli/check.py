@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from hframe_post.arrays import X, Y
 from hframe_post.cli.json_summary import json_option, open_json
+from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import (
     files_read,
     printer_option,
@@ -116,7 +117,8 @@ def _update(
         click.echo(report.as_text(), err=str(json_file) == "-")
         if file is not None:
             measured = day if report.complete else profile.measured
-            plant = replace(profile.plant, **report.moved)
+            moved: dict[str, Any] = report.moved
+            plant = replace(profile.plant, **moved)
             file.write(
                 replace(profile, plant=plant, uncertainty=report.uncertainty, measured=measured)
             )

@@ -102,16 +102,6 @@ def typed(read: Callable[[str], Any]) -> Callable[[str], Any]:
     return convert
 
 
-def former_option(*names: str, instead: str) -> Callable[[Command], Command]:
-    """Return a decorator for an option that is gone: who gives it is told what replaced it."""
-
-    def refuse(context: click.Context, _: click.Parameter, given: str | None) -> None:
-        if given is not None:
-            raise click.UsageError(f"there is no {names[0]} now: {instead}", context)
-
-    return click.option(*names, expose_value=False, hidden=True, callback=refuse)
-
-
 seed_option = click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Random seed.",
 )  # fmt: skip

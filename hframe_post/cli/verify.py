@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from hframe_post.cli.json_summary import json_option, open_json
+from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import files_read, page_option, printer_option, say
 from hframe_post.cli.sweep import (
     FILE,
@@ -20,6 +22,7 @@ from hframe_post.cli.sweep import (
 )
 from hframe_post.errors import IdentificationError
 from hframe_post.printer.profile import check_identified, load
+from hframe_post.printer.settings import Verified
 from hframe_post.writers.files import Outputs
 
 if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that takes a second
@@ -145,5 +148,7 @@ def _judge(
         click.echo(as_text(moved), err=str(json_file) == "-")
         if file is not None:
             day = max(map(recorded_on, recorded)).isoformat()
-            mark = Verified(day, round(verdict.reduction, 4), profile.firmware.dialect, profile.model)
+            mark = Verified(
+                day, round(verdict.reduction, 4), profile.firmware.dialect, profile.model
+            )
             file.write(replace(profile, verified=mark))

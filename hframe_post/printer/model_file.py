@@ -108,13 +108,17 @@ def _text_and_newline(source: str) -> tuple[str, str]:
     return text, "\n"
 
 
+def named_model(profile: str) -> list[Path]:
+    """Return the file of the model that a profile names, if it names one."""
+    name = tomllib.loads(text_of(profile)).get("model")
+    return [] if name is None else [Path(profile).parent / name]
+
+
 def _notes(source: str) -> Iterator[str]:
     """Yield the comments of the plant in a model, or in a profile that contains its plant."""
     if source in shipped():
         return
-    text = text_of(source)
-    if (name := tomllib.loads(text).get("model")) is not None:
-        text = text_of(str(Path(source).parent / name))
+    text = text_of(str([Path(source), *named_model(source)][-1]))
     _, _, plant = text.partition("\n[plant]")
     for line in plant.splitlines()[1:]:
         if not line.startswith("#"):

@@ -173,7 +173,8 @@ def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 def _check_tables(document: dict[str, Any]) -> None:
     needed = "travel", "limits", "motors", "firmware", "plant"
     optional = (
-        "kinematics", "steps", "compensation", "sweep", "speed", "retraction", "extruder", "verified",
+        "kinematics", "steps", "compensation", "sweep", "speed", "retraction", "extruder",
+        "verified",
     )  # fmt: skip
     known_keys(document, ("description", *optional, *needed), "")
     for section in (*needed, *(name for name in optional if name in document)):

@@ -22,7 +22,6 @@ HARD = 8000.0  # mm/s²
 CORNER = 0.002  # s
 VELOCITY_HEADROOM = 1.1
 SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
-AS_BEFORE = "as before"  # origin of what an earlier setup found
 
 Value = float | tuple[float, ...] | tuple[str] | str | bool
 
@@ -41,9 +40,6 @@ class Known:
             items = (json.dumps(v) if isinstance(v, str) else f"{v:.9g}" for v in self.value)
             return f"[{', '.join(items)}]"
         return f"{self.value:.9g}"
-
-    def comment(self) -> str:
-        return f"{self.as_toml()} ({self.origin})"
 
 
 Tables = dict[str, dict[str, Known]]  # settings by table; a table without any does not exist
@@ -133,7 +129,7 @@ def profile_text(tables: Tables, description: str) -> str:
     settings = "\n".join(line for name, table in others.items() for line in _table(name, table))
     return f"""\
 # A profile for hframe-post. Lengths in mm, times in s. A comment shows where a value was found.
-# This file is yours: no command changes what you write. What is measured goes into a file beside it.
+# Change what you like: no command changes it back. What is measured goes into a file beside it.
 
 description = {json.dumps(description, ensure_ascii=False)}
 

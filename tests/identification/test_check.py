@@ -19,10 +19,10 @@ from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import text_from_klipper
 from hframe_post.identification.checking.run import runs
 from hframe_post.model.impulse_response import ImpulseResponse, Linear, transfer_function
-from hframe_post.printer.edit import with_plant, with_verification
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.identification.drifting import STEP, checked, drifted, moved
+from tests.profiles import with_plant, with_verification
 from tests.random_printers import drawn, judged, printer
 from tests.recordings import write_klipper
 from tests.simulator import Axis, Chip, Machine, Mode

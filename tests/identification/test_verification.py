@@ -17,13 +17,13 @@ from hframe_post.identification.verification.drifted import drifted
 from hframe_post.identification.verification.motion import runs
 from hframe_post.identification.verification.verdict import Verdict, compare_runs
 from hframe_post.model.impulse_response import transfer_function
-from hframe_post.printer.edit import with_plant, with_verification
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.conftest import SAMPLES
 from tests.coupled_printers import CoupledMachine, SharedMode
 from tests.identification.drifting import STEP
 from tests.page.pages import data_of
+from tests.profiles import with_plant, with_verification
 from tests.random_printers import judged, printer, traced
 from tests.recordings import write_klipper
 from tests.simulator import Axis, Chip, Machine, Mode, Playing

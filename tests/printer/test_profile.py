@@ -344,7 +344,6 @@ def test_a_gantry_at_rest_does_not_rack() -> None:
     [
         (r"^jerk[^\n]*\n", "limits.jerk"),
         (r"^belt_velocity[^\n]*\n", "motors.belt_velocity"),
-        (r"^effort[^\n]*\n", "compensation.effort"),
         (r"^x = [^\n]*\n", "travel.x"),
         (r"^Ts = [^\n]*\n", "plant.Ts"),
         (r"^x_c = [^\n]*\n", "plant.x_c"),
