@@ -83,8 +83,8 @@ class Cluster:
         self._client = _connect(scheduler)
         self.files = files or sum(self._client.nthreads().values())
         self._printer, self._options, self._first_line = printer, options, first_line
-        files = [Path(printer), *named_model(printer)] if Path(printer).is_file() else []
-        self._profile = {file.name: file.read_bytes() for file in files}
+        own = [Path(printer), *named_model(printer)] if Path(printer).is_file() else []
+        self._profile = {file.name: file.read_bytes() for file in own}
         self._running: set[Any] = set()  # futures of the scheduler
         self._stopped = False
 
