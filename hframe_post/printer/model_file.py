@@ -166,7 +166,7 @@ def _lines(printer: Printer, notes: Sequence[str]) -> Iterator[str]:
     yield "\n[plant]\n"
     for note in notes:
         yield f"# {note}".rstrip() + "\n"
-    yield "invented = false\n"
+    yield f"invented = {str(printer.invented).lower()}\n"
     if printer.uncertainty is not None:
         yield f"uncertainty = {printer.uncertainty!r}\n"
     if printer.measured is not None:
