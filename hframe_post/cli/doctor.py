@@ -19,6 +19,7 @@ from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
 from hframe_post.firmware.configuration import Finding
 from hframe_post.firmware.klipper.check import check
+from hframe_post.firmware.klipper.live import check_live
 from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.version import log_of
@@ -257,6 +258,7 @@ def _differences(
             f", or let 'hframe-post setup {quoted(config.path)}{folder} --reset' write that anew"
         )
     yield from check(config, profile, remedy)
+    yield from check_live(config, profile)
     yield from firmware(profile).host_findings(config.path, log, profile, again)
 
 

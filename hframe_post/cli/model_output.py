@@ -1,4 +1,4 @@
-"""The profile and the model that a measuring command writes."""
+"""The profile, the model and the kernel that a measuring command writes."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hframe_post.cli.options import write_kernel
+from hframe_post.errors import HframeError
 from hframe_post.printer.model_file import model_path, texts
 
 if TYPE_CHECKING:
@@ -23,7 +25,11 @@ class ModelOutput:
     def __init__(
         self, outputs: Outputs, output: Path, source: str, text: str | None = None
     ) -> None:
-        self._output, self._source, self._text = output, source, text
+        if output.suffix != ".toml":
+            raise HframeError(
+                f"{output}: the model is written beside the profile, whose name must end in .toml"
+            )
+        self._outputs, self._output, self._source, self._text = outputs, output, source, text
         self._profile = outputs.open(output, Path(source) if text is None else None)
         self._model = outputs.open(model_path(output), model_path(output))
 
@@ -32,3 +38,4 @@ class ModelOutput:
         found = texts(printer, self._source, self._output, notes, self._text)
         self._profile.write(found.profile.encode())
         self._model.write(found.model.encode())
+        write_kernel(self._outputs, self._output, found.printer)

@@ -37,10 +37,11 @@ def model_path(profile: str | Path) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Texts:
-    """A profile that names its model, and that model."""
+    """A profile that names its model, that model, and the printer that both describe."""
 
     profile: str
     model: str
+    printer: Printer
 
 
 def measured(
@@ -95,7 +96,7 @@ def texts(
             "date": mark.date, "reduction": mark.reduction, "firmware": mark.firmware,
             "model": mark.model,
         }})  # fmt: skip
-    return Texts(profile.replace("\n", newline), model)
+    return Texts(profile.replace("\n", newline), model, loaded)
 
 
 def _text_and_newline(source: str) -> tuple[str, str]:
