@@ -137,6 +137,8 @@ def _naming(text: str, model: str, printer: Printer, source: str) -> str:
         for table, keys in (("compensation", WINDOW), ("speed", ("avoid",))):
             for key in keys if table in document else ():
                 document[table].pop(key, None)
+            if table in document and not document[table] and "#" not in document[table].as_string():
+                document.pop(table)
         for table, key, value, old in (
             ("kinematics", "type", now.kinematics.type, before.kinematics.type),
             ("compensation", "strategy", now.compensation.strategy, before.compensation.strategy),
