@@ -87,7 +87,7 @@ def scheduled(
     """
     followed = followed or following(printer)
     items = items if followed is None else followed.items(items)
-    return plan(avoid_bands(items, printer, start), printer.limits)
+    return plan(avoid_bands(items, printer, start), firmware(printer).caps(printer))
 
 
 def following(printer: Printer, advance: Advance | None = None) -> FollowedAdvance | None:
@@ -98,7 +98,7 @@ def following(printer: Printer, advance: Advance | None = None) -> FollowedAdvan
     own = firmware(printer)
     if (limits := own.motion(printer, None).extruder) is None:
         return None
-    most = printer.limits.diagonal * printer.limits.acceleration
+    most = own.caps(printer).acceleration
     return FollowedAdvance(advance or own.advance(printer), limits, most)
 
 

@@ -73,7 +73,7 @@ class _Reader:
 
     def __init__(self, source: Lines, options: ReadOptions) -> None:
         self._source, self._options, self._dialect = source, options, options.dialect
-        self._state = State(options.dialect, options.extrusion)
+        self._state = State(options.dialect, options.extrusion, options.start)
         self._bed = Extent(options.travel)
         self._retraction = FirmwareRetraction(options.retraction, options.dialect)
         self._plain_moves = PlainMoves(source, self._state, self._bed)
@@ -158,7 +158,7 @@ class _Reader:
             lifts = end[2] != start[2]
             if lifts:
                 self._bed.check(line, 2, end[2])
-            self._stand(line, end, state.axes.velocity[2 if lifts else 3])
+            self._stand(line, end, state.others.velocity[2 if lifts else 3])
             state.position = end
 
     def _end(self, line: Line, words: Words) -> Position:
@@ -181,7 +181,7 @@ class _Reader:
         start = state.position
         path, filament = math.dist(start[:3], end[:3]), abs(end[3] - start[3])
         if path < MIN_WRITTEN_PATH and filament > MAX_FILAMENT_PER_PATH * path:
-            self._stand(line, (*start[:3], end[3]), state.axes.velocity[3])
+            self._stand(line, (*start[:3], end[3]), state.others.velocity[3])
         elif filament > IMPOSSIBLE_FILAMENT_PER_PATH * path:
             raise line.error(f"{filament:.3g} mm of filament along {path:.3g} mm of path")
         elif path > MIN_PATH:
@@ -215,9 +215,10 @@ class _Reader:
     def _apply_limit(self, line: Line, name: str, words: Words) -> None:
         source = self._options.limits
         if source == "file-all" or (source == "file" and name in self._dialect.obeyed):
-            if name in ("M201", "M203") or "VELOCITY" in words or "T" in words:
-                self.items.flush()  # these limits hold for all moves of an item
+            before = self._state.others
             self._state.set_limits(line, name, words)
+            if self._state.others != before:
+                self.items.flush(before)  # they hold for all moves of an item
 
     def _apply_dwell(self, line: Line, arguments: bytes) -> None:
         seconds = self._dialect.dwell(numbers_among(line, arguments, "PS"))
@@ -284,7 +285,7 @@ class _Reader:
         if filament:
             start = state.position
             state.add_filament(filament)
-            speed = min(speed * state.factor, state.axes.velocity[3])
+            speed = min(speed * state.factor, state.others.velocity[3])
             self.items.add_move_at_rest(MoveAtRest(line.number, start, state.position, speed))
         return True
 

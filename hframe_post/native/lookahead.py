@@ -29,10 +29,10 @@ def limit_moves(
 ) -> Array:
     """Return the table (n, 4) of moves between points (n + 1, 4) with limits.
 
-    speed, acceleration, corner (n,): what the file asks for. rules (19,): cruise speed,
+    speed, acceleration, corner (n,): what the file asks for. rules (23,): cruise speed,
     that of travels, acceleration, that of travels, speed in z, of retractions, of melted filament,
     acceleration in z, of filament, speed through a square corner, junction deviation; then speed
-    and acceleration of the file for each axis.
+    and acceleration of motors A and B, z and e, and the matrix from x, y to A and B.
     """
     table = np.empty((len(speed), 4))
     if (compiled := kernel("limit_moves")) is not None:
@@ -50,7 +50,9 @@ def _least_limits(
 ) -> tuple[Array, ...]:  # fmt: skip
     delta = np.diff(points, axis=0)
     length = lengths(delta[:, :E])
-    share = np.abs(delta) / length[:, None]  # of each axis in a millimetre of path
+    belts = np.reshape(of_file[8:], (2, 2))
+    # of each motor, z and e in a millimetre of path
+    share = np.abs(np.column_stack([delta[:, :Z] @ belts.T, delta[:, Z:]])) / length[:, None]
     travels = delta[:, E] == 0.0
     cruise = np.minimum(speed, np.where(travels, fastest, velocity))
     acceleration = np.minimum(acceleration, np.where(travels, hardest, accelerate))
@@ -60,7 +62,7 @@ def _least_limits(
         for axis, asked in enumerate(of_file[:4]):
             if math.isfinite(asked):
                 cruise = np.minimum(cruise, asked / share[:, axis])
-        for axis, asked in enumerate(of_file[4:]):
+        for axis, asked in enumerate(of_file[4:8]):
             if math.isfinite(asked):
                 acceleration = np.minimum(acceleration, asked / share[:, axis])
         cruise = np.minimum(cruise, z_velocity / share[:, Z])

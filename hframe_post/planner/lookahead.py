@@ -25,7 +25,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.native.lookahead import Runs, find_runs, greatest_speeds, limit_moves
-from hframe_post.planner.pacing import by_axis, with_travel_limits
+from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, Plan, Planned
 
@@ -46,7 +46,7 @@ def plan(
     queue = Lookahead(limits, batch, longest)
     for item in with_travel_limits(items, limits):
         if isinstance(item, Moves):
-            queue.append(by_axis(item, limits) if limits.acceleration_by_axis else item)
+            queue.append(item)
             while (ready := queue.take_final()) is not None:
                 yield ready
         elif isinstance(item, Passthrough) and item.handling is Handling.CARRY and queue.count:
@@ -155,13 +155,15 @@ def _joined(parts: list[_Limited]) -> _Limited:
 
 
 def _limited(moves: Moves, limits: Limits) -> _Limited:
-    """Return the moves with the printer's limits, lowered by those of the file."""
+    """Return the moves with the limits of the profile, lowered by those of file and firmware."""
+    own = moves.limits
+    velocity = min(limits.velocity, own.path)
     rules = np.array([
-        limits.velocity, limits.fastest, limits.diagonal * limits.acceleration,
-        limits.diagonal * limits.hardest, limits.z_velocity, limits.extruder_velocity, MELTED,
+        velocity, limits.travel_velocity or velocity, limits.acceleration, limits.hardest,
+        limits.z_velocity, limits.extruder_velocity, MELTED,
         Z_SHARE * limits.z_acceleration, Z_SHARE * limits.extruder_acceleration,
-        limits.square_corner_velocity,
-        limits.junction_deviation, *moves.limits.velocity, *moves.limits.acceleration,
+        limits.square_corner_velocity, min(limits.junction_deviation, own.deviation),
+        *own.velocity, *own.acceleration, *own.belts[0], *own.belts[1],
     ])  # fmt: skip
     table = limit_moves(moves.points, moves.speed, moves.acceleration, moves.corner, rules)
     return _Limited(moves.line, moves.points, table)

@@ -29,6 +29,7 @@ class SlicedTime:
         self.seconds = 0.0
         self._bands, self._walls, self.in_bands = bands, OuterWalls(), TimeInBands()
         self._outer = list[Flags]()  # which of the queued moves are outer walls
+        self._ratio = list[Array]()  # cruise ratios of the queued moves
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
         for item in items:
@@ -43,7 +44,8 @@ class SlicedTime:
             else:
                 self._walls.pass_by(item)
         if isinstance(item, Moves):
-            self._queue.append(self._limited(item))
+            self._queue.append(replace(item, marks=()))
+            self._ratio.append(np.full(len(item.line), item.limits.cruise_ratio))
             while (plan := self._queue.take_final()) is not None:
                 self.seconds += self._duration(plan)
         elif isinstance(item, MoveAtRest):
@@ -57,34 +59,19 @@ class SlicedTime:
     def _stop(self) -> None:
         self.seconds += sum(map(self._duration, self._queue.stop()))
 
-    def _limited(self, moves: Moves) -> Moves:
-        """Return the moves with the firmware's accelerations where the file sets none."""
-        travels = np.diff(moves.points[:, E]) == 0.0
-        usual = np.where(travels, self._rules.travel, self._rules.printing)
-        own = np.where(np.isfinite(moves.acceleration), moves.acceleration, usual)
-        if (belts := self._rules.belts) is not None:
-            way = np.diff(moves.points[:, :E], axis=0)
-            share = np.abs(way[:, :Z] @ belts.T) / np.linalg.norm(way, axis=1)[:, None]
-            asked = np.array(moves.limits.acceleration[:Z])
-            most = np.where(np.isfinite(asked), asked, self._rules.motors)
-            own = np.minimum(own, (most / np.maximum(share, 1e-9)).min(axis=1))
-        # a board with junction deviation knows no other rule, whatever the file says
-        knows = math.isinf(self._rules.limits.junction_deviation)
-        corner = moves.corner if knows else np.full_like(moves.corner, math.inf)
-        return replace(moves, acceleration=own, corner=corner, marks=())
-
     def _duration(self, plan: Plan) -> float:
         d, v = np.diff(plan.s[plan.ends]), plan.speed
         v_s, v_e, cruise, a = v[:-1], v[1:], plan.cruise, plan.acceleration
-        ramped = (1.0 - self._rules.cruise_ratio) * a * d
+        ratio = np.concatenate(self._ratio)
+        self._ratio = [ratio[len(plan.line) :]]
+        ramped = (1.0 - ratio[plan.ends[:-1]]) * a * d
         reached = np.sqrt(np.maximum(ramped + (v_s**2 + v_e**2) / 2.0, np.maximum(v_s, v_e) ** 2))
         top = np.minimum(cruise, reached)
         if self._bands is not None:
             self._add_in_bands(plan, top, self._bands)
-        durations, belts = self._rules.durations, self._rules.belts
-        if durations is None or belts is None:
+        if (durations := self._rules.durations) is None:
             return float(_seconds(d, v_s, v_e, top, a).sum())
-        lead = np.abs(np.diff(plan.points[:, :Z], axis=0) @ belts.T).max(axis=1)
+        lead = np.abs(np.diff(plan.points[:, :Z], axis=0) @ self._rules.belts.T).max(axis=1)
         lead = np.add.reduceat(lead, plan.ends[:-1])
         return float(durations(lead, d, v_s, v_e, cruise, a).sum())
 

@@ -48,8 +48,8 @@ class Travel:
 class Limits:
     """Limits of the planned path; mm, s. The shipped profiles explain each.
 
-    acceleration_by_axis: acceleration is that of x and of y alone, as Marlin's M201. A diagonal may
-    have up to √2 times as much, if the file asks for it.
+    velocity, acceleration, square_corner_velocity and junction_deviation bind what a file asks only
+    where they differ from the firmware's own, in its table (`Firmware.caps`).
     deceleration limits braking more than acceleration does. flow (mm³/s) and min_layer_time limit
     only what is printed faster than in the file; no layer is slowed below min_print_speed for that.
     filament_density (g/cm³) makes a moving bed heavier.
@@ -75,7 +75,6 @@ class Limits:
     min_print_speed: float = within(0.1, 1e3, default=10.0)
     travel_velocity: float = not_negative(0.0, most=1e4)
     travel_acceleration: float = not_negative(0.0, most=1e6)
-    acceleration_by_axis: bool = False
 
     @property
     def filament_velocity(self) -> float:
@@ -90,11 +89,6 @@ class Limits:
     @property
     def _filament_area(self) -> float:
         return math.pi / 4.0 * self.filament_diameter**2
-
-    @property
-    def diagonal(self) -> float:
-        """Return how many times its acceleration along x a path may have along a diagonal."""
-        return math.sqrt(2.0) if self.acceleration_by_axis else 1.0
 
     @property
     def fastest(self) -> float:
@@ -115,7 +109,7 @@ class Limits:
             "extruder_acceleration": self.extruder_velocity / self.extruder_acceleration,
         }
         for name, seconds in ramps.items():
-            if not seconds <= LONGEST_RAMP:
+            if LONGEST_RAMP < seconds < math.inf:  # a limit may be left out of a plan
                 raise ArgumentError(
                     f"with this {name} full speed takes {seconds:g} s; "
                     f"at most {LONGEST_RAMP:g} s are possible"

@@ -62,15 +62,12 @@ def as_float(known: Known) -> float:
     return known.value
 
 
-def gentle(acceleration: Known, diagonal: float = 1.0) -> dict[str, Known]:
-    """Return deceleration and jerk of the path, low enough for a model that is a little off.
-
-    diagonal: how many times the acceleration a path may have along a diagonal.
-    """
+def gentle(acceleration: Known) -> dict[str, Known]:
+    """Return deceleration and jerk of the path, low enough for a model that is a little off."""
     most = as_float(acceleration)
     origin = "low, for small errors; 'hframe-post tune' finds yours"
     jerk = float(f"{most / (RAMP * min(1.0, most / SLOW)):.3g}")
-    values = {"deceleration": min(float(math.ceil(diagonal * most)), BRAKING), "jerk": jerk}
+    values = {"deceleration": min(float(math.ceil(most)), BRAKING), "jerk": jerk}
     return {name: Known(value, origin) for name, value in values.items()}
 
 

@@ -147,7 +147,7 @@ def test_strokes_begin_and_end_with_the_users_corners(marlin: Printer) -> None:
     retraction, lift, first = text[users + 1 : streams]
     assert retraction.startswith(b"G1 E-2 F")
     assert lift.startswith(b"G1 Z2 F")
-    assert first.startswith(b"G1 X119.")
+    assert first.startswith(b"G1 X1")
 
 
 @pytest.mark.parametrize("planner", GENERATIONS)

@@ -85,7 +85,8 @@ def queue(rng: Rng) -> Iterator[Call]:
     of_printer = [300.0, 300.0, 1e4, 1e4, 20.0, 60.0, 50.0, 500.0 / 3, 2e3 / 3, 5.0, 0.1]
     of_file = [20.0, np.inf, 20.0, 10.0, np.inf, 500.0, 500.0, np.inf]
     of_file = of_file if rng.random() < 0.5 else [np.inf] * 8
-    rules = np.array([*of_printer, *of_file])
+    belts = [1.0, 1.0, 1.0, -1.0] if rng.random() < 0.5 else [1.0, 0.0, 0.0, 1.0]
+    rules = np.array([*of_printer, *of_file, *belts])
     yield lookahead.limit_moves, points, speed, acceleration, corner, rules
     moves = lookahead.limit_moves(points, speed, acceleration, corner, rules)
     yield lookahead.greatest_speeds, points, moves, 1.0

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hframe_post.errors import HframeError
-from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.corners import square_corner_velocity
 from hframe_post.printer.decoding import file_text
 from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, gentle, motors, sweep
@@ -212,16 +211,12 @@ def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Kno
     printing = settings.word("M204", "P")
     acceleration = min(printing, highest, key=as_float)
     corner = _corner(settings, acceleration)
-    diagonal, by_axis = 1.0, dict[str, Known]()
-    if Kinematics(kinematics).bed_moves:  # a motor for each axis
-        diagonal, by_axis = math.sqrt(2.0), {"acceleration_by_axis": Known(True, "as M201 does")}
     tables: Tables = {
         "travel": travel,
         "limits": {
             "velocity": velocity,
             "acceleration": acceleration,
-            **by_axis,
-            **gentle(acceleration, diagonal),
+            **gentle(acceleration),
             "square_corner_velocity": corner,
             **_deviation(settings),
             "z_velocity": settings.word("M203", "Z"),

@@ -19,6 +19,7 @@ from hframe_post.conversion.pipeline import parsed, sampled
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
+from hframe_post.firmware.registry import firmware
 from hframe_post.model.impulse_response import Linear
 from hframe_post.model.nozzle import nozzle
 from hframe_post.model.plant import Plant
@@ -63,7 +64,8 @@ def paths(lines: Iterable[bytes], printer: Printer, options: Options) -> Paths:
     pieces = [piece for piece in pieces if piece.start.place.layer > 1] or pieces
     chosen = np.linspace(0, len(pieces) - 1, min(PIECES, len(pieces))).astype(int).tolist()
     options = Options("none", tolerance=None)  # the path without rests at stops
-    plans = (plan(pieces[k].items, printer.limits) for k in chosen)
+    caps = firmware(printer).caps(printer)
+    plans = (plan(pieces[k].items, caps) for k in chosen)
     samples = (sampled(items, printer, options, skip_slow=True) for items in plans)
     found = [_path(stretch) for chunks in samples for stretch in stretches(chunks)]
     return [(path, counted) for path, counted in found if counted.any()]

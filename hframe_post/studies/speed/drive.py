@@ -255,13 +255,14 @@ class Drive:
     def original(self) -> Original:
         """Return what the file is without this tool, at its own speeds."""
         printer, options = self._printer, replace(self._options, strategy="none")
-        sliced = SlicedTime(firmware(printer).limits(printer))
+        own = firmware(printer)
+        sliced = SlicedTime(own.limits(printer))
 
         def uncompensated(items: Iterable[Planned]) -> Iterator[Samples]:
             for chunk in sampled(items, printer, options):
                 yield replace(chunk, commands={"none": chunk.xyze[:, :Z]})
 
-        spans = Spans(plan(sliced.items(self._items()), printer.limits))
+        spans = Spans(plan(sliced.items(self._items()), own.caps(printer)))
         commands = continued(spans, uncompensated, printer)
         labels, layers = Labels(by_name=False), dict[int, float]()
         statistics: dict[str, ErrorStatistics] = {}
