@@ -40,6 +40,7 @@ from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.advance import Advance
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import STAMP
+from hframe_post.gcode.motors import with_motors
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
@@ -304,6 +305,7 @@ class SampleStream:
         self, lines: Iterable[bytes], printer: Printer, options: Options,
         strategies: tuple[str, ...] = (), compensator: Compensator | None = None,
     ) -> None:  # fmt: skip
+        lines, printer = with_motors(lines, printer, options.limits)
         self._printer = printer
         self._source = PlannedFile(lines, printer, options)
         self._stages = Stages(printer, options, compensator or prepared(printer), strategies)

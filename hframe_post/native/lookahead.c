@@ -36,9 +36,9 @@ static int64_t limit_moves(const double *points, const double *speed, const doub
         cruise = lesser(cruise, rules->z_cruise / share[Z]);
         cruise = lesser(cruise, rules->retraction / retracting);
         cruise = lesser(cruise, rules->melted / extruding);
-        a = lesser(a, lesser(rules->z_acceleration / share[Z], rules->e_acceleration / retracting));
         double squared = lesser(corner[k], rules->corner);
-        double deviation = (sqrt(2.0) - 1.0) * (squared * squared) / a;
+        double deviation = (sqrt(2.0) - 1.0) * (squared * squared) / a; /* of x and y, as Klipper's */
+        a = lesser(a, lesser(rules->z_acceleration / share[Z], rules->e_acceleration / retracting));
         moves[k] = (struct limited){length, cruise, a, lesser(deviation, rules->deviation)};
     }
     return n;

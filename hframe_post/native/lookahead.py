@@ -69,21 +69,22 @@ def _least_limits(
         cruise = np.minimum(cruise, retract / retracting)
         cruise = np.minimum(cruise, melted / extruding)
         by_z, by_e = z_acceleration / share[:, Z], e_acceleration / retracting
-    acceleration = np.minimum(acceleration, np.minimum(by_z, by_e))
     deviations = junction_deviation(np.minimum(square_corner, corner), acceleration)
+    acceleration = np.minimum(acceleration, np.minimum(by_z, by_e))
     return length, cruise, acceleration, np.minimum(deviations, deviation)
 
 
 def greatest_speeds(
-    points: Array, moves: Array, extruder_corner_velocity: float, shorter: float = math.inf
-) -> Array:
+    points: Array, moves: Array, extruder_corner_velocity: float, shorter: float = math.inf,
+    steep: float = STEEP,
+) -> Array:  # fmt: skip
     """Return the greatest speed at each vertex, (n + 1,), without limits at the ends.
 
-    shorter: see ``junction_speeds``.
+    shorter: see ``junction_speeds``. steep: rise over run above which a move is made from rest.
     """
     if (compiled := kernel("junctions")) is not None:
         caps = np.empty(len(points))
-        constants = extruder_corner_velocity, shorter, BELOW_CRUISE, STEEP, CREEP
+        constants = extruder_corner_velocity, shorter, BELOW_CRUISE, steep, CREEP
         compiled(points, moves, len(moves), *constants, caps)
         return caps
     delta = np.diff(points, axis=0)
@@ -92,8 +93,9 @@ def greatest_speeds(
         delta, length, acceleration, deviation, extruder_corner_velocity, shorter
     )
     dx, dy, dz, _ = np.square(delta).T
-    steep = dz > STEEP * STEEP * (dx + dy)
-    inner[steep[:-1] | steep[1:] | (inner < CREEP)] = 0.0
+    with np.errstate(invalid="ignore"):  # infinite times 0
+        upright = dz > steep * steep * (dx + dy)
+    inner[upright[:-1] | upright[1:] | (inner < CREEP)] = 0.0
     cruise = BELOW_CRUISE * cruise
     inner = np.minimum(inner, np.minimum(cruise[:-1], cruise[1:]))
     return np.concatenate([cruise[:1], inner, cruise[-1:]])

@@ -13,6 +13,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Z, lengths
 from hframe_post.firmware.base import FirmwareLimits
+from hframe_post.native.lookahead import STEEP
 from hframe_post.planner.bands import MotorBands, OuterWalls, TimeInBands
 from hframe_post.planner.lookahead import Lookahead
 from hframe_post.stream.types import Handling, Item, MoveAtRest, Moves, Passthrough, Plan
@@ -25,7 +26,11 @@ class SlicedTime:
     """
 
     def __init__(self, rules: FirmwareLimits, bands: MotorBands | None = None) -> None:
-        self._rules, self._queue = rules, Lookahead(rules.limits)
+        self._rules = rules
+        self._lifts = rules.durations is None  # joined to motion, as Klipper does
+        steep = math.inf if self._lifts else STEEP
+        self._queue = Lookahead(rules.limits, z_share=1.0, steep=steep)
+        self._last: Moves | None = None  # moves before the item
         self.seconds = 0.0
         self._bands, self._walls, self.in_bands = bands, OuterWalls(), TimeInBands()
         self._outer = list[Flags]()  # which of the queued moves are outer walls
@@ -44,10 +49,10 @@ class SlicedTime:
             else:
                 self._walls.pass_by(item)
         if isinstance(item, Moves):
-            self._queue.append(replace(item, marks=()))
-            self._ratio.append(np.full(len(item.line), item.limits.cruise_ratio))
-            while (plan := self._queue.take_final()) is not None:
-                self.seconds += self._duration(plan)
+            self._append(item, item.limits.cruise_ratio)
+            self._last = item
+        elif isinstance(item, MoveAtRest) and self._lifts and self._last and _lifts(item):
+            self._append(self._lift(item, self._last), 0.0)
         elif isinstance(item, MoveAtRest):
             self._stop()
             self.seconds += self._at_rest(item)
@@ -56,17 +61,31 @@ class SlicedTime:
                 self._stop()
             self.seconds += item.seconds
 
+    def _append(self, moves: Moves, ratio: float) -> None:
+        self._queue.append(replace(moves, marks=()))
+        self._ratio.append(np.full(len(moves.line), ratio))
+        while (plan := self._queue.take_final()) is not None:
+            self.seconds += self._duration(plan)
+
+    def _lift(self, lift: MoveAtRest, before: Moves) -> Moves:
+        """Return a lift as a move, with the limits of the moves before it."""
+        points, speed = np.array([lift.start, lift.end]), np.array([lift.speed])
+        line, last = np.array([lift.line]), (before.acceleration[-1:], before.corner[-1:])
+        return Moves(line, points, speed, *last, before.limits)
+
     def _stop(self) -> None:
         self.seconds += sum(map(self._duration, self._queue.stop()))
 
     def _duration(self, plan: Plan) -> float:
-        d, v = np.diff(plan.s[plan.ends]), plan.speed
-        v_s, v_e, cruise, a = v[:-1], v[1:], plan.cruise, plan.acceleration
+        d, cruise, a = np.diff(plan.s[plan.ends]), plan.cruise, plan.acceleration
         ratio = np.concatenate(self._ratio)
         self._ratio = [ratio[len(plan.line) :]]
-        ramped = (1.0 - ratio[plan.ends[:-1]]) * a * d
-        reached = np.sqrt(np.maximum(ramped + (v_s**2 + v_e**2) / 2.0, np.maximum(v_s, v_e) ** 2))
-        top = np.minimum(cruise, reached)
+        v2 = np.square(plan.speed)
+        reached = a * d + (v2[:-1] + v2[1:]) / 2.0
+        gain = 2.0 * (1.0 - ratio[plan.ends[:-1]]) * a * d
+        smooth = _smoothed_tops(v2, gain, np.square(cruise))
+        top = np.sqrt(np.minimum(np.minimum(reached, smooth), np.square(cruise)))
+        v_s, v_e = np.minimum(plan.speed[:-1], top), np.minimum(plan.speed[1:], top)
         if self._bands is not None:
             self._add_in_bands(plan, top, self._bands)
         if (durations := self._rules.durations) is None:
@@ -122,3 +141,28 @@ def _seconds(d: Array, v_s: Array, v_e: Array, top: Array, a: Array) -> Array:
     """Return the seconds (n,) of ways d (mm) from speed to speed over a speed between."""
     cruised = np.maximum(d - (2.0 * top**2 - v_s**2 - v_e**2) / (2.0 * a), 0.0)
     return np.asarray((2.0 * top - v_s - v_e) / a + cruised / top)
+
+
+def _smoothed_tops(v2: Array, gain: Array, cruise2: Array) -> Array:
+    """Return the greatest squares of speed (r,) in runs whose ends have v2, (r + 1,).
+
+    Klipper plans a second time, in which the square may change by no more than the gain (r,). Where
+    that plan accelerates, the path gets no faster than the plan's next peak; where it brakes all
+    along, no faster than where it begins to.
+    """
+    summed = np.concatenate([[0.0], np.cumsum(gain)])
+    rising = np.minimum.accumulate(v2 - summed) + summed
+    both = np.minimum.accumulate((rising + summed)[::-1])[::-1] - summed
+    begun, ended, rounding = both[:-1], both[1:], 1e-12 * summed[-1]
+    climbs = begun + rounding < ended + gain
+    peak = climbs & ((begun + gain > ended + rounding) | np.append(~climbs[1:], False))
+    n = len(gain)
+    index = np.arange(n)
+    following = np.minimum.accumulate(np.where(peak, index, n)[::-1])[::-1]
+    before = np.maximum.accumulate(np.where(peak, index, -1))
+    heights = np.append(np.minimum((begun + ended + gain) / 2.0, cruise2), math.inf)
+    return np.asarray(np.where(climbs, heights[following], np.minimum(heights[before], v2[:-1])))
+
+
+def _lifts(move: MoveAtRest) -> bool:
+    return move.start[Z] != move.end[Z]

@@ -121,7 +121,9 @@ def test_limits_of_the_file() -> None:
         ({}, "M205 J0", math.inf, 0.0),
         (
             {"junction_deviation": 0.0, "jerk": (8.0, 8.0), "jerk_e": 5.0},
-            "M205 X8 Y6 J0.02", 6.0, math.inf,
+            "M205 X8 Y6 J0.02",
+            6.0,
+            math.inf,
         ),
     ],
 )

@@ -15,7 +15,7 @@ from pathlib import Path
 from hframe_post.errors import HframeError
 from hframe_post.native.corners import square_corner_velocity
 from hframe_post.printer.decoding import file_text
-from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, gentle, motors, sweep
+from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, sweep
 
 MAX_SIZE = 1 << 22  # bytes of a file
 LINE = re.compile(r"(?:^|[\s:>])(M\d+)((?: +[A-Z](?:-?\d+\.?\d*)?(?=\s|$))+)")
@@ -216,7 +216,6 @@ def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Kno
         "limits": {
             "velocity": velocity,
             "acceleration": acceleration,
-            **gentle(acceleration),
             "square_corner_velocity": corner,
             **_deviation(settings),
             "z_velocity": settings.word("M203", "Z"),
@@ -224,7 +223,6 @@ def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Kno
             "extruder_velocity": settings.word("M203", "E"),
             "extruder_acceleration": settings.word("M204", "R"),
         },
-        "motors": motors(kinematics, velocity, acceleration, corner),
         "steps": _steps(settings),
         "retraction": _retraction(settings),
         "extruder": _advance(settings),
