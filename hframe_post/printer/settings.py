@@ -147,10 +147,9 @@ class Motors:
         belts = 1.0 / kinematics.min_speed_ratio
         harder = acceleration + MORE_ACCELERATION * min(acceleration, HARD)
         turned = acceleration + corner / CORNER
-        return Motors(
-            min(self.belt_velocity, belts * VELOCITY_HEADROOM * velocity),
-            min(self.belt_acceleration, belts * max(harder, turned)),
-        )
+        guess = round(belts * VELOCITY_HEADROOM * velocity, 1), round(belts * max(harder, turned))
+        stated = self.belt_velocity, self.belt_acceleration
+        return Motors(*(s if s < math.inf else g for s, g in zip(stated, guess, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
