@@ -29,17 +29,21 @@ def with_motors(
     Only the first BYTES_AHEAD are read, at once. Limits of motors that the profile states stay.
     limits: see ``ReadOptions``.
     """
-    if printer.stated is None:
+    stated, kinematics = printer.stated, printer.kinematics
+    own = (
+        printer.limits.velocity,
+        printer.limits.acceleration,
+        printer.limits.square_corner_velocity,
+    )
+    if stated is None or printer.motors != stated.completed(kinematics, *own):
         return lines, printer
     rest, head, size = iter(lines), list[bytes](), 0
     while size < BYTES_AHEAD and (text := next(rest, None)) is not None:
         head.append(text)
         size += len(text)
-    options, own = ReadOptions.from_printer(printer, limits), printer.limits
-    asked = [(own.velocity, own.acceleration, own.square_corner_velocity), *_asked(head, options)]
-    most = np.max(asked, axis=0).tolist()
-    motors = printer.stated.completed(printer.kinematics, *most)
-    return chain(head, rest), replace(printer, motors=motors)
+    options = ReadOptions.from_printer(printer, limits)
+    most = np.max([own, *_asked(head, options)], axis=0).tolist()
+    return chain(head, rest), replace(printer, motors=stated.completed(kinematics, *most))
 
 
 def _asked(lines: Iterable[bytes], options: ReadOptions) -> Iterator[tuple[float, float, float]]:
