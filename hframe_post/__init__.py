@@ -2,7 +2,7 @@
 
 The library: what ``__all__`` names, imported when it is first used. Arrays in, arrays out:
 ``compensate``, ``predict``, ``contour_error``. Files in, files out: ``convert``, ``simulate``,
-``tune``, ``identify``, ``read_steps``. Lengths are mm, times s, one sample is 1 ms.
+``tune``, ``identify``. Lengths are mm, times s, one sample is 1 ms.
 
     >>> import hframe_post as hp
     >>> hp.load_printer("paper").plant.Gxx.order
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from hframe_post.model.plant import Plant
     from hframe_post.model.transfer_function import TransferFunction
     from hframe_post.printer.settings import Printer
-    from hframe_post.writers.step_file import read as read_steps
 
 __all__ = [
     "HframeError",
@@ -52,7 +51,6 @@ __all__ = [
     "identify",
     "load_printer",
     "predict",
-    "read_steps",
     "simulate",
     "tune",
 ]
@@ -74,7 +72,6 @@ _ROOMS = {  # name → module, and the name in it if that differs
     "identify": "identification.identify",
     "load_printer": "library",
     "predict": "library",
-    "read_steps": "writers.step_file:read",
     "simulate": "library",
     "tune": "library",
 }

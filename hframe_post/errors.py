@@ -88,14 +88,6 @@ class PrinterError(HframeError):
         super().__init__("".join(f"{part}: " for part in (source, key) if part) + cause)
 
 
-class StepFileError(HframeError):
-    """A file that should hold step times does not."""
-
-    def __init__(self, cause: str, path: Path, line: int | None = None) -> None:
-        self.cause, self.path, self.line = cause, path, line
-        super().__init__(f"{path}: {_place(line)}{cause}")
-
-
 class IdentificationError(HframeError):
     """A measurement from which no model can be identified."""
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.conversion.options import Kind, Options
+from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.tables import StepConversion
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.types import Dwell, Event, Handling, ModalState, Passthrough, Samples
-from hframe_post.writers.step_file import Note, Start, Stepped
+from hframe_post.writers.step_file import MOTORS, Note, Start, Stepped
 from hframe_post.writers.steps import StepCounts, StepGenerator
 
 STATE = ModalState(True, True, 0.0, 25.0, (0.0, 0.0, 0.0))
@@ -71,9 +70,29 @@ def stepped(blocks: list[Samples], table: Steps, kinematics: Kinematics | None =
 
 
 def write_steps(
-    path: Path, lines: list[bytes], printer: Printer, kind: str = "steps", strategy: str = "racking"
+    path: Path, lines: list[bytes], printer: Printer, strategy: str = "racking"
 ) -> Report:
     """Write a whole conversion to an uncompressed step file, without its events."""
-    pieces = StepConversion(iter(lines), printer, Options(strategy, format=cast(Kind, kind)))
+    pieces = StepConversion(iter(lines), printer, Options(strategy, format="steps"))
     path.write_bytes(b"".join(piece for piece in pieces if isinstance(piece, bytes)))
     return pieces.report()
+
+
+def read_steps(text: bytes, printer: Printer) -> tuple[Integers, Array]:
+    """Return the tick (n,) of each step and start of a step file, and x, y, z, e (n, 4) then."""
+    table = printer.steps
+    assert table is not None
+    at, ticks, positions = [0] * 4, list[int](), list[list[int]]()
+    for row in text.decode().splitlines():
+        kind, *words = row.split(",")
+        if kind == "#start":
+            at = [int(word) for word in words[1:]]
+        elif kind.isdigit():
+            at[MOTORS.index(words[0])] += 1 if words[1] == "1" else -1
+        else:
+            continue
+        ticks.append(int(words[0] if kind == "#start" else kind))
+        positions.append(at.copy())
+    xyze = np.array(positions) * [table.belt, table.belt, table.z, table.e]
+    xyze[:, :2] = xyze[:, :2] @ np.linalg.inv(printer.kinematics.matrix).T
+    return np.array(ticks), xyze

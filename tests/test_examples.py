@@ -15,8 +15,8 @@ from tests.conftest import ROOT, SAMPLES
 
 def printed_by(example: str, folder: Path) -> str:
     done = subprocess.run(
-        [sys.executable, "-W", "error", ROOT / "examples" / example, folder], check=True, text=True,
-        capture_output=True,
+        [sys.executable, "-W", "error", "-m", f"examples.{example}", folder], check=True, text=True,
+        capture_output=True, cwd=ROOT,
     )  # fmt: skip
     return done.stdout
 
@@ -29,7 +29,7 @@ def drawn_in(folder: Path) -> dict[str, str]:
 @pytest.mark.slow
 def test_the_papers_figures(tmp_path: Path) -> None:
     """Those of docs/paper.md, but for the measured times in Fig. 8 and the prism."""
-    printed_by("paper_figures.py", tmp_path / "out")
+    printed_by("paper.figures", tmp_path / "out")
     drawn = drawn_in(tmp_path / "out")
     assert set(drawn) == {"fig04.svg", "fig05.svg", "fig08.svg", "fig09.svg", "corner.svg"}
     assert all(text.count("<path") > 20 for text in drawn.values())
@@ -39,7 +39,7 @@ def test_the_papers_figures(tmp_path: Path) -> None:
 
 
 def test_the_papers_rectangle_through_the_library(tmp_path: Path) -> None:
-    printed = printed_by("paper_rectangle.py", tmp_path / "out")
+    printed = printed_by("paper_rectangle", tmp_path / "out")
     simulated = hp.simulate(SAMPLES / "rectangle.gcode", hp.load_printer("paper"))
     rms = {name: 1e3 * figures.contour.rms for name, figures in simulated.parts.whole.items()}
     shown = [float(number) for number in re.findall(r"([\d.]+) µm RMS", printed)]

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import hframe_post as hp
+from examples.paper.results import path
 from hframe_post.arrays import TS, Array
 from hframe_post.conversion.pipeline import first_line
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
-from hframe_post.paper.results import path
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.simulation.uncertainty import draws
@@ -214,7 +214,7 @@ def test_convert_is_what_the_command_line_does(tmp_path: Path) -> None:
     arguments = [sys.executable, "-m", "hframe_post", str(RECTANGLE), "-q"]
     subprocess.run([*arguments, "-o", str(tmp_path / "by_tool.gcode")], check=True)
     assert (tmp_path / "by_library.gcode").read_bytes() == (tmp_path / "by_tool.gcode").read_bytes()
-    assert set(report.contour) == {"none", "racking"}
+    assert set(report.contour) == {"none", "shaper", "racking"}
     assert report.contour["racking"].rms < report.contour["none"].rms / 8
 
 
@@ -273,7 +273,7 @@ def test_convert_takes_lines_and_writes_what_the_suffix_says(
 ) -> None:
     lines = RECTANGLE.read_bytes().splitlines(keepends=True)
     hp.convert(lines, tmp_path / "out.csv", paper, hp.Options("fbs", ()))
-    assert hp.read_steps(tmp_path / "out.csv").header.printer == "paper"
+    assert b"\n#printer,paper\n" in (tmp_path / "out.csv").read_bytes()
     report = hp.convert(lines, tmp_path / "out.npz", paper, hp.Options("none"))
     assert set(report.contour) == {"none"}
     with np.load(tmp_path / "out.npz") as table:

@@ -1,18 +1,14 @@
-"""Which files a batch converts: those that are named, those in folders, and those that arrive."""
+"""Which files a batch converts: those that are named, and those in folders."""
 
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from threading import Event
 
 from hframe_post.batch.jobs import Job
-from hframe_post.errors import HframeError, install_advice
+from hframe_post.errors import HframeError
 from hframe_post.gcode.lines import NAMES, is_gcode_name
-
-UPLOAD_PAUSE = 2.0  # s without a change after which an upload counts as complete
 
 
 def with_targets(sources: Iterable[Path], folder: Path) -> list[tuple[Path, Path]]:
@@ -87,45 +83,3 @@ def jobs_for(files: Sequence[tuple[Path, Path]], first_line: bytes) -> list[Job]
 def _begins_with(path: Path, first_line: bytes) -> bool:
     with path.open("rb") as file:
         return file.readline(len(first_line) + 1) == first_line
-
-
-def watch_folder(
-    watched: Path, folder: Path, first_line: bytes, stop: Event
-) -> Iterator[list[Job]]:
-    """Yield lists of files to convert from a folder and its subfolders, until ``stop`` is set.
-
-    The caller converts each list in place before it asks for the next: no file is tried again
-    until it changes. Raises HframeError where the package watchfiles is missing.
-    """
-    try:
-        from watchfiles import watch
-    except ImportError:
-        raise HframeError(
-            f"--watch needs watchfiles. Install it with: {install_advice('watchfiles')}"
-        ) from None
-
-    tried: dict[Path, tuple[int, int]] = {}
-    for _ in watch(watched, yield_on_timeout=True, rust_timeout=1000, raise_interrupt=False,
-                   stop_event=stop):  # fmt: skip
-        found = [
-            (path, folder / path.relative_to(watched))
-            for path in _gcode_in(watched, folder, lambda _: None)  # some may be deleted by now
-            if _is_complete(path) and tried.get(path) != _version(path)
-        ]
-        jobs = [job for job in jobs_for(found, first_line) if not job.finished]
-        versions = {job.source: _version(job.source) for job in jobs}  # before they are read
-        if jobs:
-            yield jobs
-        tried |= versions
-
-
-def _is_complete(path: Path) -> bool:
-    return path.is_file() and time.time() - _version(path)[0] / 1e9 >= UPLOAD_PAUSE
-
-
-def _version(path: Path) -> tuple[int, int]:
-    try:
-        status = path.stat()
-    except OSError:  # deleted in the meantime
-        return 0, 0
-    return status.st_mtime_ns, status.st_size

@@ -13,10 +13,16 @@ from typing import Any
 import click
 
 from hframe_post.batch.cluster import Cluster
-from hframe_post.batch.folders import jobs_for, watch_folder, with_targets
+from hframe_post.batch.folders import jobs_for, with_targets
 from hframe_post.batch.jobs import Converter, Job, LocalProcesses, State, run
 from hframe_post.cli.json_summary import json_option, open_json
-from hframe_post.cli.options import conversion_options, files_read, printer_option, say
+from hframe_post.cli.options import (
+    conversion_options,
+    files_read,
+    former_option,
+    printer_option,
+    say,
+)
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import first_line
 from hframe_post.errors import HframeError
@@ -34,7 +40,7 @@ def address(text: str) -> str:
 
 
 @click.command()
-@click.argument("sources", nargs=-1, type=click.Path(path_type=Path, exists=True),
+@click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True),
                 metavar="[FILE|FOLDER]...")  # fmt: skip
 @click.option(
     "-d", "--directory", "folder", required=True, type=click.Path(path_type=Path, file_okay=False),
@@ -50,11 +56,7 @@ def address(text: str) -> str:
     "--resume", is_flag=True,
     help="Skip files that have been converted with the same settings and have not changed since.",
 )  # fmt: skip
-@click.option(
-    "--watch", "watched", type=click.Path(path_type=Path, file_okay=False, exists=True),
-    metavar="FOLDER", help="Convert files as they arrive in a folder or its subfolders, until "
-    "stopped with Ctrl-C.",
-)  # fmt: skip
+@former_option("--watch", instead="name the folder with --resume, for example from cron")
 @click.option(
     "--scheduler", type=address, metavar="tcp://HOST:PORT",
     help="Convert on the workers of a Dask cluster; files are sent to them and fetched back. Needs "
@@ -65,7 +67,7 @@ def address(text: str) -> str:
 @click.pass_context
 def batch(
     context: click.Context, sources: tuple[Path, ...], folder: Path, jobs: int | None,
-    printer: str, options: Options, resume: bool, watched: Path | None, scheduler: str | None,
+    printer: str, options: Options, resume: bool, scheduler: str | None,
     json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert files, and all G-code in folders. A file that fails does not stop the others.
@@ -77,10 +79,8 @@ def batch(
     Examples:
       hframe-post batch jobs/*.gcode -d out/ -p my.toml --resume
       hframe-post batch jobs/ -d out/
-      hframe-post batch --watch uploads/ -d printable/
       hframe-post batch jobs/*.gcode -d out/ --scheduler tcp://farm:8786
     """
-    _check_usage(sources, watched, folder)
     profile = load(printer)
     stamped = first_line(profile, options.resolved(profile))
     if options.strategy != "none" and not options.force:
@@ -99,12 +99,7 @@ def batch(
     with Outputs(files_read(*(job.source for job in todo), printer)) as outputs:
         write_json = open_json(outputs, json_file)
         with interruption.put_off(converter.stop):
-            if watched is None:
-                _convert(todo, converter, interruption.event, results)
-            else:
-                results.say(f"watching {watched}; stop with Ctrl-C")
-                for arrived in watch_folder(watched, folder, stamped, interruption.event):
-                    _convert(arrived, converter, interruption.event, results)
+            _convert(todo, converter, interruption.event, results)
         status = results.status
         if interruption.number:
             status = 128 + interruption.number
@@ -114,15 +109,8 @@ def batch(
     context.exit(status)
 
 
-def _check_usage(sources: tuple[Path, ...], watched: Path | None, folder: Path) -> None:
-    if bool(sources) == (watched is not None):
-        raise click.UsageError("name either files and folders, or --watch FOLDER")
-    if watched is not None and watched.resolve() == folder.resolve():
-        raise click.UsageError("--watch and --directory must be different folders")
-
-
 class Results:
-    """Results of the files so far; a watched file that came again counts once.
+    """Results of the files so far.
 
     notices: warnings of the profile, which every file has: they are printed once.
     """

@@ -42,7 +42,7 @@ PACKAGES = (
     "platformdirs",
     "zstandard",
 )
-EXTRAS = ("matplotlib", "watchfiles", "distributed")
+EXTRAS = ("matplotlib", "distributed")
 
 
 class _Findings:

@@ -45,7 +45,9 @@ COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of
         "integrations.octoprint_plugin",
         "Install a plugin into OctoPrint that converts uploads.",
     ),
-    "paper": ("paper.paper", "Reproduce the paper's tables and figures."),
+}
+GONE = {  # former commands, and what replaced them
+    "paper": "run 'python -m examples.paper.tables' in the folder of hframe-post",
 }
 _GIVEN = "hframe_post.given"  # the command line in the context's meta
 _NOT_PARSED = (click.NoSuchOption, click.BadOptionUsage, click.MissingParameter)
@@ -82,6 +84,8 @@ class _Commands(click.Group):
         context.meta[_GIVEN] = args
         if args and args[0] not in COMMANDS and args[0] not in ("-h", "--help", "--version"):
             if _looks_like_a_command(args[0]):
+                if args[0] in GONE:
+                    raise click.UsageError(f"there is no {args[0]!r} now: {GONE[args[0]]}", context)
                 similar = get_close_matches(args[0].lower(), COMMANDS, n=1, cutoff=0.6)
                 advice = f"did you mean 'hframe-post {similar[0]}'?" if similar else "see --help"
                 raise click.UsageError(

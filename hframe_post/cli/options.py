@@ -102,6 +102,16 @@ def typed(read: Callable[[str], Any]) -> Callable[[str], Any]:
     return convert
 
 
+def former_option(*names: str, instead: str) -> Callable[[Command], Command]:
+    """Return a decorator for an option that is gone: who gives it is told what replaced it."""
+
+    def refuse(context: click.Context, _: click.Parameter, given: str | None) -> None:
+        if given is not None:
+            raise click.UsageError(f"there is no {names[0]} now: {instead}", context)
+
+    return click.option(*names, expose_value=False, hidden=True, callback=refuse)
+
+
 seed_option = click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Random seed.",
 )  # fmt: skip
@@ -195,13 +205,13 @@ _VERBOSE = "hframe_post.verbose"  # in a context's meta
 
 
 @contextmanager
-def progress_bar(source: Path, quiet: bool) -> Iterator[Callable[[int], object] | None]:
+def progress_bar(source: Path | None, quiet: bool) -> Iterator[Callable[[int], object] | None]:
     """Show a progress bar on a terminal if the file is large, or log the progress with ``-v``.
 
     Yields the function to call with each number of bytes read; None if nothing is shown.
     """
-    size = source.stat().st_size if source.is_file() else 0
-    if quiet or size < BAR_FROM or not sys.stderr.isatty():
+    size = source.stat().st_size if source is not None and source.is_file() else 0
+    if source is None or quiet or size < BAR_FROM or not sys.stderr.isatty():
         yield _log_progress(size) if size and _is_verbose() else None
         return
     with click.progressbar(
@@ -246,3 +256,13 @@ def log(text: str) -> None:
 
 def _print_log(text: str) -> None:
     click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)
+
+
+def old_option(name: str, instead: str) -> Callable[[Command], Command]:
+    """Return a hidden option that ends in one line: what replaced it."""
+
+    def gone(_: click.Context, option: click.Parameter, value: str | None) -> None:
+        if value is not None:
+            raise click.UsageError(f"{option.opts[0]} is gone: {instead}")
+
+    return click.option(name, hidden=True, expose_value=False, callback=gone)

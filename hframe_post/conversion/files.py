@@ -209,6 +209,5 @@ FORMATS: dict[Kind, Format] = {
     "gcode": Format(GcodeConversion, _save_gcode, packs=False),
     "bgcode": Format(GcodeConversion, _save_binary, (SUFFIX,), packs=False),
     "steps": Format(_convert_steps, _save_steps, (".csv",)),
-    "step-bits": Format(_convert_steps, _save_steps),
     "samples": Format(_convert_samples, _save_samples, TABLES),
 }

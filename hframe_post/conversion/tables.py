@@ -40,8 +40,8 @@ class StepConversion:
         self._commands = SampleStream(lines, printer, options)
         self._stepper = StepGenerator(options.strategy, kinematics, table)
         header = Header(
-            options.format or "steps", __version__, printer.name, settings_hash(printer, options),
-            table.clock_hz, (table.belt, table.belt, table.z, table.e), kinematics.matrix,
+            __version__, printer.name, settings_hash(printer, options), table.clock_hz,
+            (table.belt, table.belt, table.z, table.e), kinematics.matrix,
         )  # fmt: skip
         self._writer = StepFileWriter(header)
 

@@ -42,10 +42,6 @@ class Code(ABC):
         """
         return {"G91": b"G90\n", "M82": b"M83\n"}.get(name, b"")  # where G90 leaves E as it is
 
-    def labels_object(self, text: bytes) -> bool:
-        """Return whether the firmware may leave out the moves before or after this line."""
-        return False
-
     def reset_extruder(self, filament: float) -> bytes:
         """Return a line that resets the firmware's count of filament (mm), or nothing."""
         return b""
@@ -60,10 +56,6 @@ class Code(ABC):
     @abstractmethod
     def set_acceleration(self, acceleration: float) -> str:
         """Return a line that changes the acceleration, mm/s², and no other limit."""
-
-    def set_advance(self, seconds: float) -> str:
-        """Return a line that sets pressure advance, s."""
-        return f"M900 K{plain(seconds, 5)}"
 
     def corner_range(self, acceleration: float) -> tuple[float, float]:
         """Return the speeds through a right angle between which ``set_limits`` can choose."""

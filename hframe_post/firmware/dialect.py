@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -9,6 +10,14 @@ from hframe_post.firmware.advance import AdvanceChange, no_advance
 
 Accelerations = tuple[float, float]  # of moves with and without extrusion, mm/s²
 Words = Mapping[str, float]  # of a command: letter → number
+
+
+_M486 = re.compile(rb"\s*(?:N\d+\s*)?M486\b[^;*]*?S\s*(-?\d+)", re.IGNORECASE)
+
+
+def object_label(text: bytes) -> bytes | None:
+    """Return the number of an object that M486 S begins, -1 for none; None for another line."""
+    return match[1] if (match := _M486.match(text)) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +37,7 @@ class Dialect:
     retraction_settings: the commands that set what G10 and G11 do.
     g92_resets: G92 without words sets all coordinates to 0; elsewhere it does nothing.
     advance: what a line sets of pressure advance.
-    rejoins_after_object: after it skips an object, the firmware can be led back to the stream.
+    label: the object that a line says begins, b"" if it says that one ends; None: no label.
     """
 
     obeyed: frozenset[str]
@@ -42,5 +51,5 @@ class Dialect:
     splines: bool = False
     cr_ends_lines: bool = False
     g92_resets: bool = False
-    rejoins_after_object: bool = False
+    label: Callable[[bytes], bytes | None] = object_label
     advance: Callable[[bytes], AdvanceChange] = no_advance

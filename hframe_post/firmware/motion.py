@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
@@ -56,19 +55,6 @@ class Stroke(NamedTuple):
             return T
         slowness = max(1.0 / self.speed - late / (d + self.cruise), 1.0 / self.fastest)
         return d * slowness
-
-
-@dataclass(frozen=True, slots=True)
-class Rejoined:
-    """Lines that bring a machine back, and a place (4,) near ``at`` where they end.
-
-    They move by a nudge. speed (mm/s), seconds: of the nudge, if no move was left out.
-    """
-
-    text: bytes
-    at: Array
-    speed: float
-    seconds: float
 
 
 class MotionRules(ABC):
@@ -167,11 +153,3 @@ class MotionRules(ABC):
     @abstractmethod
     def dwell(self, seconds: float, next_to: NextTo) -> tuple[bytes, float] | None:
         """Return lines for a dwell, and the seconds that they last; None: no dwell."""
-
-    def rejoin(self, at: Array, way: Array, T: float) -> Rejoined | None:
-        """Return how a machine at rest comes back to ``at`` after moves that it left out.
-
-        at (4,): where the commands are, mm; way (2,): x, y of the next segment, mm, which lasts
-        T. None: this firmware leaves nothing out.
-        """
-        return None

@@ -70,13 +70,14 @@ _NONE = (
     "M101 M102 M103 M126 M127 M207 M208 M209 M211 M221 M566 M572 M900",
     # limits of firmwares that are not supported here
     "M202 M320 M592",
-    "EXCLUDE_OBJECT_DEFINE SET_PRINT_STATS_INFO SET_PRESSURE_ADVANCE SET_FAN_SPEED SET_PIN",
+    "M486 EXCLUDE_OBJECT_DEFINE EXCLUDE_OBJECT_START EXCLUDE_OBJECT_END",
+    "SET_PRINT_STATS_INFO SET_PRESSURE_ADVANCE SET_FAN_SPEED SET_PIN",
     "SET_HEATER_TEMPERATURE SET_DISPLAY_TEXT SET_GCODE_VARIABLE RESPOND SET_RETRACTION",
     "SET_LED SET_LED_EFFECT SET_LED_TEMPLATE STOP_LED_EFFECTS STATUS_*",
     "SET_FILAMENT_SENSOR SET_IDLE_TIMEOUT SET_TEMPERATURE_FAN_TARGET UPDATE_DELAYED_GCODE",
 )
 _WAITS = (
-    "G4 M109 M190 M191 M400 TEMPERATURE_WAIT EXCLUDE_OBJECT_START EXCLUDE_OBJECT_END",
+    "G4 M109 M190 M191 M400 TEMPERATURE_WAIT",
     "M17 M569 M906 M907 G130 SET_TMC_CURRENT",  # motor drivers
 )
 _RETURNS = ("M593 SET_INPUT_SHAPER",)  # input shaping, which the stream must turn off again
@@ -114,8 +115,6 @@ class Vocabulary:
         """Return the effect of a coded command or a macro; its name is in upper case."""
         if name in ("G10", "G11") and not arguments.strip():  # with words: a tool's offset
             return Effect.WAITS
-        if name == "M486" and b"S" not in arguments.upper():  # names objects; S starts one
-            return Effect.NONE
         if (known := self.names.get(name)) is not None:
             return known
         matching = (effect for prefix, effect in self.prefixes if name.startswith(prefix))

@@ -7,8 +7,9 @@ Rules:
     is unknown, and the next move passes through to the firmware.
  4. Lines that only set limits or the feed-rate factor are applied here and do not pass through:
     inside a dense stream the firmware would apply them a second time.
- 5. Firmware retraction becomes a move of filament where the profile gives its settings.
- 6. What a tool prints that the profile has no model of passes through to the firmware.
+ 5. After an object that may be excluded, the next move of x and y passes through in one piece.
+ 6. Firmware retraction becomes a move of filament where the profile gives its settings.
+ 7. What a tool prints that the profile has no model of passes through to the firmware.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from hframe_post.gcode.lexer import (
     uncommented,
 )
 from hframe_post.gcode.lines import Lines
+from hframe_post.gcode.objects import Objects
 from hframe_post.gcode.state import AXES, Extent, ReadOptions, State
 from hframe_post.stream.types import Handling, Item, MoveAtRest, Passthrough, Position
 
@@ -49,7 +51,9 @@ MIN_WRITTEN_PATH = 1e-3  # mm; the resolution of a file
 IMPOSSIBLE_FILAMENT_PER_PATH = 1e3
 LINES_TO_G11 = 500  # lines within which a G10 has its G11
 TOOL = re.compile(r"T\d+")
-START_OF_FILE = "the start"  # the cause of an unknown position before the first command
+# causes of uncompensated moves that are no commands
+START_OF_FILE = "the start"
+CHANGE_OF_OBJECT = "a change of object"
 
 
 def read(lines: Iterable[bytes], options: ReadOptions) -> Iterator[Item]:
@@ -75,6 +79,7 @@ class _Reader:
         self._source, self._options, self._dialect = source, options, options.dialect
         self._state = State(options.dialect, options.extrusion, options.start)
         self._bed = Extent(options.travel)
+        self._objects = Objects(options.dialect)
         self._retraction = FirmwareRetraction(options.retraction, options.dialect)
         self._plain_moves = PlainMoves(source, self._state, self._bed)
         self._any_motion = False  # requested so far, even from unknown positions
@@ -84,11 +89,15 @@ class _Reader:
         self.items = ItemBuilder(self._state)
 
     def apply_plain_moves(self) -> bool:
+        if self._objects.left:
+            return False
         start = self._state.position
         rows = self._plain_moves.take(self.items.free)
         if rows is None:
             return False
         self.items.add_rows(start, rows)
+        if len(rows):
+            self._objects.moved()
         return True
 
     def apply(self, line: Line) -> None:
@@ -147,15 +156,18 @@ class _Reader:
         if not straight:
             check_curve(line, name, words, state)
         start, end = state.position, self._end(line, words)
+        elsewhere = self._objects.left and state.scale == 1.0  # the output is in mm
+        lifts = end[2] != start[2]
         if not state.starts_known(words):
-            self._pass_move_through(line, name, words, end)
-        elif not straight:
+            self._pass_move_through(line, name, words, end, self._cause)
+        elif end[:2] != start[:2] and elsewhere and (name != "G5" or self._dialect.splines):
+            self._pass_move_through(line, name, words, end, CHANGE_OF_OBJECT)
+        elif not straight and not (elsewhere and lifts and end[3] == start[3]):
             for x, y, z, e in curve(line, name, words, state, end).tolist():
                 self._travel(line, (x, y, z, e))
         elif end[:2] != start[:2]:
             self._travel(line, end)
-        elif end != start:
-            lifts = end[2] != start[2]
+        elif end != start:  # a lift in turns as well, whose first chord could be far away
             if lifts:
                 self._bed.check(line, 2, end[2])
             self._stand(line, end, state.others.velocity[2 if lifts else 3])
@@ -185,6 +197,7 @@ class _Reader:
         elif filament > IMPOSSIBLE_FILAMENT_PER_PATH * path:
             raise line.error(f"{filament:.3g} mm of filament along {path:.3g} mm of path")
         elif path > MIN_PATH:
+            self._objects.moved()
             self.items.add_move(line.number, start, end, state.speed)
         state.position = end
 
@@ -193,8 +206,10 @@ class _Reader:
         move = MoveAtRest(line.number, state.position, end, min(state.speed, max_speed))
         self.items.add_move_at_rest(move)
 
-    def _pass_move_through(self, line: Line, name: str, words: Words, end: Position) -> None:
-        """Leave a move from an unknown position to the firmware; what it names is known then."""
+    def _pass_move_through(
+        self, line: Line, name: str, words: Words, end: Position, cause: str
+    ) -> None:
+        """Leave a move to the firmware, which may be elsewhere; what it names is known then."""
         state = self._state
         if name == "G5" and not self._dialect.splines:
             raise line.error("a spline from an unknown position; add a G1 with X and Y before it")
@@ -205,10 +220,19 @@ class _Reader:
                 if letter in words:
                     self._bed.check(line, axis, end[axis])
         path, filament = math.dist(state.position[:3], end[:3]), end[3] - state.position[3]
-        self._pass_through(line, Handling.RELEASE, filament=filament, path=path, cause=self._cause)
+        seconds = self._seconds(path) if cause == CHANGE_OF_OBJECT else 0.0
+        self._pass_through(line, Handling.RELEASE, seconds, filament, path, cause)
+        if path:
+            self._objects.moved()
         state.arrive(end, words)
         if self._other_tool:
             state.forget()
+
+    def _seconds(self, path: float) -> float:
+        """Return the estimated duration of a move that passes through, from rest to rest."""
+        a = self._state.travel_acceleration
+        speed = min(self._state.speed, math.sqrt(a * path))
+        return path / speed + speed / a if path else 0.0
 
     # ------------------------------------------------------------------ other commands
 
@@ -255,8 +279,6 @@ class _Reader:
         if retracts and self._apply_retraction(line, name):
             return
         effect = self._options.vocabulary.effect(name, arguments)
-        if name == "M486" and self._dialect.rejoins_after_object:
-            effect = commands.Effect.WAITS  # S starts an object, which the firmware may skip
         waits = name in ("G10", "G11") and effect is commands.Effect.WAITS
         seconds = self._retraction.duration(name) if waits else 0.0
         self._pass_through(line, effect.handling, seconds)
@@ -310,6 +332,7 @@ class _Reader:
     ) -> None:  # fmt: skip
         """Add a pass-through line; see ``Passthrough`` for the arguments."""
         state = self._state
+        self._objects.read(line.text)
         unclear = self._ran_macro and not state.e_mode_known
         if unclear and self.items.any_motion and handling is Handling.RELEASE:
             # The stream has modes of its own; to leave it, those of the file must be known.

@@ -59,7 +59,7 @@ def find_racking(
         return None, True
     # made of the same recordings as Gxx, so their delay is known by now
     delay = fits["Gxx"].recording_delay
-    measured = Measured(arm.by_place, arm.slope, arm.off, (delay, delay))
+    measured = Measured(arm.by_place, arm.slope, arm.off, arm.off, (delay, delay))
     along = average([run.response for run in runs])
     x_c, _ = centre(arm, along.H)
     fit = _fitted(measured, group, fits, settings)
@@ -74,7 +74,7 @@ def _fitted(
     measured: Measured, group: RunGroup, fits: Mapping[str, Fit], settings: MeasurementSettings
 ) -> Fit:
     low, high = settings.band_hz
-    seen = measured.mean.within((max(low, group.excited_hz), high))
+    seen = measured.mean.within((max(low, group.excited_hz[0]), min(high, group.excited_hz[1])))
     # an unknown excitation is wrong in x alone, an unknown sensor where it measures
     calibrated = group.resonance_hz is None
     gain = fits["Gyy" if calibrated and "Gyy" in fits else "Gxx"].gain

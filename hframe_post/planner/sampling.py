@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -56,7 +56,7 @@ def sample(
     """
     size = size or SAMPLES_PER_CHUNK
     sampler = _Sampler(limits, rules, size, skip_slow)
-    for item, motion in _with_motion_after(sampler.profiled(planned), rules.needs_rest):
+    for item, motion in _with_motion_after(sampler.profiled(planned)):
         if isinstance(item, Plan):
             yield from sampler.run(item)
         elif isinstance(item, MoveAtRest):
@@ -84,17 +84,13 @@ def _in_lists(planned: Iterable[Planned]) -> Iterator[list[Planned]]:
     yield items
 
 
-def _with_motion_after(
-    planned: Iterable[Planned], labels: Callable[[bytes], bool]
-) -> Iterator[tuple[Planned, Plan | None]]:
+def _with_motion_after(planned: Iterable[Planned]) -> Iterator[tuple[Planned, Plan | None]]:
     """Yield each item and, with a ``MoveAtRest``, the motion that it may pass into."""
     waiting: list[MoveAtRest | Passthrough] = []  # a move at rest, and the lines after it
     for item in planned:
         carried = isinstance(item, Passthrough) and item.handling is Handling.CARRY
         if waiting and not carried:
-            lines = (each.text for each in waiting if isinstance(each, Passthrough))
-            free = not any(labels(text) for text in lines)
-            yield waiting[0], item if free and isinstance(item, Plan) else None
+            yield waiting[0], item if isinstance(item, Plan) else None
             yield from ((each, None) for each in waiting[1:])
             waiting.clear()
         if isinstance(item, MoveAtRest) or (waiting and isinstance(item, Passthrough)):
@@ -115,7 +111,6 @@ class _Sampler:
         self._stopping = Stopping(rules)
         self._section, self._clock = 0, 0.0  # sample of the last stop, s since then
         self._acceleration = 0.0  # of the last motion, mm/s²
-        self._labelled = False  # whether a label has passed since motion last set out from rest
         self._filament_at_mark: float | None = None  # at a mark on the next sample
         self._waiting_lines: list[bytes] = []  # at the end of motion, until the command rests
         self._retraction: TravelRetraction | None = None
@@ -162,13 +157,10 @@ class _Sampler:
         self.pass_waiting_lines()
         if out.last is None:
             yield from out.rest(plan.points[0], 1)  # from where the motion starts
-        if stopping.settled:
-            self._labelled = False
         moved = stopping.state is State.MOVING
         yield from self._rest(plan.points[0], stopping.change(Change.MOVE))
         if not moved:
             self._section, self._clock = out.index - 1, 0.0
-        self._labelled |= any(self._rules.needs_rest(mark.text) for mark in plan.marks)
         self._acceleration = float(plan.acceleration[-1])
 
     def _follow(
@@ -237,15 +229,13 @@ class _Sampler:
     # ------------------------------------------------------------------ at rest
 
     def mark(self, text: bytes) -> None:
-        self._labelled |= self._rules.needs_rest(text)
-        if self._waiting_lines:
+        if self._stopping.state is State.STOPPED:
             self._waiting_lines.append(text)
         else:
             self.output.mark(text)
 
     def dwell(self, action: Passthrough) -> Iterator[Samples]:
         """Add what the machine does at a line while the command dwells."""
-        self._labelled |= self._rules.needs_rest(action.text)
         released = action.handling is Handling.RELEASE
         n, out = samples_until(action.seconds), self.output
         yield from self.come_to_rest(apart=released or n >= self._rules.long_from)
@@ -305,7 +295,7 @@ class _Sampler:
         entry = leaving = 0.0
         if not self._stopping.settled:
             entry = self._corner_speed(self._acceleration)
-        if motion is not None and not self._labelled and self._stopping.state is not State.APART:
+        if motion is not None and self._stopping.state is not State.APART:
             leaving = self._corner_speed(float(motion.acceleration[0]))
         return entry, leaving
 

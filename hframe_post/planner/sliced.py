@@ -1,6 +1,7 @@
-"""How long the firmware itself takes for a file as it was sliced, without this tool.
+"""The motion that the firmware itself makes of a file as it was sliced, and how long it takes.
 
 It accelerates at once (no limit on jerk), and has corners, accelerations and speeds of its own.
+What a print has today is judged on this motion, and every print time is compared with it.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -16,11 +18,22 @@ from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.native.lookahead import STEEP
 from hframe_post.planner.bands import MotorBands, OuterWalls, TimeInBands
 from hframe_post.planner.lookahead import Lookahead
-from hframe_post.stream.types import Handling, Item, MoveAtRest, Moves, Passthrough, Plan
+from hframe_post.planner.sampling import sample
+from hframe_post.stream.types import (
+    Handling,
+    Item,
+    MoveAtRest,
+    Moves,
+    Passthrough,
+    Plan,
+    Planned,
+    Samples,
+    StopRules,
+)
 
 
-class SlicedTime:
-    """Adds up the time of items that pass. ``seconds``: of all, once all have passed.
+class AsSliced:
+    """The firmware's own plan of a file. ``seconds``: of all items that were planned.
 
     in_bands: the outer walls' time, and what of it a motor spends in these bands.
     """
@@ -36,36 +49,43 @@ class SlicedTime:
         self._outer = list[Flags]()  # which of the queued moves are outer walls
         self._ratio = list[Array]()  # cruise ratios of the queued moves
 
-    def items(self, items: Iterable[Item]) -> Iterator[Item]:
-        for item in items:
-            self._add(item)
-            yield item
-        self._stop()
+    def samples(self, items: Iterable[Item]) -> Iterator[Samples]:
+        """Yield the motion for all items, which is its own command."""
+        planned = (each for item in chain(items, [None]) for each in self.planned(item))
+        return self.sampled(planned)
 
-    def _add(self, item: Item) -> None:
+    def sampled(self, planned: Iterable[Planned], size: int | None = None) -> Iterator[Samples]:
+        """Yield the motion for what was planned, which is its own command."""
+        for chunk in sample(planned, self._rules.limits, StopRules(), size, skip_slow=True):
+            yield replace(chunk, commands={"none": chunk.xyze[:, :Z]})
+
+    def planned(self, item: Item | None) -> Iterator[Planned]:
+        """Take the next item, or None at the end; yield what is final."""
         if self._bands is not None:
             if isinstance(item, Moves):
                 self._outer.append(self._walls.among(item))
-            else:
+            elif item is not None:
                 self._walls.pass_by(item)
         if isinstance(item, Moves):
-            self._append(item, item.limits.cruise_ratio)
-            self._last = item
+            ratio, self._last = item.limits.cruise_ratio, item
         elif isinstance(item, MoveAtRest) and self._lifts and self._last and _lifts(item):
-            self._append(self._lift(item, self._last), 0.0)
-        elif isinstance(item, MoveAtRest):
-            self._stop()
-            self.seconds += self._at_rest(item)
-        elif isinstance(item, Passthrough):
-            if item.handling is not Handling.CARRY:
-                self._stop()
-            self.seconds += item.seconds
-
-    def _append(self, moves: Moves, ratio: float) -> None:
-        self._queue.append(replace(moves, marks=()))
-        self._ratio.append(np.full(len(moves.line), ratio))
-        while (plan := self._queue.take_final()) is not None:
-            self.seconds += self._duration(plan)
+            ratio, item = 0.0, self._lift(item, self._last)
+        if isinstance(item, Moves):
+            self._queue.append(item)
+            self._ratio.append(np.full(len(item.line), ratio))
+            while (plan := self._queue.take_final()) is not None:
+                yield self._timed(plan)
+            return
+        if isinstance(item, Passthrough) and item.handling is Handling.CARRY:
+            if self._queue.count:
+                self._queue.mark(item.text)
+                self.seconds += item.seconds
+                return
+        else:
+            yield from map(self._timed, self._queue.stop())
+        if item is not None:
+            self.seconds += item.seconds if isinstance(item, Passthrough) else self._at_rest(item)
+            yield item
 
     def _lift(self, lift: MoveAtRest, before: Moves) -> Moves:
         """Return a lift as a move, with the limits of the moves before it."""
@@ -73,10 +93,8 @@ class SlicedTime:
         line, last = np.array([lift.line]), (before.acceleration[-1:], before.corner[-1:])
         return Moves(line, points, speed, *last, before.limits)
 
-    def _stop(self) -> None:
-        self.seconds += sum(map(self._duration, self._queue.stop()))
-
-    def _duration(self, plan: Plan) -> float:
+    def _timed(self, plan: Plan) -> Plan:
+        """Add the time of a plan; return it with the speeds that it reaches."""
         d, cruise, a = np.diff(plan.s[plan.ends]), plan.cruise, plan.acceleration
         ratio = np.concatenate(self._ratio)
         self._ratio = [ratio[len(plan.line) :]]
@@ -85,14 +103,19 @@ class SlicedTime:
         gain = 2.0 * (1.0 - ratio[plan.ends[:-1]]) * a * d
         smooth = _smoothed_tops(v2, gain, np.square(cruise))
         top = np.sqrt(np.minimum(np.minimum(reached, smooth), np.square(cruise)))
-        v_s, v_e = np.minimum(plan.speed[:-1], top), np.minimum(plan.speed[1:], top)
+        speed = plan.speed.copy()
+        speed[:-1] = np.minimum(speed[:-1], top)
+        speed[1:] = np.minimum(speed[1:], top)
+        v_s, v_e = speed[:-1], speed[1:]
         if self._bands is not None:
-            self._add_in_bands(plan, top, self._bands)
+            self._add_in_bands(replace(plan, speed=speed), top, self._bands)
         if (durations := self._rules.durations) is None:
-            return float(_seconds(d, v_s, v_e, top, a).sum())
-        lead = np.abs(np.diff(plan.points[:, :Z], axis=0) @ self._rules.belts.T).max(axis=1)
-        lead = np.add.reduceat(lead, plan.ends[:-1])
-        return float(durations(lead, d, v_s, v_e, cruise, a).sum())
+            self.seconds += float(_seconds(d, v_s, v_e, top, a).sum())
+        else:
+            lead = np.abs(np.diff(plan.points[:, :Z], axis=0) @ self._rules.belts.T).max(axis=1)
+            lead = np.add.reduceat(lead, plan.ends[:-1])
+            self.seconds += float(durations(lead, d, v_s, v_e, cruise, a).sum())
+        return replace(plan, cruise=top, speed=speed)
 
     def _add_in_bands(self, plan: Plan, top: Array, bands: MotorBands) -> None:
         """Add a plan's outer walls to the time in bands. top: greatest speed of each run."""

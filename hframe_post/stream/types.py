@@ -8,7 +8,6 @@ pieces, and arrays are read-only once they have been yielded.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -166,10 +165,6 @@ class SpanEnd:
 Planned = Plan | MoveAtRest | Passthrough | SpanEnd
 
 
-def _never(_: bytes) -> bool:
-    return False  # a function of the module, since rules are pickled for other processes
-
-
 @dataclass(frozen=True, slots=True)
 class StopRules:
     """Rules for stops: how many samples of rest the path gets, and where it needs none.
@@ -178,7 +173,6 @@ class StopRules:
     takes ``long_from`` samples or longer, and at the ends of a stretch.
     lift_speed: mm/s of z between a lift and motion in x and y that directly precedes or follows it,
     if neither needs samples of rest; 0: z comes to rest there.
-    needs_rest: whether motion must start from rest after a pass-through line.
     retract_acceleration: mm/s² with which filament is retracted during the travel that follows, if
     it lasts long enough; 0: retract before it.
     """
@@ -188,7 +182,6 @@ class StopRules:
     long_rest: int = 0
     long_from: int = 1 << 60
     lift_speed: float = 0.0
-    needs_rest: Callable[[bytes], bool] = _never
     retract_acceleration: float = 0.0
 
 

@@ -239,16 +239,3 @@ def compressing(file: IO[bytes], suffix: str) -> Iterator[IO[bytes]]:
         return
     with gzip.GzipFile("", "wb", 6, file, mtime=0) as packed:
         yield cast(IO[bytes], packed)
-
-
-@contextmanager
-def decompressing(path: Path) -> Iterator[IO[bytes]]:
-    """Yield the contents of a file, unpacked if its suffix is .gz. Raises OSError, HframeError."""
-    if path.suffix == ".zst":
-        raise HframeError(f"{path}: .zst is not read any more: unpack it with 'zstd -d {path}'")
-    with path.open("rb") as file:
-        if path.suffix != ".gz":
-            yield file
-            return
-        with gzip.GzipFile(fileobj=file) as unpacked:
-            yield cast(IO[bytes], unpacked)

@@ -8,9 +8,7 @@ from __future__ import annotations
 import gzip
 import time
 from collections.abc import Callable
-from pathlib import Path
 
-import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
@@ -19,7 +17,6 @@ from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from hframe_post.writers import step_file
 from hframe_post.writers.step_file import Header, StepFileWriter
 from hframe_post.writers.steps import StepGenerator
 from tests.benchmarks.timing import fastest
@@ -41,13 +38,11 @@ def prism(paper: Printer, compensator: Compensator) -> list[Samples]:
     return blocks
 
 
-def writing(
-    prism: list[Samples], paper: Printer, kind: str
-) -> Callable[[], tuple[bytes, StepFileWriter]]:
+def writing(prism: list[Samples], paper: Printer) -> Callable[[], tuple[bytes, StepFileWriter]]:
     table = paper.steps
     assert table is not None
     lengths = (table.belt, table.belt, table.z, table.e)
-    header = Header(kind, "", "", "", table.clock_hz, lengths, paper.kinematics.matrix)
+    header = Header("", "", "", table.clock_hz, lengths, paper.kinematics.matrix)
 
     def run() -> tuple[bytes, StepFileWriter]:
         stepper, writer = StepGenerator("racking", paper.kinematics, table), StepFileWriter(header)
@@ -65,13 +60,12 @@ def gzip_speed(text: bytes) -> float:
     return len(some) / (time.perf_counter() - start)
 
 
-@pytest.mark.parametrize("kind", ["steps", "step-bits"])
 def test_writing_against_gzip(
-    benchmark: BenchmarkFixture, prism: list[Samples], paper: Printer, kind: str
+    benchmark: BenchmarkFixture, prism: list[Samples], paper: Printer
 ) -> None:
     """From samples to text, steps and all."""
     text, lines = benchmark.pedantic(  # type: ignore[no-untyped-call]
-        writing(prism, paper, kind), rounds=3, warmup_rounds=1
+        writing(prism, paper), rounds=3, warmup_rounds=1
     )
     seconds = fastest(benchmark)
     ratio = len(text) / seconds / gzip_speed(text)
@@ -79,17 +73,3 @@ def test_writing_against_gzip(
     benchmark.extra_info["MB a second"] = len(text) / seconds / 1e6
     benchmark.extra_info["times as fast as gzip -9"] = ratio
     assert ratio > 1.0
-
-
-def test_reading_against_gzip(
-    benchmark: BenchmarkFixture, prism: list[Samples], paper: Printer, tmp_path: Path
-) -> None:
-    text, lines = writing(prism, paper, "steps")()
-    (tmp_path / "a.csv").write_bytes(text)
-    last = benchmark.pedantic(  # type: ignore[no-untyped-call]
-        lambda: [block.xyze[-1] for block in step_file.read(tmp_path / "a.csv")][-1], rounds=3
-    )
-    assert np.isfinite(last).all()
-    seconds = fastest(benchmark)
-    benchmark.extra_info["million rows a second"] = lines.rows / seconds / 1e6
-    benchmark.extra_info["times as fast as gzip -9"] = len(text) / seconds / gzip_speed(text)

@@ -191,36 +191,6 @@ def test_a_killed_process_is_a_failure_of_its_file_alone(jobs: list[Path], tmp_p
     assert not (tmp_path / "out" / "long.gcode").exists()
 
 
-@pytest.mark.slow
-def test_what_lands_in_a_watched_folder_is_converted(tmp_path: Path) -> None:
-    pytest.importorskip("watchfiles")
-    uploads, out, summary = tmp_path / "uploads", tmp_path / "out", tmp_path / "s.json"
-    uploads.mkdir()
-    with started("batch", "--watch", uploads, "-d", out, "--json", summary) as batch:
-        until(out.is_dir)
-        shutil.copy(RECTANGLE, uploads / "part.gcode.part")  # an upload, renamed at its end
-        (uploads / "part.gcode.part").rename(uploads / "part.gcode")
-        (uploads / "notes.txt").write_text("no G-code")
-        (uploads / "bad.gcode").write_text("nonsense without a move\n")
-        (uploads / "sub").mkdir()
-        shutil.copy(RECTANGLE, uploads / "sub" / "part.gcode")
-        (uploads / "sub" / "off.gcode").write_text("; hframe-post: off\nG1 X1 Y1 Z1 F60\n")
-        names = ("part.gcode", "sub/part.gcode", "sub/off.gcode")
-        until(lambda: all((out / name).is_file() for name in names))
-        for name in names[:2]:
-            assert (out / name).read_bytes().startswith(b"; processed by hframe-post")
-        time.sleep(1.0)  # longer than it takes to notice a change
-        files = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
-        assert files == set(names)
-        batch.send_signal(signal.SIGINT)
-        _, error = batch.communicate(timeout=WAIT)
-    lines = error.decode().splitlines()
-    assert sum(line.startswith("failed") for line in lines) == 2  # the bad one, once; and the end
-    assert sum(line.startswith("done") for line in lines) == 3
-    assert "3 converted, 0 skipped, 1 failed" in lines[-1]
-    assert json.loads(summary.read_text())["failed"] == 1
-
-
 def test_wrong_usage(jobs: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
     for arguments in (
@@ -228,7 +198,6 @@ def test_wrong_usage(jobs: list[Path], tmp_path: Path) -> None:
         (jobs[0], "--watch", tmp_path, "-d", out),
         (jobs[0], jobs[0].parent / ".." / "jobs" / "a.gcode", "-d", out),
         (jobs[0], "-d", jobs[0].parent),
-        ("--watch", jobs[0].parent, "-d", jobs[0].parent),
     ):
         assert run("batch", *arguments).returncode == 2
     assert run("batch", jobs[0], "-d", out, "-p", "nobody").returncode == 1

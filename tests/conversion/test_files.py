@@ -21,12 +21,13 @@ from hframe_post.planner import sampling
 from hframe_post.printer.profile import load, parse, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
-from hframe_post.writers import step_file, steps
+from hframe_post.writers import steps
 from hframe_post.writers.files import Outputs
 from hframe_post.writers.samples import COLUMNS, as_csv
 from hframe_post.writers.step_file import MOTORS, inlined
 from tests.command_line import run
 from tests.conftest import SAMPLES, few
+from tests.step_tools import read_steps
 
 RECTANGLE = SAMPLES / "rectangle.gcode"
 TURN = [
@@ -48,7 +49,7 @@ def converted(lines: list[bytes], printer: Printer, kind: Kind, strategy: str = 
     return b"".join(inlined(StepConversion(iter(lines), printer, options)))
 
 
-FORMATS = ["steps", "step-bits", "samples"]
+FORMATS = ["steps", "samples"]
 
 
 @pytest.mark.parametrize("kind", few(FORMATS, 1))
@@ -161,13 +162,11 @@ def test_extrusion_that_is_not_compensated_is_a_warning_from_half_a_percent_on(
     assert any(text.startswith(about) for text in report.warnings()) == warned, report.warnings()
 
 
-def test_last_position_is_that_of_the_file(paper: Printer, tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    path.write_bytes(converted(TURN, paper, "steps"))
-    *_, last = step_file.read(path)
+def test_last_position_is_that_of_the_file(paper: Printer) -> None:
+    _, xyze = read_steps(converted(TURN, paper, "steps"), paper)
     half = [0.0206 / 2, 0.0206 / 2, 0.0025 / 2, 0.0024 / 2]
-    assert np.abs(last.xyze[-1] - [100.0, 101.0, 1.2, 0.2]) == pytest.approx(0.0, abs=max(half))
-    assert (np.abs(last.xyze[-1] - [100.0, 101.0, 1.2, 0.2]) <= half).all()
+    assert np.abs(xyze[-1] - [100.0, 101.0, 1.2, 0.2]) == pytest.approx(0.0, abs=max(half))
+    assert (np.abs(xyze[-1] - [100.0, 101.0, 1.2, 0.2]) <= half).all()
 
 
 def test_profile_without_steps_has_all_other_formats() -> None:
@@ -188,14 +187,12 @@ def test_clock_that_is_too_slow_names_the_line_of_the_file() -> None:
 
 
 @pytest.mark.parametrize("name", ["example-corexy", "example-cartesian"])
-def test_examples_step(name: str, tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    path.write_bytes(converted(cube(1), load(name), "steps"))
+def test_examples_step(name: str) -> None:
+    _, xyze = read_steps(converted(cube(1), load(name), "steps"), load(name))
     samples = list(SampleConversion(iter(cube(1)), load(name), Options("racking")))
-    *_, last = step_file.read(path)
     end = samples[-1][-1]
     at = [end[COLUMNS.index(c)] for c in ("x_dm", "y_dm", "z", "e")]
-    assert np.abs(last.xyze[-1] - at).max() <= 0.0125
+    assert np.abs(xyze[-1] - at).max() <= 0.0125
 
 
 # ---------------------------------------------------------------------- the command line
@@ -209,7 +206,6 @@ def test_suffix_chooses_the_format(tmp_path: Path) -> None:
     for name in ("a.csv", "b.csv.gz", "d.npz", "f.gcode"):
         assert run(RECTANGLE, "-q", "-o", tmp_path / name).returncode == 0
     assert run(RECTANGLE, "-q", "-o", tmp_path / "g.csv", "--format", "samples").returncode == 0
-    assert run(RECTANGLE, "-q", "-o", tmp_path / "h.txt", "--format", "step-bits").returncode == 0
     found = files(tmp_path)
     assert found["a.csv"].startswith(b"#hframe-post steps,1\n")
     assert gzip.decompress(found["b.csv.gz"]) == found["a.csv"]
@@ -218,8 +214,7 @@ def test_suffix_chooses_the_format(tmp_path: Path) -> None:
     assert len(np.load(tmp_path / "d.npz")["t"]) == found["g.csv"].count(b"\n") - 1
     assert found["f.gcode"].startswith(b"; processed by")
     assert found["g.csv"].startswith(b"t,x_d,y_d")
-    assert found["h.txt"].startswith(b"#hframe-post step-bits,1\n")
-    assert len(found) == 6 + 3  # with the events of three
+    assert len(found) == 5 + 2  # with the events of two
 
 
 def test_standard_output_has_the_events_among_the_steps(tmp_path: Path) -> None:

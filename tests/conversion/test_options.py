@@ -38,7 +38,7 @@ def test_without_words_the_command_line_has_the_defaults_of_the_library() -> Non
         Options(),
         Options("fbs", limits="printer", clamp=False, force=True, jobs=3),
         Options("none", ("none", "fbs", "racking"), extrusion="relative", retract="moving"),
-        Options(predict=(), format="step-bits", firmware="marlin", tolerance=0.05, speed_up=2.5),
+        Options(predict=(), format="steps", firmware="marlin", tolerance=0.05, speed_up=2.5),
         Options(max_width_error=0.055),
     ],
 )

@@ -18,11 +18,11 @@ from hframe_post.firmware.klipper.code import KlipperCode
 from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.native.ramps import Ramped
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Extruder, Limits, Motors, Printer
 from hframe_post.stream.types import ModalState
 from tests.gcode_tools import converted
+from tests.native.oracles import Ramped
 from tests.quantities import below
 
 STREAM = StreamLimits(
@@ -306,34 +306,6 @@ def test_no_segment_extrudes_more_than_klipper_takes_for_its_length() -> None:
     assert ((filament <= ratio * length) | (filament <= least)).all()
     assert len(ends) < 40  # the plain lines stay long segments
     np.testing.assert_array_equal(points[ends, 3], at[:, 3])
-
-
-# ---------------------------------------------------------------------- objects left out
-
-
-@pytest.mark.parametrize(
-    "line",
-    [b"EXCLUDE_OBJECT_END NAME=a", b"exclude_object_start NAME=b", b"M486 S-1", b";MESH:cube.stl",
-     b"; printing object cube id:0 copy 0", b"; stop printing object cube id:0 copy 0"],
-)  # fmt: skip
-def test_lines_at_which_klipper_or_its_hosts_leave_out_objects(line: bytes) -> None:
-    code = KlipperCode(RESTORE, STREAM)
-    assert code.labels_object(line)
-    assert not code.labels_object(b";TYPE:" + line)
-
-
-def test_a_machine_that_left_out_an_object_comes_back_with_the_users_limits() -> None:
-    motion = KlipperMotion(KlipperTable(250.0, 3000.0), STREAM, travel=180.0)
-    back = motion.rejoin(AT, np.array([-0.004, 0.011]), 3e-3)
-    assert back.text.splitlines() == [
-        b"SET_VELOCITY_LIMIT ACCEL=3000",
-        b"G1 X12.5 Y30.001 Z0.2 F10800",
-        b"SET_VELOCITY_LIMIT ACCEL=35355",
-    ]
-    np.testing.assert_allclose(back.at - AT, [0.0, 0.001, 0.0, 0.0], atol=1e-12)
-    nudge, v = 0.001, back.speed
-    assert v == pytest.approx(math.sqrt(2.0 * 3000.0 * nudge))  # it goes on faster than that
-    assert back.seconds == pytest.approx(v / 3000.0)
 
 
 # ---------------------------------------------------------------------- plain numbers

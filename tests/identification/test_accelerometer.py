@@ -304,3 +304,16 @@ def test_implausible_gravity_is_a_warning(scale: float, shown: str) -> None:
     assert shown in text
     assert "unit" in text
     np.testing.assert_allclose(oriented(wrong).a, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("factor", [8.0, 0.25])
+def test_a_sensor_of_another_range_is_scaled_by_gravity(
+    tmp_path: Path, rows: Array, factor: float
+) -> None:
+    """Times 8, its values look clipped at 16 g."""
+    wrong = rows * [1.0, factor, factor, factor]
+    recording = read(file(tmp_path, klipper(wrong)))
+    np.testing.assert_allclose(recording.a, rows[:, 1:], atol=1e-4)
+    (note,) = diagnose(recording, 0.5)
+    assert "gravity reads" in note
+    assert f"multiplied by {1.0 / factor:g}" in note

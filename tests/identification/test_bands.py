@@ -175,3 +175,17 @@ def test_a_small_bed_has_no_room() -> None:
     printer = parse('extends = "example-corexy"\n[travel]\nx = [0, 4]\ny = [0, 200]\n', "small")
     with pytest.raises(LimitError, match="room for strokes"):
         runs(printer)
+
+
+def test_what_does_not_follow_the_motor_is_no_band(tmp_path: Path) -> None:
+    """Something that shakes by 6 µm at 60 Hz in some recordings."""
+    rng = np.random.default_rng(2)
+    for speed in np.arange(20.0, 100.0, 4.0).tolist():
+        table = SMOOTH.recorded(rng, 0, speed)
+        on = 40.0 < speed < 60.0
+        table[:, 1] += on * 0.006 * (120.0 * np.pi) ** 2 * np.sin(120.0 * np.pi * table[:, 0])
+        name = f"vib_an45.00sp{speed:.2f}".replace(".", "_")
+        np.savetxt(tmp_path / f"adxl345-{name}.csv", table, "%.6f", ",", comments="",
+                   header="#time,accel_x,accel_y,accel_z")  # fmt: skip
+    motors, _ = shaking([tmp_path], COREXY)
+    assert bands(motors) == []

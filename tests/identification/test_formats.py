@@ -152,3 +152,22 @@ def test_no_file_unpacks_to_more_than_the_limit(
     finally:
         tracemalloc.stop()
     assert peak < 1.2 * MAX_SIZE, f"{peak >> 20} MB of memory"
+
+
+def reprap(rows: Array, end: bytes) -> bytes:
+    """Return what M956 writes: numbers of samples, and g."""
+    lines = [
+        b"%d,%.4f,%.4f,%.4f\n" % (k, *a) for k, a in enumerate((rows[:, 1:] / GRAVITY).tolist())
+    ]
+    return b"Sample,X,Y,Z\n" + b"".join(lines) + end
+
+
+def test_samples_of_reprapfirmware_have_the_time_of_their_rate(tmp_path: Path, rows: Array) -> None:
+    path = tmp_path / "0.csv"
+    path.write_bytes(reprap(rows, b"Rate 1391, overflows 0\n"))
+    found = read(path)
+    np.testing.assert_allclose(found.t, np.arange(len(rows)) / 1391.0)
+    np.testing.assert_allclose(found.a, rows[:, 1:], atol=0.5)
+    path.write_bytes(reprap(rows, b""))
+    with pytest.raises(IdentificationError, match="does not tell the rate of its samples"):
+        read(path)

@@ -67,3 +67,13 @@ def test_a_gap_among_stamps_that_wander_is_counted_in_samples() -> None:
     assert np.ptp(t - true) < 3e-3
     np.testing.assert_allclose(filled[kept], a[kept])
     assert notes[0].startswith("35 samples (0.15 %) are missing; the longest gap is 9")
+
+
+def test_a_rate_that_bends_is_kept() -> None:
+    """An ADXL345 that warms up: 43 ms in (100 s)², and 15 ms more in the last 20 s."""
+    t = np.arange(int(130.0 * 371.0)) / 371.0
+    stamps = t + 4.3e-6 * t**2 + 15e-3 * np.clip((t - 110.0) / 20.0, 0.0, 1.0) ** 3
+    stamps += wandering(t, 5e-6)
+    kept, _, notes = repaired(stamps, still(t))
+    np.testing.assert_array_equal(kept, stamps)
+    assert notes == ()

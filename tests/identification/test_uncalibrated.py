@@ -256,3 +256,12 @@ def test_a_recording_of_something_else_is_refused() -> None:
     given = run(replace(made, recording=replace(made.recording, a=noise)), 1)
     with pytest.raises(IdentificationError, match=r"^test: the recording does not follow"):
         identify([given], MeasurementSettings((3.0, 100.0), racks=False))
+
+
+def test_what_rings_above_the_test_is_neither_listed_nor_hidden() -> None:
+    """A head of 47 and 78 Hz, tested up to 55 Hz."""
+    test = klipper(X, min_freq=8.0, max_freq=55.0, hz_per_sec=1.0)
+    taken = recorded(MACHINE, test, drawn_sensor(3, "adxl345"), 3, 3)
+    found = identify([run(taken, 3)], MeasurementSettings((3.0, 100.0)))
+    assert found.measured["Gxx"].excited_hz == pytest.approx((8.0, 55.0), abs=1.5)
+    assert all(hz < 60.0 for hz, _ in found.fits["Gxx"].modes)

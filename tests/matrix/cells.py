@@ -55,8 +55,6 @@ def answer(cell: Cell, folder: Path, home: Path) -> Answer:
         words = [each for word in cell.words.split() for each in _expanded(word, cell, home)]
         if cell.printer not in OWNERS and words[0] not in NO_PROFILE:
             words += ["-p", cell.printer]
-        elif words[0] == "paper":  # whose default is the paper's printer
-            words += ["-p", PROFILE]
         configuration = folder / "config"
         default = configuration / "hframe-post" / "config.toml"
         default.parent.mkdir(parents=True, exist_ok=True)
@@ -89,8 +87,8 @@ def _expanded(word: str, cell: Cell, home: Path) -> list[str]:
     command = cell.words.split()[0]
     if not word.startswith("{"):
         return [word]
-    if word in ("{print}", "{long}"):
-        return put_print(kind, printer, long=word == "{long}")
+    if word == "{print}":
+        return put_print(kind, printer)
     if word == "{recordings}":
         return put_recordings(kind, home / "recordings")
     if word == "{run}":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -16,9 +15,6 @@ from hframe_post.printer.settings import Extruder, Printer
 from hframe_post.stream.types import ModalState
 
 STAND = "G4 P0"  # comes to rest without flushing the queue of the motors, as M400 would
-LABELS = re.compile(  # of objects: Klipper's commands, and lines that hosts replace by them
-    rb"EXCLUDE_OBJECT_(START|END)\b|M486\b|;\s*(stop )?printing object\b|;MESH:", re.IGNORECASE
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +73,6 @@ class KlipperCode(Code):
             return b"".join(line.encode() + b"\n" for line in self.averaging_of_stream)
         return Code.modes_after(self, name, text)
 
-    def labels_object(self, text: bytes) -> bool:
-        return labels_object(text)
-
     def set_limits(self, velocity: float, acceleration: float, corner: float) -> list[str]:
         v, a = plain(velocity, 0), plain(acceleration, 0)
         return [
@@ -90,9 +83,6 @@ class KlipperCode(Code):
 
     def set_acceleration(self, acceleration: float) -> str:
         return f"SET_VELOCITY_LIMIT ACCEL={plain(acceleration, 0)}"
-
-    def set_advance(self, seconds: float) -> str:
-        return f"SET_PRESSURE_ADVANCE ADVANCE={plain(seconds, 5)}"
 
 
 def table_of(printer: Printer) -> KlipperTable:
@@ -108,10 +98,6 @@ def averaged_shorter(extruder: Extruder | None) -> Extruder | None:
     if extruder is None or extruder.stream_smooth_time >= extruder.smooth_time:
         return None
     return extruder
-
-
-def labels_object(text: bytes) -> bool:
-    return LABELS.match(text.lstrip()) is not None
 
 
 def _shaper(frequencies: Iterable[float]) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from hframe_post.firmware.advance import Advance, klipper_advance, klipper_seconds
 from hframe_post.firmware.base import Firmware, FirmwareLimits, belts, unlimited
 from hframe_post.firmware.configuration import Finding, Source
-from hframe_post.firmware.dialect import Accelerations, Dialect, Words
+from hframe_post.firmware.dialect import Accelerations, Dialect, Words, object_label
 from hframe_post.firmware.klipper.code import KlipperCode, averaged_shorter, table_of
 from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.model.shapers import Shaping
@@ -16,6 +17,11 @@ from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import FileLimits
 
+_LABEL = re.compile(  # Klipper's, and comments that hosts replace by them
+    rb"EXCLUDE_OBJECT_START\b.*?\bNAME=([^\s;]+)|EXCLUDE_OBJECT_END\b"
+    rb"|;\s*printing object\b(.*)|;\s*stop printing object\b|;MESH:(.*)|;PRINTING_ID:(.*)",
+    re.IGNORECASE,
+)
 SHAPERS = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")
 
 
@@ -25,6 +31,13 @@ def _accelerations(words: Words, before: Accelerations) -> Accelerations:
         return words["S"], words["S"]
     both = min(words["P"], words["T"]) if {"P", "T"} <= words.keys() else before[0]
     return both, both
+
+
+def _object_label(text: bytes) -> bytes | None:
+    """Return the object that a line says begins; see ``Dialect``."""
+    if (match := _LABEL.match(text.lstrip())) is None:
+        return object_label(text)
+    return match[match.lastindex] if match.lastindex else b""
 
 
 def _dwell(words: Words) -> float:
@@ -39,7 +52,7 @@ class Klipper(Firmware):
     dialect = Dialect(
         frozenset({"M204", "SET_VELOCITY_LIMIT"}), _accelerations, _dwell,
         retraction_settings=frozenset({"SET_RETRACTION"}), g92_resets=True,
-        rejoins_after_object=True, advance=klipper_advance,
+        label=_object_label, advance=klipper_advance,
     )  # fmt: skip
     decimates = True
     shapers = SHAPERS

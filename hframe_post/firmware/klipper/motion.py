@@ -9,10 +9,10 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.klipper.code import labels_object, table_of
+from hframe_post.firmware.klipper.code import table_of
 from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.firmware.klipper.segments import sparser, thinned
-from hframe_post.firmware.motion import SPARED, MotionRules, NextTo, Rejoined, Stroke, Way
+from hframe_post.firmware.motion import SPARED, MotionRules, NextTo, Stroke, Way
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.native.decimate import breakpoints, fitted
 from hframe_post.native.ramps import klipper_durations, klipper_feeds
@@ -20,7 +20,6 @@ from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import StopRules
 
-NUDGE = 0.001  # mm
 MOST_LONGER = 1.1  # times a lift's own duration, to which it may be slowed down
 
 
@@ -29,15 +28,13 @@ class KlipperMotion(MotionRules):
     """Klipper's motion.
 
     tolerance: mm by which the decimated command may miss a sample; None keeps every sample.
-    travel: mm/s at which the machine may come back from where it left out moves. users_corner: the
-    user's square corner velocity, mm/s. retract_moving: whether filament is retracted in motion,
-    where every sample is written.
+    users_corner: the user's square corner velocity, mm/s. retract_moving: whether filament is
+    retracted in motion, where every sample is written.
     """
 
     table: KlipperTable
     limits: StreamLimits
     tolerance: float | None = None
-    travel: float = math.inf
     users_corner: float = 0.0
     retract_moving: bool = False
 
@@ -49,8 +46,7 @@ class KlipperMotion(MotionRules):
         users = printer.limits
         limits = StreamLimits.from_limits(users, printer.motors, printer.kinematics)
         return cls(
-            table_of(printer), limits, tolerance, users.velocity, users.square_corner_velocity,
-            retract_moving,
+            table_of(printer), limits, tolerance, users.square_corner_velocity, retract_moving
         )  # fmt: skip
 
     @property
@@ -72,27 +68,8 @@ class KlipperMotion(MotionRules):
         corner = self.limits.lift_corner
         return StopRules(
             lift_speed=corner if corner <= self.users_corner else 0.0,
-            needs_rest=labels_object,
             retract_acceleration=moving,
         )
-
-    def rejoin(self, at: Array, way: Array, T: float) -> Rejoined:
-        """Return a nudge with the user's acceleration, in which Klipper catches up.
-
-        It does so in the first move that changes x or y, at the speed and acceleration of that.
-        """
-        table, to, axis = self.table, at.copy(), int(np.abs(way).argmax())
-        to[axis] += math.copysign(NUDGE, way[axis])
-        place = " ".join(f"{name}{plain(p, 6)}" for name, p in zip("XYZ", to, strict=False))
-        speed, a = min(self.travel, table.velocity), table.acceleration
-        text = (
-            f"SET_VELOCITY_LIMIT ACCEL={plain(a, 0)}\n"
-            f"G1 {place} F{plain(60.0 * speed, 1)}\n"
-            f"SET_VELOCITY_LIMIT ACCEL={plain(self.limits.acceleration, 0)}\n"
-        )
-        end = min(math.hypot(*way) / T, math.sqrt(2.0 * a * NUDGE))
-        peak = math.sqrt(a * NUDGE + end * end / 2.0)
-        return Rejoined(text.encode(), to, end, (2.0 * peak - end) / a)
 
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
         if self.tolerance is None:

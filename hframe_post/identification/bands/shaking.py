@@ -3,10 +3,10 @@
 Each recording is of strokes to and fro at one speed, in a direction in which only one motor turns.
 Its name says which, as Shake&Tune writes it: ``vib_an45_00sp120_00``, 45° and 120 mm/s.
 
-A motor's torque ripples with its phase (once per 0.8 mm of a GT2 belt on 20 teeth, and at
-multiples), so the nozzle shakes where a multiple meets a resonance. What a wall shows of it is the
-way, not the acceleration. The acceleration's spectrum is therefore divided by ω⁴, from the
-frequency up at which the sensor's noise is less than that.
+A motor's torque ripples with its phase: once per 0.8 mm of a GT2 belt on 20 teeth, and at
+multiples; the belt meshes once per 2 mm. So the nozzle shakes where one of these meets a resonance.
+Only these frequencies count: 4 to 5 µm that do not follow the motor would hide them on a Voron.
+What a wall shows is the way, not the acceleration. So the acceleration's spectrum is divided by ω⁴.
 """
 
 from __future__ import annotations
@@ -30,8 +30,11 @@ from hframe_post.identification.recordings.packed import unpacked
 from hframe_post.model.kinematics import Kinematics
 
 LABEL = re.compile(r"an(\d+)_(\d+)sp(\d+)_(\d+)", re.IGNORECASE)
-WINDOW = 0.2  # s of a spectrum; a stroke at full speed lasts longer
+WINDOW = 0.25  # s of a spectrum; a stroke at full speed lasts longer
 LOWEST, HIGHEST = 15.0, 400.0  # Hz
+# mm of belt: a tooth of GT2; four, two and one full steps of 1.8° on 20 teeth
+PERIODS = np.array([2.0, 0.8, 0.4, 0.2])
+NEAR = 1.5  # bins of a spectrum by which a frequency may be off: a Hann window's half width
 QUIET = 0.25  # quantile of the windows: the rest is where the head turns, and rings from it
 STANDS = 0.05  # share of the path's speed at which a motor counts as standing
 LEAST_SPEEDS = 10  # of a motor
@@ -71,7 +74,9 @@ def shaking(
             aside.append(Aside(label, f"both motors turn at {angle:g}°"))
             continue
         motor = int(turning[0])
-        energies[motor][round(float(belts[motor]), 3)].append(_energy(recording))
+        energies[motor][round(float(belts[motor]), 3)].append(
+            _energy(recording, float(belts[motor]))
+        )
         angles[motor] = angle
     found = [
         MotorShaking(
@@ -114,13 +119,14 @@ def _recordings(paths: Sequence[Path], aside: list[Aside]) -> Iterator[tuple[str
                 aside.append(Aside(which, reason_of(path, error)))
 
 
-def _energy(recording: Recording) -> float:
-    """Return the mean square of the nozzle's way, mm², while the speed is constant."""
+def _energy(recording: Recording, speed: float) -> float:
+    """Return the mean square of the nozzle's way, mm², that follows a belt at constant mm/s."""
     rate = 1.0 / recording.period
     n = min(round(WINDOW * rate), len(recording.t))
     f, _, spectra = signal.spectrogram(
         recording.a.T, rate, "hann", n, round(0.75 * n), detrend="constant"
     )
-    band = (f >= LOWEST) & (f <= HIGHEST)
+    off = np.abs(f[:, None] - speed / PERIODS).min(axis=1)
+    band = (off <= NEAR * (f[1] - f[0])) & (f >= LOWEST) & (f <= HIGHEST)
     way = spectra[:, band].sum(axis=0) / (2.0 * np.pi * f[band, None]) ** 4
     return float(np.quantile(way.sum(axis=0) * (f[1] - f[0]), QUIET))

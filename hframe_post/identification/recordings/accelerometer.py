@@ -21,6 +21,8 @@ from hframe_post.identification.recordings.timestamps import GAP, repaired
 
 GRAVITY = 9806.65  # mm/s²
 UNITS = (1.0, 1000.0, GRAVITY)  # of other programs: mm/s², m/s², g
+# of a sensor set to another range than the program believes: 2, 4, 8, 16 g
+RANGES = (1.0, 1.0 / 8.0, 1.0 / 4.0, 1.0 / 2.0, 2.0, 4.0, 8.0)
 AXES = "xyz"
 FULL_SCALE = 0.999 * 16.0 * GRAVITY  # where common sensors clip
 PLAUSIBLE = (8000.0, 12000.0)  # of gravity, mm/s²
@@ -74,16 +76,20 @@ def from_table(path: Path, table: Table) -> Recording:
     """
     _check_samples(path, table)
     a = table.values[:, 1:]
-    a = a * (1.0 if table.in_mm else _unit_by_gravity(a))
+    unit = _by_gravity(a, RANGES if table.in_mm else UNITS)
+    a = a * unit
     _check_clipping(path, table, a)
     t, a, notes = repaired(table.values[:, 0].copy(), a)
+    if table.in_mm and unit != 1.0:
+        read = float(np.linalg.norm(table.values[:, 1:].mean(axis=0))) / 1000.0
+        notes = (f"gravity reads {read:.3g} m/s²: all values are multiplied by {unit:g}", *notes)
     return Recording(t, a, table.starts_with_command, notes)
 
 
-def _unit_by_gravity(a: Array) -> float:
+def _by_gravity(a: Array, units: Sequence[float]) -> float:
     """Return the unit, in mm/s², in which the mean of a (n, 3) is gravity; 1 if it is in none."""
     strength = float(np.linalg.norm(a.mean(axis=0)))
-    fitting = (unit for unit in UNITS if PLAUSIBLE[0] <= strength * unit <= PLAUSIBLE[1])
+    fitting = (unit for unit in units if PLAUSIBLE[0] <= strength * unit <= PLAUSIBLE[1])
     return next(fitting, 1.0)
 
 

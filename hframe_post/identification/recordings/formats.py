@@ -21,6 +21,8 @@ from hframe_post.errors import IdentificationError
 
 COMMAND = ["t", "x", "y"]  # as sweep and verify write it
 KLIPPER = ["#time", "accel_x", "accel_y", "accel_z"]
+REPRAP = ["sample", "x", "y", "z"]
+REPRAP_RATE = re.compile(rb"^\s*rate:?\s+(\d+(?:\.\d*)?)", re.IGNORECASE)
 TIMES = ("time", "t", "timestamp")
 ACCELERATIONS = (
     "accel_{}", "acceleration_{}", "acc_{}", "a{}", "a_{}", "{}_accel", "{}_acc", "{}",
@@ -110,6 +112,22 @@ def _measurement(path: Path, number: int, line: bytes) -> Table:
     return Table(values, in_mm=True, name=name)
 
 
+def _reprap(path: Path, content: bytes, names: list[str]) -> list[Table] | None:
+    """Read what M956 of RepRapFirmware writes: numbered samples in g, and their rate at the end."""
+    if [name.lower() for name in names] != REPRAP:
+        return None
+    *lines, last = content.rstrip().splitlines()
+    rate = REPRAP_RATE.match(last)
+    if rate is None or not float(rate[1]):
+        raise IdentificationError(
+            f"{path}: its last line does not tell the rate of its samples, as 'Rate 1391, "
+            "overflows 0' does. Is the file cut off?"
+        )
+    values = _numbers(path, b"\n".join(lines), names)
+    values[:, 0] /= float(rate[1])
+    return [Table(values, content)]
+
+
 def _labelled(path: Path, content: bytes, names: list[str]) -> list[Table] | None:
     """Read another program's table if its columns say what they are: time, and accelerations."""
     bare = [UNIT.sub("", name.strip("# ").lower()).replace(" ", "_") for name in names]
@@ -138,7 +156,7 @@ def _no_recording(path: Path, _: bytes, names: list[str]) -> list[Table] | None:
 
 
 FORMATS: tuple[Callable[[Path, bytes, list[str]], list[Table] | None], ...] = (
-    _shaketune, _klipper, _no_recording, _labelled,
+    _shaketune, _klipper, _no_recording, _reprap, _labelled,
 )  # fmt: skip
 
 

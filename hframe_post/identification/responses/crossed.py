@@ -29,7 +29,8 @@ def crossed(axis: int, group: RunGroup, band_hz: tuple[float, float]) -> list[Cr
     Far below the resonances the frame may rock on its table, and sideways, too: that is left out.
     """
     rocking = ROCKING * min(group.lowest_hz, band_hz[1])  # a stiff printer has no resonance
-    band = max(band_hz[0], group.excited_hz, rocking), band_hz[1]
+    low, high = group.excited_hz
+    band = max(band_hz[0], low, rocking), min(band_hz[1], high)
     alone = [run for run in group.runs if run.direction and run.direction[1 - axis] == 0.0]
     found = [
         Crossed(run.response, run.across, run.point) for run in alone if run.across is not None

@@ -17,6 +17,7 @@ from hframe_post.identification.recordings.clock_sync import not_found
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 
 EXCITED = 0.1  # of a test's usual power, from which a frequency counts as excited
+LEAST_HZ = 8.0  # to which a test lasts at least; slow sweeping lies below
 SHOWN = 2.0  # times the coherence that noise has, from which a frequency is seen
 ROUGH = 0.01  # share of a response that is not linear, where nothing is noisy
 LATEST = 0.08  # s by which the rough start may be off
@@ -29,14 +30,14 @@ class Direction:
     """Where the swept axis points, as the sensor sees it.
 
     axis (3,): unit vector. delay: s by which the response is late, ±2 ms. resonance_hz: of the
-    lowest strong resonance. excited_hz: lowest frequency from which on the command explains the
-    response.
+    lowest strong resonance. excited_hz: lowest and highest frequency at which the command explains
+    the response.
     """
 
     axis: Array
     delay: float
     resonance_hz: float
-    excited_hz: float
+    excited_hz: tuple[float, float]
 
 
 def direction(responses: list[FrequencyResponse]) -> Direction:
@@ -51,7 +52,8 @@ def direction(responses: list[FrequencyResponse]) -> Direction:
     strongest = int(np.argmax((np.abs(H) ** 2 * responses[0].power)[:, slow].sum(axis=1)))
     excited = _excited(responses[strongest])
     resonance = _first_resonance(hz, size, excited)
-    low, low_end = hz[excited][0], max(0.7 * resonance, 2.5 * hz[excited][0])
+    low, high = hz[excited][[0, -1]].tolist()
+    low_end = max(0.7 * resonance, 2.5 * low)
     used = excited & (hz <= low_end)
     unit = H[:, used] / np.abs(H[strongest, used])
     weight = _weights(responses[strongest])[used]
@@ -64,7 +66,7 @@ def direction(responses: list[FrequencyResponse]) -> Direction:
     mean = along @ weight[lowest]
     if np.linalg.norm(mean.imag) > ACROSS * np.linalg.norm(mean.real):
         raise not_found()
-    return Direction(axis / np.linalg.norm(axis), delay, resonance, float(low))
+    return Direction(axis / np.linalg.norm(axis), delay, resonance, (low, high))
 
 
 def _weights(response: FrequencyResponse) -> Array:
@@ -74,22 +76,28 @@ def _weights(response: FrequencyResponse) -> Array:
 
 
 def _excited(response: FrequencyResponse) -> Flags:
-    """Flag the frequencies (k,) above the last gap at the low end: in the test, or in noise.
+    """Flag the frequencies (k,) from the last gap at the low end to where the test ended.
 
-    A test's pulses grow with the frequency. The slow sweeping under them has lines below, too.
+    A test's pulses grow with the frequency. The slow sweeping under them has lines below, too, and
+    the pulses have harmonics of a ninth of their power.
     """
     coherence = _smoothed(response.coherence, response.hz, 1.0)
     middle = response.hz <= 30.0
-    if not (~middle).any() or np.median(coherence[~middle]) < 0.25:
-        raise not_found()
     step = float(response.hz[1] - response.hz[0])
     level = response.power / np.square(response.hz)
     steady = median_filter(level, max(round(2.0 / step), 1), mode="nearest")
-    gap = steady < EXCITED * float(np.median(level[~middle]))
+    usual = float(
+        np.median(level[steady > EXCITED * steady[response.hz > LEAST_HZ].max(initial=0.0)])
+    )
+    inside = ~middle & (steady > EXCITED * usual)
+    if not inside.any() or np.median(coherence[inside]) < 0.25:
+        raise not_found()
+    gap = steady < EXCITED * usual
     gap |= coherence * response.averages < SHOWN
     gaps = np.flatnonzero(gap & middle)
     flags = np.zeros(len(response.hz), dtype=bool)
-    flags[int(gaps[-1]) + 1 if gaps.size else 0 :] = True
+    ends = slice(int(gaps[-1]) + 1 if gaps.size else 0, int(np.flatnonzero(inside)[-1]) + 1)
+    flags[ends] = True
     return flags
 
 

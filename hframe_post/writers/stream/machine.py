@@ -37,10 +37,9 @@ from hframe_post.writers.stream.segments import (
 
 
 class Text(NamedTuple):
-    """Lines without a speed. labels: the firmware may leave out the moves next to them."""
+    """Lines without a speed."""
 
     output: Output
-    labels: bool = False
 
 
 class Motion(NamedTuple):
@@ -224,8 +223,7 @@ class Machine:
 
     def _passed_on(self, mark: Mark) -> Iterator[Text]:
         """Yield a line of the file, and what restores the stream's modes after it."""
-        labels = self._code.labels_object(mark.text)
-        yield Text(passed_on(mark.text, mark.index * TS), labels)
+        yield Text(passed_on(mark.text, mark.index * TS))
         if self._inside:
             name, _ = name_and_arguments(Line(0, mark.text))
             yield Text(self._code.modes_after(name, mark.text))
@@ -239,7 +237,7 @@ class Machine:
         if releases:
             yield self._release(action)
         if action.text or not releases:
-            yield Text(action.text + b"\n", self._code.labels_object(action.text))
+            yield Text(action.text + b"\n")
 
     def _move_at_rest(self, dwell: Dwell, move: MoveAtRest) -> Iterator[OutputCommand]:
         yield from self._enter()

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, X, Z, lengths
+from hframe_post.arrays import TS, Array, E, Flags, Integers, lengths
 from hframe_post.firmware.motion import MotionRules, NextTo, Stroke, Way
 from hframe_post.writers.stream.machine import (
     LimitChange,
@@ -77,7 +77,6 @@ class Timing:
         self._fresh = True  # nothing has moved since the machine was taken over
         # last segment of a batch: places, speed, whether from rest, speed of the one before it
         self._ending: tuple[Array, Array, bool, float] | None = None
-        self._may_be_elsewhere = False  # moves may have been left out since the last motion
         self._lift: _Lift | None = None
 
     def timed(self, commands: Iterable[OutputCommand]) -> Iterator[TimedCommand]:
@@ -85,7 +84,6 @@ class Timing:
         for command in commands:
             match command:
                 case Text():
-                    self._may_be_elsewhere |= command.labels
                     if self._lift is None:
                         yield command
                     else:
@@ -102,8 +100,6 @@ class Timing:
                     self.lag, self._fresh = 0.0, True  # lateness does not matter any more
 
     def _motion(self, motion: Motion) -> Iterator[TimedCommand]:
-        if self._may_be_elsewhere and self._before == 0.0:
-            motion = yield from self._rejoined(motion)
         at, dwells = motion.at / self._units.per_mm, motion.dwell.nonzero()[0].tolist()
         rest = np.zeros(len(at), bool)
         if dwells:
@@ -116,29 +112,8 @@ class Timing:
             yield from self._leave(self._rules.entry(at[:2], v, before))
         lines = [(row, self._dwell(int(motion.dwell[row]))) for row in dwells]
         texts = [(row, Text(line)) for row, line in lines if line]
-        self._may_be_elsewhere |= any(text.labels for _, text in motion.between)
         between = sorted([*motion.between, *texts], key=itemgetter(0))
         yield TimedMotion(motion.at, feeds, between)
-
-    def _rejoined(self, motion: Motion) -> Generator[TimedCommand, None, Motion]:
-        """Yield how a machine at rest that left out moves comes back to the commands' place.
-
-        Returns the motion with its first segment shorter by that.
-        """
-        per_mm = self._units.per_mm
-        way = (motion.at[1] - motion.at[0])[:Z] / per_mm[:Z]
-        if np.abs(way).max() < 1.5 / per_mm[X]:
-            return motion
-        self._may_be_elsewhere = False
-        rejoined = self._rules.rejoin(motion.at[0] / per_mm, way, float(motion.T[0]))
-        if rejoined is None:
-            return motion
-        self._before, self._ending = rejoined.speed, None
-        yield LimitChange(rejoined.text)
-        at, T = motion.at.copy(), motion.T.copy()
-        at[0] = self._units.rounded(rejoined.at)
-        T[0] -= rejoined.seconds
-        return motion._replace(at=at, T=T)
 
     def feeds(self, at: Array, T: Array, rest: Flags, after: float) -> Integers:
         """Return F (k,) of segments between places at (k + 1, 4), mm, that are to last T (k,).

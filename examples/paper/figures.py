@@ -1,6 +1,6 @@
-"""The paper's figures 4, 5, 8, 9 and 11, drawn from what `hframe_post.paper` computes.
+"""The paper's figures 4, 5, 8, 9 and 11, drawn from what `results.py` computes.
 
-    python examples/paper_figures.py FOLDER [PRISM.GCODE]
+    python -m examples.paper.figures FOLDER [PRISM.GCODE]
 
 The prism, for Fig. 11, is `sample_gcode/prism.gcode`. It takes a minute, and needs matplotlib:
 ``pip install matplotlib``. The equations and figures are those of arXiv 2105.09878.
@@ -18,7 +18,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 
 import hframe_post as hp
-from hframe_post.paper import results
+from examples.paper import results
 
 STYLES = {  # of strategies: label and colour
     "none": ("no compensation", "#888888"),
@@ -91,7 +91,7 @@ save(figure, "fig05")
 
 # Fig. 8: contour error and time, decoupled and coupled
 xy = results.path(printer)
-rows = results.approximations(plant, xy)
+rows = results.approximations(printer, xy)
 share = [row.share for row in rows]
 figure, axes = canvas(1, 2, 8.0, 3.2)
 for k, (name, style) in enumerate((("decoupled", "-o"), ("coupled", "--s"))):
@@ -103,7 +103,7 @@ axes[0, 0].legend()
 save(figure, "fig08")
 
 # Fig. 9: the nozzle at the first corner, and contour error along the path
-controls = results.time_responses(plant, xy)
+controls = results.time_responses(printer, xy)
 figure, axes = canvas(1, 2, 9.0, 3.4)
 for control in controls:
     (label, colour), nozzle = STYLES[control.name], control.nozzle - control.nozzle[0]

@@ -1,6 +1,7 @@
 """The paper's figures, computed again.
 
-Each function answers one figure of arXiv 2105.09878; ``examples/paper_figures.py`` draws them.
+Each function answers one figure of arXiv 2105.09878; ``figures.py`` draws it, ``tables.py`` prints
+it. What the library offers is taken from it; what it hides, from its rooms.
 """
 
 from __future__ import annotations
@@ -11,19 +12,18 @@ from time import perf_counter
 
 import numpy as np
 
+import hframe_post as hp
+from examples.paper.commands import WholeTrajectory, windowed
 from hframe_post.arrays import TS, Array, Complex, E, X, Y, Z
-from hframe_post.compensation.compensate import compensate
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream, planned, prepared, sampled
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.lpfbs import Window
-from hframe_post.model.nozzle import nozzle
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator
-from hframe_post.paper.commands import WholeTrajectory, windowed
-from hframe_post.prediction.predict import contour_error, predict
+from hframe_post.prediction.predict import predict
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Moves, Samples
@@ -112,32 +112,32 @@ def path(printer: Printer) -> Array:
     return np.repeat(xy, repeats, axis=0)
 
 
-def contour(plant: Plant, xy: Array, command: Array) -> tuple[Array, Array]:
+def contour(printer: Printer, xy: Array, command: Array) -> tuple[Array, Array]:
     """Return the nozzle (k, 2) under a command (k, 2), and its contour error (k,), mm."""
-    places = nozzle(plant, xy[0], command)
-    return places, contour_error(xy, places)
+    places = hp.predict(np.vstack([xy[:1], command]), printer)[1:]  # at rest before the command
+    return places, hp.contour_error(places, xy)
 
 
-def approximations(plant: Plant, xy: Array) -> list[Approximation]:
+def approximations(printer: Printer, xy: Array) -> list[Approximation]:
     """Compute Fig. 8: coupled (eq. 18) against decoupled (eq. 12 and 19)."""
     rows = []
     for share in SHARES:
         n = round(share * (len(xy) - 1))
-        whole = WholeTrajectory(plant, xy, n)
+        whole = WholeTrajectory(printer.plant, xy, n)
         timed = [_timed(solve) for solve in (whole.decoupled, whole.coupled)]
-        rms = [_rms(contour(plant, xy, command)[1]) for command, _ in timed]
+        rms = [_rms(contour(printer, xy, command)[1]) for command, _ in timed]
         rows.append(Approximation(share, n, (rms[0], rms[1]), (timed[0][1], timed[1][1])))
     return rows
 
 
-def time_responses(plant: Plant, xy: Array) -> list[TimeResponse]:
+def time_responses(printer: Printer, xy: Array) -> list[TimeResponse]:
     """Compute Fig. 9: no control, and n = 125 without and with racking compensation."""
-    whole = WholeTrajectory(plant, xy, N_FIG_9)
+    whole = WholeTrajectory(printer.plant, xy, N_FIG_9)
     commands = {"none": xy, "fbs": whole.decoupled(racking=False), "racking": whole.decoupled()}
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
     responses = []
     for name, command in commands.items():
-        nozzle, error = contour(plant, xy, command)
+        nozzle, error = contour(printer, xy, command)
         responses.append(TimeResponse(name, xy, along, nozzle, error))
     return responses
 
@@ -147,26 +147,18 @@ def previews(printer: Printer, xy: Array) -> list[Preview]:
 
     The path gets a rest before and after it, in which a preview can lead and settle.
     """
-    plant, ways = printer.plant, list[Preview]()
     windows = printer.compensation.windows
     rest = windows[X].L_C
-    xy = np.pad(xy, ((rest, rest), (0, 0)), mode="edge")
-    compensator = Compensator(plant, windows)
-    xyze = np.pad(xy, ((0, 0), (0, 2)))
-    line = np.zeros(len(xy), dtype=np.int64)
-
-    def streamed() -> Array:
-        blocks = compensate([Samples(0, xyze, line)], compensator, ("racking",))
-        return np.concatenate([block.commands["racking"] for block in blocks])
-
+    padded = np.pad(xy, ((rest, rest), (0, 0)), mode="edge")
+    ways = list[Preview]()
     for name, solve in (
-        ("coupled, eq. 42", lambda: windowed(plant, windows, xy, coupled=True)),
-        ("decoupled, eq. 43", lambda: windowed(plant, windows, xy, coupled=False)),
-        ("streamed", streamed),
+        ("coupled, eq. 42", lambda: windowed(printer.plant, windows, padded, coupled=True)),
+        ("decoupled, eq. 43", lambda: windowed(printer.plant, windows, padded, coupled=False)),
+        ("streamed", lambda: hp.compensate(xy, printer)),
     ):
         command, seconds = _timed(solve)
-        moving = slice(rest, len(xy) - rest)
-        ways.append(Preview(name, _rms(contour(plant, xy, command)[1][moving]), seconds))
+        error = hp.contour_error(hp.predict(command, printer), xy)
+        ways.append(Preview(name, _rms(error), seconds))
     return ways
 
 

@@ -1,15 +1,24 @@
-"""Markdown tables: the paper's numbers next to ours, and which of ours were calibrated."""
+"""Markdown tables: the paper's numbers next to ours, and which of ours were calibrated.
+
+    python -m examples.paper.tables [PRISM.GCODE]
+
+in the folder of this project. With a slice of the paper's prism, sample_gcode/prism.gcode, it
+prints the widths of Fig. 11, too.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
+import hframe_post as hp
+from examples.paper import results
+from examples.paper.results import Approximation, Preview, TimeResponse, Widths
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.plant import Plant
-from hframe_post.paper import results
-from hframe_post.paper.results import Approximation, Preview, TimeResponse, Widths
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 
@@ -33,12 +42,12 @@ PRINTED = {
 
 @one_blas_thread()
 def computed(printer: Printer, prism: Sequence[bytes] | None) -> str:
-    """Return all tables of a printer that racks. prism: lines of the slice for Fig. 11, if any."""
+    """Return all tables. prism: lines of the slice for Fig. 11, if any."""
     xy = results.path(printer)
     texts = [
         coefficients(coefficients_off(printer.plant)),
-        approximation(results.approximations(printer.plant, xy)),
-        time_response(results.time_responses(printer.plant, xy)),
+        approximation(results.approximations(printer, xy)),
+        time_response(results.time_responses(printer, xy)),
         previews(results.previews(printer, xy)),
     ]
     if prism is not None:
@@ -138,3 +147,8 @@ def width_errors(prisms: Sequence[Widths]) -> str:
             ]
     title = "Fig. 11: width of the prism (paper: printed parts; ours: simulated)"
     return markdown(title, COMPARED, rows)
+
+
+if __name__ == "__main__":
+    slices = [Path(name).read_bytes().splitlines(keepends=True) for name in sys.argv[1:2]]
+    print(computed(hp.load_printer("paper"), slices[0] if slices else None), end="")

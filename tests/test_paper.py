@@ -7,6 +7,8 @@ from time import thread_time
 import numpy as np
 import pytest
 
+from examples.paper import results, tables
+from examples.paper.commands import WholeTrajectory, basis, knots, windowed
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import compensate
 from hframe_post.errors import GcodeError
@@ -16,8 +18,6 @@ from hframe_post.model.nozzle import Response
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.paper import results, tables
-from hframe_post.paper.commands import WholeTrajectory, basis, knots, windowed
 from hframe_post.printer import profile
 from hframe_post.stream.types import Samples
 from tests.conftest import SAMPLES
@@ -36,8 +36,8 @@ def rectangle() -> Array:
 
 
 @pytest.fixture(scope="module")
-def approximations(plant: Plant, rectangle: Array) -> list[results.Approximation]:
-    return results.approximations(plant, rectangle)
+def approximations(rectangle: Array) -> list[results.Approximation]:
+    return results.approximations(profile.load("paper"), rectangle)
 
 
 def short_path(n: int) -> Array:
@@ -244,8 +244,10 @@ def test_fig_8_decoupled_is_as_good_as_coupled(
             assert max(row.rms) < 1.5e-3
 
 
-def test_fig_9_racking_compensation_at_125_control_points(plant: Plant, rectangle: Array) -> None:
-    rms = {row.name: row.rms * 1e3 for row in results.time_responses(plant, rectangle)}
+def test_fig_9_racking_compensation_at_125_control_points(rectangle: Array) -> None:
+    rms = {
+        row.name: row.rms * 1e3 for row in results.time_responses(profile.load("paper"), rectangle)
+    }
     assert rms["fbs"] == pytest.approx(117, abs=3)  # calibrated
     assert rms["racking"] <= 12
     assert rms["fbs"] / rms["racking"] >= 9.5
