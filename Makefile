@@ -70,11 +70,13 @@ docs:
 bench:
 	$(PYTHON) -m pytest tests/benchmarks -o addopts='' --benchmark-only
 
+# EXAMPLES of each test; memory is limited, in KB
+EXAMPLES ?= 2000
 fuzz:
-	$(PYTHON) -m tests.fuzz $(FUZZ)
+	ulimit -v 4000000; EXAMPLES=$(EXAMPLES) $(PYTHON) -m pytest -q tests/fuzz
 
-# TARGETS: of tests/fuzz/targets.py; GUIDED: options of libFuzzer, for each
-TARGETS ?= reader bgcode profile cfg recording second
+# TARGETS: tests of tests/fuzz/test_fuzz.py; GUIDED: options of libFuzzer, for each
+TARGETS ?= test_gcode test_output_is_a_file_like_any_other test_profiles test_other_files
 GUIDED ?= -max_total_time=1800
 guided:
 	@$(PYTHON) -c 'import atheris' 2>/dev/null || { echo "pip install -e '.[fuzz]' first"; exit 1; }

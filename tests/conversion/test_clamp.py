@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.errors import LimitError
 from hframe_post.printer.profile import load
-from hframe_post.writers.stream.print_time import DeferredLine
-from tests.fuzz.machine import Machine
+from tests.gcode_tools import converted
+from tests.same_print import print_of
 
 PER_MM = 0.033  # filament
 SHAPES: dict[str, list[tuple[float, float]]] = {  # corners on the edges of a bed of 280 by 295 mm
@@ -19,7 +20,7 @@ SHAPES: dict[str, list[tuple[float, float]]] = {  # corners on the edges of a be
 }
 
 
-def print_of(corners: list[tuple[float, float]], speed: float) -> list[bytes]:
+def outline(corners: list[tuple[float, float]], speed: float) -> list[bytes]:
     (x, y), *others = corners
     lines = [
         b"G28\n",
@@ -38,22 +39,20 @@ def print_of(corners: list[tuple[float, float]], speed: float) -> list[bytes]:
 @pytest.mark.parametrize("speed", [50, 250])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_filament_is_never_fed_in_one_place(shape: str, speed: float) -> None:
-    lines = print_of(SHAPES[shape], speed)
-    conversion = GcodeConversion(iter(lines), load("paper"), Options("racking", clamp=True))
-    pieces = list(conversion)
-    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in pieces)
-    asked, written = Machine("klipper").play(b"".join(lines)), Machine("klipper").play(text)
-    assert conversion.report().clamped.samples > 0
+    lines = outline(SHAPES[shape], speed)
+    text, report = converted(lines, load("paper"), Options("racking", clamp=True))
+    assert report.clamped.samples > 0
+    asked, written = print_of(b"".join(lines)), print_of(text.partition(b"\n")[2])
     assert written.filament == pytest.approx(asked.filament, abs=1e-3)
     assert written.standing == 0.0
     assert written.steepest < 2.0 * PER_MM
-    assert min(written.least) >= -1e-9
-    assert written.greatest[0] <= 280.0
-    assert written.greatest[1] <= 295.0
+    places = np.vstack(written.points)[:, :2]
+    assert (places >= -1e-9).all()
+    assert (places <= (280.0, 295.0)).all()
 
 
 @pytest.mark.parametrize("clamp", [False, True])
 def test_a_path_beyond_the_bed_is_an_error_always(clamp: bool) -> None:
-    lines = [*print_of(SHAPES["along"], 50), b"G1 X-0.002 E1\n"]
+    lines = [*outline(SHAPES["along"], 50), b"G1 X-0.002 E1\n"]
     with pytest.raises(LimitError, match=r"line 10: x of the path \(mm\)"):
         list(GcodeConversion(iter(lines), load("paper"), Options("racking", clamp=clamp)))

@@ -30,9 +30,9 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, Position
 from tests.command_line import run
 from tests.conftest import SAMPLES
-from tests.fuzz.oracle import check_same_print
 from tests.gcode_tools import WORD, assert_same_stream, converted, layers, sample, small_rectangle
 from tests.quantities import below
+from tests.same_print import assert_same_print
 
 QUIRKS = Path(__file__).parent.parent / "quirks"
 NOWHERE = (0.0, 0.0, 0.0)
@@ -223,7 +223,7 @@ def test_filament_is_counted_on_where_it_was_relative(marlin: Printer) -> None:
     )
     output = converted(text.splitlines(keepends=True), marlin)[0]
     assert len(re.findall(rb"^G92 E0(?:\.00\d+)?$", output, re.MULTILINE)) > 1
-    check_same_print(text, output, "marlin")
+    assert_same_print(text, output, "marlin")
 
 
 def test_counting_filament_again_keeps_the_fraction_of_a_step(marlin: Printer) -> None:

@@ -1,37 +1,25 @@
-"""``python -m tests.fuzz.guided TARGET``: coverage-guided fuzzing with atheris (extra ``fuzz``).
+"""``python -m tests.fuzz.guided TEST``: coverage-guided fuzzing with atheris (extra ``fuzz``).
 
-Other arguments are libFuzzer's: -max_total_time=1800, and a folder that keeps what it learned.
-Without compiled loops, whose coverage it would not see. It ends at the first defect, and writes
-it to crash-…; once it is corrected, that belongs into found/TARGET.
+TEST is one of test_fuzz.py; other arguments are libFuzzer's, as -max_total_time=1800. It ends at
+the first defect. Once that is corrected, its G-code belongs into the folder ``found``.
 """
 
 from __future__ import annotations
 
 import sys
-import tempfile
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 
 def main() -> None:
-    """Fuzz one target until libFuzzer ends the process."""
+    """Fuzz one test until libFuzzer ends the process."""
     atheris: Any = import_module("atheris")
     name, *options = sys.argv[1:]
     with atheris.instrument_imports(include=["hframe_post"]):
-        targets: Any = import_module("tests.fuzz.targets")
-        native: Any = import_module("hframe_post.native")
-    native.built = lambda: None
-    with tempfile.TemporaryDirectory() as folder:
-        for k, seed in enumerate(targets.seeds(name)):
-            Path(folder, str(k)).write_bytes(seed)
-        kept = [option for option in options if not option.startswith("-")]
-        flags = [option for option in options if option.startswith("-")]
-        atheris.Setup(
-            [sys.argv[0], "-timeout=60", *flags, *kept, folder],
-            lambda data: targets.check(name, data),
-        )
-        atheris.Fuzz()
+        tests: Any = import_module("tests.fuzz.test_fuzz")
+    test = getattr(tests, name).hypothesis.fuzz_one_input
+    atheris.Setup([sys.argv[0], "-timeout=60", *options], test)
+    atheris.Fuzz()
 
 
 if __name__ == "__main__":

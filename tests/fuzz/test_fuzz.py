@@ -1,105 +1,221 @@
-"""A few mutated files in every run, hundreds in ``make slow``, thousands in ``make fuzz``."""
+"""Any input is refused with a clean error that names its line, or it becomes the same print.
+
+A few examples in every run, hundreds in ``make slow``; ``make fuzz`` and ``make guided`` seek more.
+"""
 
 from __future__ import annotations
 
-import contextlib
-import sys
-from subprocess import run
+import gzip
+import io
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
-from tests.conftest import ROOT
-from tests.fuzz.cases import KINDS
-from tests.fuzz.klipper import play_both
-from tests.fuzz.machine import Machine
-from tests.fuzz.oracle import check_same_print, converted
-from tests.fuzz.targets import FOUND, TARGETS, check, seeds
+from hframe_post.errors import GcodeError, HframeError, LimitError
+from hframe_post.firmware.klipper.check import check
+from hframe_post.firmware.klipper.macro_check import check_macros
+from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin
+from hframe_post.gcode.lines import as_binary, lines_of
+from hframe_post.identification.recordings import accelerometer
+from hframe_post.printer.profile import load, parse, shipped
+from hframe_post.printer.setup import Known, profile_text
+from tests.conftest import SAMPLES
+from tests.fuzz.strategies import LINES, broken, edited, gcode
+from tests.gcode_tools import converted
+from tests.klipper.host import KlippyError, play
+from tests.printers import M503, REAL, profile_of
+from tests.same_print import PLACE, assert_same_print
+from tests.slices import SLICES
 
-ORIGINAL = b"G28\nM83\nG1 X10 Y10 Z0.2\nG1 X20 E0.5\n;@1\nG91\nUNHEARD_OF @2\nG90\n;@3\n"
+KLIPPER_FILAMENT = 5e-3  # mm; a step of the extruder is 0.7e-3
+FOUND = sorted(Path(__file__).with_name("found").iterdir())
+RECTANGLE = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
+PRINTERS = {"klipper": load("paper"), "marlin": load("paper-marlin")}
+WITHOUT_LINE = (
+    "empty", "not a single move", "binary", "not a text file", "UTF-16", "mm of filament",
+)  # fmt: skip
 
-MARK = b"M117 @1\n"
-SWING = (
-    b"""M83
-G0 F9000 X152.081 Y101.17
-G1 F1800 X161.821 Y118.829 E631.26631
-G0 F9000 X161.255 Y118.829
-%bG1 F1800 X143.596 Y101.17 E631.68163
-"""
-    % MARK
-)
-
-
-def fuzzed(*arguments: str) -> None:
-    done = run(
-        [sys.executable, "-m", "tests.fuzz", *arguments], cwd=ROOT, capture_output=True, check=False
-    )
-    assert done.returncode == 0, done.stdout.decode() + done.stderr.decode()
-
-
-def test_a_few_of_each_kind() -> None:
-    """In one process, which loads but once what all kinds need."""
-    fuzzed("-n", "6", "--jobs", "1")
+EXAMPLES = int(os.environ.get("EXAMPLES", "12"))
+few = settings(max_examples=EXAMPLES, derandomize="EXAMPLES" not in os.environ, database=None)
+slow = pytest.mark.slow
 
 
-@pytest.mark.parametrize("target", TARGETS)
-def test_guided_fuzzing_begins_with_what_is_taken(target: str) -> None:
-    assert "taken" in {check(target, seed) for seed in seeds(target)[:3]}
+def refused(error: HframeError) -> None:
+    """Assert that an error is printable, names its line, and is no bug's."""
+    message = str(error)
+    assert message.isprintable(), message
+    assert len(message) < 6000, message
+    if isinstance(error, GcodeError | LimitError):
+        assert "line " in message or any(cause in message for cause in WITHOUT_LINE), message
+    assert "would be lost" not in message, message
+    assert "report this" not in message, message
 
 
-def test_what_guided_fuzzing_found_stays_mended() -> None:
-    for file in sorted(FOUND.glob("*/*")):
-        assert check(file.parent.name, file.read_bytes()), file
+def check_gcode(text: bytes, strategy: str, firmware: str, clamp: bool) -> bytes:
+    """Convert a file; return the output, or nothing if it is refused."""
+    lines = io.BytesIO(text).readlines()  # a carriage return alone does not end one
+    options = Options(strategy, clamp=clamp, extrusion="absolute")
+    try:
+        output = converted(lines, PRINTERS[firmware], options)[0]
+    except HframeError as error:
+        refused(error)
+        return b""
+    assert_same_print(text, output, firmware)
+    return output
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_hundreds_of_each_kind(kind: str) -> None:
-    fuzzed("-n", "300", "--seed", "10000", "--kind", kind)
+cases = given(
+    gcode(), st.sampled_from(("racking", "fbs", "none")), st.sampled_from(sorted(PRINTERS)),
+    st.booleans(),
+)  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("change", "to", "message"),
-    [
-        (b"E0.5", b"E0.49", "filament at mark 1"),
-        (b";@1\n", b"", "marks"),
-        (b"G91\n", b"", "modes differ at mark 2"),
-        (b"X20", b"X40", "place at mark 1"),
-        (b"G90\n;@3", b";@3", "modes differ at the end"),
-        (b"X20", b"X-20", "place at mark 1"),
-    ],
-)
-def test_the_oracle_can_fail(change: bytes, to: bytes, message: str) -> None:
-    check_same_print(ORIGINAL, ORIGINAL, "klipper")
-    with pytest.raises(AssertionError, match=message):
-        check_same_print(ORIGINAL, ORIGINAL.replace(change, to), "klipper")
+@few
+@cases
+def test_gcode(text: bytes, strategy: str, firmware: str, clamp: bool) -> None:
+    check_gcode(text, strategy, firmware, clamp)
 
 
-@pytest.mark.parametrize("lines", [-1, 0, 2])
-def test_for_marlin_a_mark_stands_before_the_segment_of_its_place(lines: int) -> None:
-    """The command swings by less than a segment's fewest steps: one segment spans the travel."""
-    written = converted(SWING, "marlin", Options("racking")).splitlines(keepends=True)
-    at = written.index(MARK)
-    written.insert(at + lines, written.pop(at))
-    refused = pytest.raises(AssertionError, match="filament at mark 1 differs by")
-    with refused if lines else contextlib.nullcontext():
-        check_same_print(SWING, b"".join(written), "marlin")
+@few
+@given(gcode())
+def test_output_is_a_file_like_any_other(text: bytes) -> None:
+    """Without its stamp it can be converted again."""
+    output = check_gcode(text, "fbs", "klipper", True)
+    if output:
+        assert check_gcode(output.partition(b"\n")[2], "fbs", "klipper", True)
 
 
-@pytest.mark.parametrize("place", [b"G28\n", b"G28\nG1 X0 Y0 Z0.2\nUNHEARD_OF\n"])
-def test_what_g92_makes_of_an_unknown_place_is_not_compared_with_klipper(place: bytes) -> None:
-    """The command leads the nozzle past x = 10, where Klipper homed to 0, and would refuse it."""
-    text = place + b"M83\nG92 X10 Y10\nG1 X10 Y10 F6000\nG1 X30 E1.5 F1800\nG1 Y30 E1.5\n"
-    assert play_both(text, converted(text, "klipper", Options("fbs"))) == "not for Klipper"
-    known = b"G28\nG1 X20 Y20 F6000\nG92 X0 Y0\nG1 X5 E1\n"
-    assert not Machine("klipper").play(known).named
+@few
+@given(st.sampled_from(sorted(shipped().values())).flatmap(lambda text: edited(text.encode())))
+def test_profiles(text: bytes) -> None:
+    def use(path: Path) -> None:
+        printer = replace(parse(path.read_text("latin-1"), "own"), name="own", invented=False)
+        list(GcodeConversion(RECTANGLE[:40], printer, Options("fbs", clamp=True)))
+
+    taken(text, "toml", use)
 
 
-def test_the_machine_reads_as_firmware_does() -> None:
-    machine = Machine("klipper").play(
-        b"g1x10y10e6\nN 5 G1 X20 (Y3) ; Y9\nG20\nG1 X1\nG92 X0 E0\n;@1\nG91\nG1 X1\nG92\n;@2\n"
-    )
-    first, second = machine.stands
-    assert (first.place, first.reported) == ((25.4, 10.0, None), (0.0, 10.0, None))
-    assert first.filament == 6.0
-    assert second.reported == (0.0, 0.0, None)
+def _configured(path: Path) -> None:
+    config = KlipperConfig(path)
+    own = profile_of(config)
+    check(config, own, "change it")
+    check(config, load("paper"), "change it")
+    check_macros(config, own, "write it")
+
+
+def _answered(path: Path) -> None:
+    answer = MarlinSettings([path])
+    travel = answer.travel() or {axis: Known((0.0, 220.0), "test") for axis in "xy"}
+    profile_text(from_marlin(answer, "cartesian", travel), "own")
+    answer.warnings()
+
+
+def _unpacked(path: Path) -> None:
+    with path.open("rb") as file:
+        sum(map(len, lines_of(file)))
+
+
+def _recording() -> bytes:
+    rng = np.random.default_rng(0)
+    samples = np.column_stack([np.arange(0.0, 1.0, 1e-3), rng.normal(size=(1000, 3))])
+    text = io.BytesIO()
+    np.savetxt(text, samples, "%.6f", ",", header="time,accel_x,accel_y,accel_z")
+    return text.getvalue()
+
+
+def _binary() -> bytes:
+    binary = io.BytesIO()
+    with as_binary(binary) as file:
+        file.writelines(SLICES["prusaslicer"].lines)
+    return binary.getvalue()
+
+
+def taken(data: bytes, suffix: str, reader: Callable[[Path], object]) -> None:
+    """Assert that a file is taken, or refused with a clean error."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder, f"a.{suffix}")
+        path.write_bytes(data)
+        try:
+            reader(path)
+        except HframeError as error:
+            refused(error)
+
+
+RECORDING, BINARY = _recording(), _binary()
+FILES: dict[str, tuple[st.SearchStrategy[bytes], str, Callable[[Path], object]]] = {
+    "bgcode": (broken(BINARY), "bgcode", _unpacked),
+    "recording": (edited(RECORDING), "csv", accelerometer.read),
+    "packed": (broken(gzip.compress(RECORDING, mtime=0)), "csv.gz", accelerometer.read),
+    "cfg": (edited(REAL.read_bytes()), "cfg", _configured),
+    "m503": (edited(M503.read_bytes()), "txt", _answered),
+}
+
+
+@few
+@given(st.sampled_from(sorted(FILES)).flatmap(lambda n: st.tuples(st.just(n), FILES[n][0])))
+def test_other_files(case: tuple[str, bytes]) -> None:
+    _, suffix, reader = FILES[case[0]]
+    taken(case[1], suffix, reader)
+
+
+@pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
+def test_what_was_found_stays_mended(path: Path) -> None:
+    for firmware in PRINTERS:
+        check_gcode(path.read_bytes(), "fbs", firmware, False)
+
+
+@slow
+@settings(few, max_examples=300)
+@cases
+def test_hundreds(text: bytes, strategy: str, firmware: str, clamp: bool) -> None:
+    check_gcode(text, strategy, firmware, clamp)
+
+
+@slow
+@pytest.mark.klipper
+@settings(few, max_examples=20)
+@given(gcode())
+def test_klipper_plays_the_same_print(text: bytes) -> None:
+    """Klipper ends at the same place with as much filament, if it plays the file at all."""
+    text = b"M82\n" + text
+    output = check_gcode(text, "racking", "klipper", True)
+    if not output or b"G92 X" in text or b"G92\n" in text:
+        return  # Klipper keeps to where it homed, and refuses moves past that edge
+    with TemporaryDirectory() as folder:
+        played = []
+        for name, each in (("before", text), ("after", output)):
+            path = Path(folder, name)
+            path.mkdir()
+            (path / "a.gcode").write_bytes(b"G28\n" + each)
+            try:
+                played.append(play(path / "a.gcode", workdir=path))
+            except KlippyError:
+                assert not played, "only the output is refused"
+                return
+    before, after = played
+    ends = [each.position(each.end + 1.0)[0, :3] for each in played]
+    assert ends[1] == pytest.approx(ends[0], abs=PLACE)
+    fed = [float(each.extruded(each.end + 1.0)[0]) for each in (before, after)]
+    assert fed[1] == pytest.approx(fed[0], abs=KLIPPER_FILAMENT)
+
+
+def test_the_oracle_can_fail() -> None:
+    text = b"G28\nM83\nG1 X10 Y10 Z0.2\nG1 X20 E0.5\n;LAYER:1\nG91\nUNHEARD_OF\nG90\n"
+    assert_same_print(text, b"\n" + text, "klipper")
+    changes = ((b"E0.5", b"E0.49"), (b";LAYER:1\n", b""), (b"G90\n", b""), (b"X20", b"X40"))
+    for change in changes:
+        if change[0] == b"X20":
+            text = text.replace(b"UNHEARD_OF\n", b"")  # after which no place is known
+        with pytest.raises(AssertionError):
+            assert_same_print(text, b"\n" + text.replace(*change), "klipper")
+    assert len(set(LINES)) == len(LINES)

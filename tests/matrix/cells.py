@@ -87,8 +87,8 @@ def _expanded(word: str, cell: Cell, home: Path) -> list[str]:
     command = cell.words.split()[0]
     if not word.startswith("{"):
         return [word]
-    if word in ("{print}", "{long}"):
-        return put_print(kind, printer, long=word == "{long}")
+    if word == "{print}":
+        return put_print(kind, printer)
     if word == "{recordings}":
         return put_recordings(kind, home / "recordings")
     if word == "{run}":

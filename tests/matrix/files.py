@@ -1,7 +1,6 @@
 """The three kinds of file that owners give: a print, one that motors cannot follow, and none.
 
-A print is the sample cube as CuraEngine sliced it, cut to its first layers. Thirty of them take
-more than four minutes, from which on a conversion is divided among processes.
+A print is the sample cube as CuraEngine sliced it, cut to its first layers.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from itertools import takewhile
 
 from tests.conftest import SAMPLES
 
-SMALL, LARGE = 2, 30  # layers
+SMALL = 2  # layers
 END = b"M140 S0\n"  # begins what CuraEngine writes last
 STL = b"""\
 solid cube

@@ -10,22 +10,21 @@ from pathlib import Path
 
 from hframe_post.printer.profile import load
 from tests.command_line import run
-from tests.matrix.files import LARGE, SMALL, STL, sliced, too_fast
+from tests.matrix.files import SMALL, STL, sliced, too_fast
 from tests.matrix.owners import OWNERS, PROFILE, record
 
 PART = "my part.gcode"
 
 
-def put_print(kind: str, printer: str, long: bool) -> list[str]:
+def put_print(kind: str, printer: str) -> list[str]:
     """Put the print of a kind, and a good one to compare it with, into this folder."""
-    layers = LARGE if long else SMALL
     own = OWNERS.get(printer)
     # motors whose limits were lowered stop earlier than at the edge of the bed
     lowered = own is not None and own.belt_acceleration is not None
     edge = None if lowered else load(PROFILE if own else printer).travel.x[1]
-    content = {"good": sliced(layers), "hard": too_fast(layers, edge), "foreign": STL}[kind]
+    content = {"good": sliced(SMALL), "hard": too_fast(SMALL, edge), "foreign": STL}[kind]
     Path(PART).write_bytes(content)
-    Path("good.gcode").write_bytes(sliced(layers))
+    Path("good.gcode").write_bytes(sliced(SMALL))
     return [PART]
 
 

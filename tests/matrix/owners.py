@@ -1,4 +1,4 @@
-"""Five owners: their configurations, and the printers on which they record.
+"""Two owners, of Klipper and of Marlin: their configurations, and the printers they record on.
 
 Each makes a profile in the way that docs/start.md describes: `setup`, then `identify` on what the
 sensor recorded of the printer. The folder of an owner is made once a session.
@@ -32,13 +32,12 @@ PROFILE = "printer.toml"
 
 @dataclass(frozen=True)
 class Owner:
-    """An owner. configuration: words of ``setup``; places: x (mm) at which x is recorded."""
+    """An owner. configuration: words of ``setup``."""
 
     name: str
     configuration: tuple[str, ...]
     machine: Machine
     chip: Chip
-    places: tuple[float, ...] = ()
     belt_acceleration: float | None = None  # mm/s², lowered by hand because layers shifted
 
     @property
@@ -46,8 +45,8 @@ class Owner:
         return self.configuration[0].endswith(".cfg")
 
 
-def _machine(kinematics: str, x: Mode, y: Mode, racking: float = 0.0) -> Machine:
-    return Machine(Axis((x,)), Axis((y,)), racking, kinematics=kinematics)
+def _machine(kinematics: str, x: Mode, y: Mode) -> Machine:
+    return Machine(Axis((x,)), Axis((y,)), 0.0, kinematics=kinematics)
 
 
 SENSOR = replace(SENSORS["adxl345"], turned=(90.0, 3.0, 0.0), drift=0.004)
@@ -57,16 +56,8 @@ OWNERS = {
         Owner("voron", ("printer.cfg",),
               _machine("corexy", Mode(52.0, 0.05), Mode(38.0, 0.06)), SENSOR,
               belt_acceleration=9000.0),
-        Owner("bedslinger", ("printer.cfg",),
-              _machine("cartesian", Mode(46.0, 0.06), Mode(31.0, 0.09)), SENSOR),
         Owner("marlin500", ("m503.txt",),
               _machine("cartesian", Mode(42.0, 0.06), Mode(27.0, 0.09)), SENSOR),
-        Owner("marlin-corexy",
-              ("m503.txt", "--bed", "330,330", "--kinematics", "corexy"),
-              _machine("corexy", Mode(41.0, 0.05), Mode(36.0, 0.07)), SENSOR),
-        Owner("hbot", ("printer.cfg", "--kinematics", "hbot"),
-              _machine("hbot", Mode(43.0, 0.05), Mode(36.0, 0.07), 2e-8), SENSORS["lis2dw"],
-              (80.0, 140.0, 200.0)),
     )
 }  # fmt: skip
 
@@ -108,10 +99,8 @@ def _done(*words: str | Path) -> None:
 def record_tests(owner: Owner) -> None:
     """Write what Klipper's sensors record of TEST_RESONANCES."""
     config = KlipperConfig(Path("printer.cfg"))
-    tests: list[tuple[str, tuple[float, float], tuple[float, float] | None]] = [("y", Y, None)]
-    tests += [(f"x_at_{x:g}_140", X, (x, 140.0)) for x in owner.places] or [("x", X, None)]
-    for seed, (name, axis, point) in enumerate(tests):
-        test = ResonanceTest.from_config(config, axis, point)
+    for seed, (name, axis) in enumerate(((("y"), Y), (("x"), X))):
+        test = ResonanceTest.from_config(config, axis, None)
         taken = recorded(owner.machine, test, owner.chip, 1, seed).recording
         write_klipper(Path(f"recordings/raw_data_{name}_20260601_1015{seed:02}.csv"), taken)
 
