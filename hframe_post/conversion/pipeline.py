@@ -236,6 +236,11 @@ class PlannedFile:
         self._sliced = SlicedTime(self._firmware.limits(printer), bands)
         self._times, self._following = StageTimes(), following(printer)
 
+    @property
+    def sliced_seconds(self) -> float:
+        """Return how long the firmware takes for what was read so far, as sliced."""
+        return self._sliced.seconds
+
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         items = parsed(self._input.lines(self._lines), self._printer, self._options)
@@ -340,9 +345,10 @@ def stamp(printer: Printer, options: Options) -> str:
 
 
 def first_line(printer: Printer, options: Options) -> bytes:
-    """Return the first line of G-code that was converted with these options, ``resolved``.
+    """Return the first line in G-code of a conversion with these options, ``resolved``.
 
-    A file that begins with it was converted by this version with the same profile and settings.
+    A file that has it was converted by this version with the same profile and settings. Only the
+    comments with which the sliced file begins precede it.
     """
     return b"%s %s\n" % (STAMP, stamp(printer, options).encode())
 
