@@ -214,7 +214,7 @@ def test_convert_is_what_the_command_line_does(tmp_path: Path) -> None:
     arguments = [sys.executable, "-m", "hframe_post", str(RECTANGLE), "-q"]
     subprocess.run([*arguments, "-o", str(tmp_path / "by_tool.gcode")], check=True)
     assert (tmp_path / "by_library.gcode").read_bytes() == (tmp_path / "by_tool.gcode").read_bytes()
-    assert set(report.contour) == {"none", "racking"}
+    assert set(report.contour) == {"none", "shaper", "racking"}
     assert report.contour["racking"].rms < report.contour["none"].rms / 8
 
 

@@ -9,12 +9,19 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from hframe_post.cli.options import files_read, number, printer_option, quoted, say, share
+from hframe_post.cli.options import (
+    files_read,
+    number,
+    old_option,
+    printer_option,
+    quoted,
+    say,
+    share,
+)
 from hframe_post.cli.sweep import FILE
 from hframe_post.errors import HframeError
-from hframe_post.printer.edit import with_advance, with_plant
+from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import check_identified, load
-from hframe_post.printer.settings import LONGEST_ADVANCE
 from hframe_post.writers.files import Outputs
 
 if TYPE_CHECKING:  # these import SciPy, which takes a second
@@ -31,13 +38,6 @@ def _shift(text: str) -> float:
     value = number(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
     if not -0.3 <= value <= 0.3:
         raise click.BadParameter(f"{text!r} is not a change of at most 30%, such as -6%")
-    return value
-
-
-def _seconds(text: str) -> float:
-    value = number(text)
-    if not 0.0 <= value <= LONGEST_ADVANCE:
-        raise click.BadParameter(f"{text!r} is not from 0 to {LONGEST_ADVANCE:g} s")
     return value
 
 
@@ -69,15 +69,8 @@ def _heat(text: str) -> tuple[float, float]:
     "--pick", type=(_shift, _shift), metavar="X Y",
     help="Change the model by what the best square has in x and in y, such as --pick -6% 0.",
 )  # fmt: skip
-@click.option(
-    "--advance-lines", type=_seconds, metavar="MOST",
-    help="Print 21 lines with pressure advance from 0 to MOST seconds: about 0.1 for a direct "
-    "drive, 1 for a Bowden tube.",
-)  # fmt: skip
-@click.option(
-    "--advance", type=_seconds, metavar="SECONDS",
-    help="Write the pressure advance of the line that is most even into the profile.",
-)  # fmt: skip
+@old_option("--advance-lines", "slicers print such a pattern, as OrcaSlicer's calibration does")
+@old_option("--advance", "write extruder.advance into the profile")
 @click.option(
     "--heat", type=_heat, metavar="NOZZLE,BED",
     help="Temperatures of what is printed, °C, such as 210,60 for PLA. Default: asked on a "
@@ -85,15 +78,13 @@ def _heat(text: str) -> tuple[float, float]:
 )  # fmt: skip
 def calibrate_print(
     output: Path, printer: str, form: Path | None, compare: float | None,
-    pick: tuple[float, float] | None, advance_lines: float | None, advance: float | None,
-    heat: tuple[float, float] | None,
+    pick: tuple[float, float] | None, heat: tuple[float, float] | None,
 ) -> None:  # fmt: skip
     """Measure a printer by two small prints and a ruler, where there is no accelerometer.
 
     First print the tower, note in the form next to it how far apart its waves are, and read the
     form. Then print three squares, pick the better one in x and in y, and do that once more with
-    half the share. The model has one resonance an axis. Racking of an H-bot shows on a low wall.
-    Lines of a slow, a fast and a slow part tell the pressure advance.
+    half the share. The model has one resonance an axis and no racking.
 
     \b
     Examples:
@@ -101,23 +92,14 @@ def calibrate_print(
       hframe-post calibrate-print --form tower.form.toml -o printer.toml
       hframe-post calibrate-print --heat 210,60 --compare 6% -o three.gcode
       hframe-post calibrate-print --pick 0 6% -o printer.toml
-      hframe-post calibrate-print --heat 210,60 --advance-lines 0.1 -o lines.gcode
-      hframe-post calibrate-print --advance 0.045 -o printer.toml
     """
-    if sum(choice is not None for choice in (form, compare, pick, advance_lines, advance)) > 1:
-        raise click.UsageError(
-            "give one of --form, --compare, --pick, --advance-lines and --advance"
-        )
+    if sum(choice is not None for choice in (form, compare, pick)) > 1:
+        raise click.UsageError("give one of --form, --compare and --pick")
     profile = load(printer)
     if form is not None:
         _read(form, output, printer, profile)
     elif pick is not None:
         _picked(pick, output, printer, profile)
-    elif advance_lines is not None:
-        _advance_lines(advance_lines, output, printer, profile, heat or _asked())
-    elif advance is not None:
-        _save(output, printer, with_advance(printer, advance))
-        say(f"advance      {advance:g} s")
     elif compare is not None:
         check_identified(profile)
         _compare(compare, output, printer, profile, heat or _asked())
@@ -138,10 +120,10 @@ def _asked() -> tuple[float, float]:
 
 def _tower(output: Path, printer: str, profile: Printer, heat: tuple[float, float]) -> None:
     from hframe_post.identification.by_eye.form import form
-    from hframe_post.identification.by_eye.tower import bands, comb, tower
+    from hframe_post.identification.by_eye.tower import bands, tower
 
     lines = tower(profile, heat)
-    empty = form(bands(profile), profile.limits.acceleration, comb(profile))
+    empty = form(bands(profile), profile.limits.acceleration)
     target = output.with_name(f"{output.stem}{FORM}")
     with Outputs(files_read(printer)) as outputs:
         outputs.open(output).write("\n".join([*lines, ""]).encode())
@@ -164,10 +146,7 @@ def _read(form: Path, output: Path, printer: str, profile: Printer) -> None:
     sheet, middle = filled(form.read_text("utf-8"), str(form)), sum(profile.travel.x) / 2.0
     modes = sheet.modes()
     x, y = modes["x"], modes["y"]
-    racking = sheet.racking(modes, middle)
     plant = Plant(x.response(), y.response(), None, middle)
-    if racking is not None:
-        plant = Plant(x.response(), y.response(), racking.response(x), racking.x_c)
     off = max(LEAST_UNCERTAINTY, 2.0 * x.uncertainty, 2.0 * y.uncertainty)
     shown = [
         f"{axis}: {one.hz:.1f} Hz, damping ratio {one.damping:.2f}" for axis, one in modes.items()
@@ -177,14 +156,9 @@ def _read(form: Path, output: Path, printer: str, profile: Printer) -> None:
     for doubt in sheet.doubts(modes, profile.kinematics.bed_moves):
         say(f"LOOK AGAIN   {doubt}")
     off = min(off, MOST_UNCERTAINTY)
-    if racking is not None:
-        shown.append(
-            f"racking: {racking.hz:.0f} Hz, x_c {racking.x_c:.0f} mm, "
-            f"known to ±{100.0 * racking.uncertainty:.0f} %"
-        )
     _write(output, printer, profile, plant, off, [f"Read from {form.name}", *shown])
-    if profile.kinematics.racks and racking is None:
-        say("note         the low wall shows too little racking: the profile cancels ringing only")
+    if profile.kinematics.racks:
+        say("note         a print does not show racking: the profile cancels ringing only")
     by = max(FINEST, 50.0 * off)
     say(f"Next: hframe-post calibrate-print -p {quoted(output)} --compare {by:.0f}% -o three.gcode")
 
@@ -205,24 +179,6 @@ def _compare(
         f"back wall (y)? The left one is {low}, the middle one 0, the right one {high}. For the "
         "left one in x and the middle one in y, run hframe-post calibrate-print -p "
         f"{quoted(printer)} --pick {low} 0 -o {quoted(printer)}"
-    )
-
-
-def _advance_lines(
-    most: float, output: Path, printer: str, profile: Printer, heat: tuple[float, float]
-) -> None:
-    from hframe_post.identification.by_eye.lines import advance_lines, values
-
-    if not most:
-        raise click.UsageError("--advance-lines takes seconds above 0, such as 0.1")
-    with Outputs(files_read(printer)) as outputs:
-        outputs.open(output).writelines(advance_lines(profile, most, heat))
-    _, step, *_, last = values(most)
-    say(
-        f"Print {output}. The line in front has no pressure advance, each one behind it {step:g} s "
-        f"more, up to {last:g}; every fifth is longer. Which is as wide where its speed changes as "
-        "elsewhere? For the fourth one behind the front, run hframe-post calibrate-print -p "
-        f"{quoted(printer)} --advance {4.0 * step:g} -o {quoted(printer)}"
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,11 +40,6 @@ def _columns(text: str) -> tuple[str, ...]:
     if len(names) != 4 or not all(names):
         raise click.BadParameter(f"{text!r} is not four names, of time, x, y and z")
     return names
-
-
-def _offset(text: str) -> tuple[float, ...]:
-    x, y, *z = text.split(",")[:3] if text.count(",") in (1, 2) else (text, "")
-    return (*position(f"{x},{y}"), *(position(f"0,{height}")[1] for height in z))
 
 
 @click.command()
@@ -86,7 +80,7 @@ def _offset(text: str) -> tuple[float, ...]:
     help="Frequencies that the model must explain.",
 )  # fmt: skip
 @click.option(
-    "--sensor-offset", "offset", type=_offset, default="0,0", show_default=True, metavar="X,Y[,Z]",
+    "--sensor-offset", "offset", type=position, default="0,0", show_default=True, metavar="X,Y",
     help="From the nozzle to its sensor in mm. A sensor next to the nozzle measures racking with "
     "another lever arm.",
 )  # fmt: skip
@@ -100,7 +94,7 @@ def _offset(text: str) -> tuple[float, ...]:
 def identify(
     recordings: tuple[Path, ...], printer: str | None, config_file: Path | None,
     nozzle: tuple[tuple[Path, Path], ...], axes: str | None, columns: tuple[str, ...] | None,
-    band: tuple[float, float], offset: tuple[float, ...], report_file: Path | None,
+    band: tuple[float, float], offset: tuple[float, float], report_file: Path | None,
     json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
     """Identify a printer's own model from recordings of its accelerometer.
@@ -173,16 +167,13 @@ def _settings(
     profile: Printer,
     config: KlipperConfig | None,
     band: tuple[float, float],
-    offset: tuple[float, ...],
+    offset: tuple[float, float],
 ) -> MeasurementSettings:
     from hframe_post.identification.identify import MeasurementSettings
 
     # config: of a new profile, whose printer may be an H-bot: Klipper calls that corexy, too
     racks = profile.kinematics.racks or (config is not None and "hbot" in kinematics_in(config))
-    height = offset[2] if len(offset) > 2 else None
-    bed_moves = profile.kinematics.bed_moves
-    settings = MeasurementSettings(band, racks, (offset[0], offset[1]), height, bed_moves=bed_moves)
-    return replace(settings, step=profile.steps.belt) if profile.steps else settings
+    return MeasurementSettings(band, racks, offset)
 
 
 def _check_usage(given: Sequence[object], band: tuple[float, float]) -> None:

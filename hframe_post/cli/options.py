@@ -205,13 +205,13 @@ _VERBOSE = "hframe_post.verbose"  # in a context's meta
 
 
 @contextmanager
-def progress_bar(source: Path, quiet: bool) -> Iterator[Callable[[int], object] | None]:
+def progress_bar(source: Path | None, quiet: bool) -> Iterator[Callable[[int], object] | None]:
     """Show a progress bar on a terminal if the file is large, or log the progress with ``-v``.
 
     Yields the function to call with each number of bytes read; None if nothing is shown.
     """
-    size = source.stat().st_size if source.is_file() else 0
-    if quiet or size < BAR_FROM or not sys.stderr.isatty():
+    size = source.stat().st_size if source is not None and source.is_file() else 0
+    if source is None or quiet or size < BAR_FROM or not sys.stderr.isatty():
         yield _log_progress(size) if size and _is_verbose() else None
         return
     with click.progressbar(
@@ -256,3 +256,13 @@ def log(text: str) -> None:
 
 def _print_log(text: str) -> None:
     click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)
+
+
+def old_option(name: str, instead: str) -> Callable[[Command], Command]:
+    """Return a hidden option that ends in one line: what replaced it."""
+
+    def gone(_: click.Context, option: click.Parameter, value: str | None) -> None:
+        if value is not None:
+            raise click.UsageError(f"{option.opts[0]} is gone: {instead}")
+
+    return click.option(name, hidden=True, expose_value=False, callback=gone)

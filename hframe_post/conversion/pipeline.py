@@ -35,6 +35,7 @@ from hframe_post.conversion.meters import (
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.path_meter import PathMeter
 from hframe_post.conversion.report import AdvanceReport, BandReport, Plastic, Report
+from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.advance import Advance
@@ -43,12 +44,11 @@ from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
-from hframe_post.planner.bands import MotorBands, TimeInBands, avoid_bands
+from hframe_post.planner.bands import TimeInBands, avoid_bands
 from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import PieceStart, pace
 from hframe_post.planner.sampling import sample
-from hframe_post.planner.sliced import SlicedTime
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
@@ -66,8 +66,15 @@ if TYPE_CHECKING:
 
 def parsed(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Item]:
     """Read G-code and set the pace of its moves. Raises HframeError."""
-    reading = ReadOptions.from_printer(printer, options.limits, options.extrusion)
-    items = read(lines, reading)
+    return paced(_read(lines, printer, options), options)
+
+
+def _read(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Item]:
+    return read(lines, ReadOptions.from_printer(printer, options.limits, options.extrusion))
+
+
+def paced(items: Iterator[Item], options: Options) -> Iterator[Item]:
+    """Set the pace of moves, if a speed was asked for."""
     return items if options.paces is None else pace(items, options.paces)
 
 
@@ -232,8 +239,7 @@ class PlannedFile:
         self._lines, self._printer, self._options = lines, printer, options
         self._input = InputMeter()
         self._path = PathMeter(printer.limits, options.paces is not None)
-        self._firmware, bands = firmware(printer), MotorBands.from_printer(printer)
-        self._sliced = SlicedTime(self._firmware.limits(printer), bands)
+        self._firmware, self._sliced = firmware(printer), SlicedFile(printer)
         self._times, self._following = StageTimes(), following(printer)
 
     @property
@@ -243,9 +249,9 @@ class PlannedFile:
 
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
-        items = parsed(self._input.lines(self._lines), self._printer, self._options)
+        items = _read(self._input.lines(self._lines), self._printer, self._options)
         items = self._times.timed("read", self._input.items(items))
-        items = self._sliced.items(items)
+        items = paced(self._sliced.items(items), self._options)
         items = self._path.items(items)
         plans = scheduled(items, self._printer, followed=self._following)
         return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))
@@ -255,12 +261,17 @@ class PlannedFile:
 
         Raises HframeError if the model predicts an error that no working printer has.
         """
-        if "none" in motion.contour:
-            check_prediction(motion.contour["none"].rms)
+        contour, width, shaping = motion.contour, motion.width, None
+        if "none" in (self._options.predict or ()) and self._options.strategy != "none":
+            today = self._sliced.today
+            contour, width = {**contour, **today.contour}, {**width, **today.width}
+            shaping = today.shaping
+        if "none" in contour:
+            check_prediction(contour["none"].rms)
         return Report(
             self._options.strategy, self._input.summary, self._path.summary,
-            PrintTime(self._sliced.seconds, motion.duration), motion.peaks, motion.clamped,
-            motion.contour, motion.width,
+            PrintTime(self._sliced.own.seconds, motion.duration), motion.peaks, motion.clamped,
+            contour, width, shaping=shaping,
             notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
@@ -278,7 +289,7 @@ class PlannedFile:
 
     def _bands(self, after: TimeInBands) -> BandReport | None:
         bands = self._printer.speed.avoid
-        return BandReport(bands, self._sliced.in_bands, after) if bands else None
+        return BandReport(bands, self._sliced.own.in_bands, after) if bands else None
 
     def _plastic(self, fed: float) -> Plastic | None:
         bed, limits = self._printer.plant.bed, self._printer.limits

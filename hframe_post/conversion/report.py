@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
+from hframe_post.compensation.shape import SHAPER
 from hframe_post.conversion.meters import InputSummary, PrintTime
 from hframe_post.conversion.path_meter import PathSummary, percent
+from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.bands import TimeInBands
 from hframe_post.prediction.line_width import PIECE
@@ -178,6 +180,7 @@ class Report:
     notices: tuple[str, ...] = ()
     plastic: Plastic | None = None
     other_tools: tuple[str, ...] | None = None
+    shaping: Shaping | None = None
     advance: AdvanceReport | None = None
     bands: BandReport | None = None
 
@@ -201,6 +204,7 @@ class Report:
             "plastic_on_bed": asdict(self.plastic) if self.plastic else None,
             "pressure_advance_s": self.advance.as_json() if self.advance else None,
             "motor_bands": self.bands.as_json() if self.bands else None,
+            "against": self._against() or None,
         }
         return {
             "warnings": self.warnings(),
@@ -212,8 +216,10 @@ class Report:
                 "after": round(self.time.after, 3),
             },
             "filament_mm": {k: round(mm, 5) for k, mm in filament.items() if mm is not None},
-            "contour_error_um": {n: self._errors_as_json(n) for n in sorted(self.contour)},
-            "line_width_error_percent": {n: self.width[n].percents() for n in sorted(self.width)},
+            "contour_error_um": {n: self._errors_as_json(n) for n in sorted(self.strategies)},
+            "line_width_error_percent": {
+                n: self.width[n].percents() for n in sorted(self.strategies) if n in self.width
+            },
             "peak_belt_speed": round(self.peaks.belt_velocity, 3),
             "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
@@ -224,6 +230,21 @@ class Report:
             "clamped_mm": round(self.clamped.most, 6),
             **{name: value for name, value in written.items() if value is not None},
         }
+
+    @property
+    def strategies(self) -> list[str]:
+        """Return the strategies whose errors are predicted."""
+        return [name for name in STRATEGIES if name in self.contour]
+
+    def _against(self) -> list[dict[str, Any]]:
+        """Return the best input shaper, if its error is predicted."""
+        if self.shaping is None or SHAPER not in self.contour:
+            return []
+        return [{
+            "name": self.shaping.x.name, **self.shaping.as_json(),
+            "contour_error_um": self.contour[SHAPER].micrometres(),
+            "line_width_error_percent": self.width[SHAPER].percents(),
+        }]  # fmt: skip
 
     def _errors_as_json(self, name: str) -> dict[str, Any]:
         found, lines = self.contour[name].micrometres(), self.lines_error(name)
@@ -245,7 +266,7 @@ class Report:
             f"print time       {duration(before)} → {duration(after)} ({change:+.1f} %)",
             f"filament         {self.filament_after:.2f} mm, unchanged",
         ]
-        for name in [name for name in STRATEGIES if name in self.contour]:
+        for name in self.strategies:
             lines.append(
                 f"predicted        {STRATEGIES[name].label}: contour error "
                 f"{_predicted(self.contour[name], self.lines_error(name))}"

@@ -57,10 +57,6 @@ class Code(ABC):
     def set_acceleration(self, acceleration: float) -> str:
         """Return a line that changes the acceleration, mm/s², and no other limit."""
 
-    def set_advance(self, seconds: float) -> str:
-        """Return a line that sets pressure advance, s."""
-        return f"M900 K{plain(seconds, 5)}"
-
     def corner_range(self, acceleration: float) -> tuple[float, float]:
         """Return the speeds through a right angle between which ``set_limits`` can choose."""
         return 0.0, math.inf

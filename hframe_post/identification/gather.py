@@ -75,7 +75,7 @@ class Used:
         return "; ".join([f"{self.label}: {self.motion}{repeated}", *self.notes])
 
 
-SECOND = "of a second sensor, {}: compared only, to tell a printer that rocks on its table"
+SECOND = "of a second sensor, {}; printer.cfg or the shorter name says which one counts"
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +139,7 @@ def from_folders(
     for one in held.measurements:
         try:
             run, record = _run(one, config, travel)
-            made.append((one, replace(run, second=_at_once(one, held.second)), record))
+            made.append((one, run, record))
         except HframeError as error:
             aside.append(Aside(one.label, str(error)))
     made = _exchanged(made)
@@ -174,16 +174,6 @@ def _exchanged(
         (one, run, replace(used, notes=(*used.notes, EXCHANGED)) if used.axis is not None else used)
         for one, run, used in made
     ]
-
-
-def _at_once(one: Measurement, second: Sequence[Measurement]) -> accelerometer.Recording | None:
-    """Return what a second sensor recorded at the same time."""
-    first, last = one.recording.t[[0, -1]]
-    for other in second:
-        t = other.recording.t
-        if other.direction == one.direction and t[0] < last and t[-1] > first:
-            return other.recording
-    return None
 
 
 def _run(one: Measurement, config: KlipperConfig | None, travel: Travel) -> tuple[Run, Used]:

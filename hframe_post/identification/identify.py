@@ -14,19 +14,7 @@ import numpy as np
 
 from hframe_post.arrays import Flags, X
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.diagnosis.coupling import (
-    MeasuredCoupling,
-    Pitch,
-    find_coupling,
-    pitch_note,
-    pitching,
-)
-from hframe_post.identification.diagnosis.nonlinearity import (
-    AxisSweeps,
-    LinearPrinter,
-    Nonlinearity,
-    find_nonlinearity,
-)
+from hframe_post.identification.diagnosis.coupling import MeasuredCoupling, find_coupling
 from hframe_post.identification.diagnosis.scatter import ModeShift, find_mode_shift
 from hframe_post.identification.estimation.along_x import (
     fit_places,
@@ -43,7 +31,6 @@ from hframe_post.identification.identified import AXIS, Identified, Measured, Re
 from hframe_post.identification.racking import find_racking
 from hframe_post.identification.responses.crossed import Crossed, crossed
 from hframe_post.identification.responses.frequency_response import (
-    Distortion,
     FrequencyResponse,
     average,
     share_left,
@@ -72,11 +59,9 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
     """
     groups = _groups(runs, settings)
     measured = {name: _measured(group, settings) for name, group in groups.items()}
-    fits, nonlinearity = _fit_axes(groups, measured, settings)
-    fits = {name: _compared(found, groups[name]) for name, found in fits.items()}
+    fits = _fit_all(measured, settings)
     moving = _moving(measured, fits)
-    if nonlinearity is None:
-        fits |= _along_x(moving, measured, fits, settings)
+    fits |= _along_x(moving, measured, fits, settings)
     racking, sought = None, False
     if "Gxx" in groups:
         racking, sought = find_racking(groups["Gxx"], fits, settings, "Gxx" in moving)
@@ -87,13 +72,10 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
     repeated = {name: _repetition(measured[name], fits[name], settings) for name in groups}
     repetitions = {name: one for name, one in repeated.items() if one is not None}
     couplings = [_coupling(name, group, fits, x_c, settings) for name, group in groups.items()]
-    on_head = [name for name in groups if not (settings.bed_moves and name == "Gyy")]
-    pitches = [_pitching(AXIS[name], groups[name], settings) for name in on_head]
-    pitched = [one for one in pitches if one is not None]
     return Identified(
         measured, fits, x_c, warnings, settings.racks, sought and racking is None,
-        moving.get("Gxx"), nonlinearity, racking.lever_arm_sd if racking else None, repetitions,
-        [one for one in couplings if one is not None], [pitch_note(pitched)] if pitched else [],
+        moving.get("Gxx"), racking.lever_arm_sd if racking else None, repetitions,
+        [one for one in couplings if one is not None],
     )  # fmt: skip
 
 
@@ -152,27 +134,7 @@ def _measured(group: RunGroup, settings: MeasurementSettings) -> Measured:
     )  # fmt: skip
 
 
-def _fit_axes(
-    groups: Mapping[str, RunGroup], measured: Mapping[str, Measured], settings: MeasurementSettings
-) -> tuple[dict[str, Fit], Nonlinearity | None]:
-    """Fit Gxx and Gyy: first as if the printer were linear, then without what is distorted."""
-    fits = _fit_all(measured, settings, {})
-    nonlinearity = _find_nonlinearity(groups, fits, settings.step)
-    if nonlinearity is not None:
-        # the linear part and the distortion depend on each other: alternate
-        for _ in range(2):
-            by_axis = nonlinearity.distortions
-            distortions = {name: by_axis[axis] for name, axis in AXIS.items() if axis in by_axis}
-            fits = _fit_all(measured, settings, distortions)
-            nonlinearity = _find_nonlinearity(groups, fits, settings.step) or nonlinearity
-    return fits, nonlinearity
-
-
-def _fit_all(
-    measured: Mapping[str, Measured],
-    settings: MeasurementSettings,
-    distortions: Mapping[str, Distortion],
-) -> dict[str, Fit]:
+def _fit_all(measured: Mapping[str, Measured], settings: MeasurementSettings) -> dict[str, Fit]:
     excited = {name: one.excited(settings.band_hz) for name, one in measured.items()}
     fits = fit_unknown_start({name: one for name, one in excited.items() if one is not None})
     swept = dict[str, Swept]()
@@ -181,18 +143,9 @@ def _fit_all(
         if one.known_start:
             fits[name] = fit_known_start(inside)
         elif name not in fits:
-            whole = distortions[name].removed_from(inside) if name in distortions else inside
-            swept[name] = Swept(whole, one.delay_bounds)
+            swept[name] = Swept(inside, one.delay_bounds)
     fits |= fit_swept(swept)
     return {name: fits[name] for name in measured}
-
-
-def _compared(found: Fit, group: RunGroup) -> Fit:
-    """Return the fit, with what a second sensor tells of a frame that rocks."""
-    for run in group.runs:
-        if found.rocking is not None and run.second is not None:
-            return replace(found, rocking=found.rocking.compared(run.response.hz, run.second))
-    return found
 
 
 def _repetition(measured: Measured, found: Fit, settings: MeasurementSettings) -> Repetition | None:
@@ -238,29 +191,6 @@ def _coupling(
 def _without_racking(run: Crossed, racking: Fit, x_c: float) -> Crossed:
     turned = (run.place[X] - x_c) * racking.response(run.across.hz)
     return replace(run, across=replace(run.across, H=run.across.H - turned))
-
-
-def _pitching(axis: str, group: RunGroup, settings: MeasurementSettings) -> Pitch | None:
-    found = [
-        pitching(axis, run.response, run.z, settings.height)
-        for run in group.runs
-        if run.z is not None
-    ]
-    return found[-1] if found else None
-
-
-def _find_nonlinearity(
-    groups: Mapping[str, RunGroup], fits: Mapping[str, Fit], step: float
-) -> Nonlinearity | None:
-    axes = {}
-    for name, group in groups.items():
-        found = fits[name]
-        known = [(run.command, run.harmonics) for run in group.runs if run.harmonics is not None]
-        if known:
-            assert found.sum is not None  # which is sensible above the band, too
-            printer = LinearPrinter(found.sum.response, found.sum.gain, found.sum.delay)
-            axes[AXIS[name]] = AxisSweeps(known, printer)
-    return find_nonlinearity(axes, step)
 
 
 def _unknown_start(measured: Mapping[str, Measured]) -> list[str]:

@@ -44,14 +44,6 @@ def with_windows(
     return _changed(name_or_path, tables)
 
 
-def with_advance(name_or_path: str, seconds: float) -> str:
-    """Return a profile's text with this pressure advance.
-
-    Raises PrinterError if the text cannot be changed safely.
-    """
-    return _changed(name_or_path, {"extruder": {"advance": seconds}})
-
-
 def with_bands(name_or_path: str, avoid: Sequence[tuple[int, int]]) -> str:
     """Return a profile's text with bands of motor speed that outer walls avoid, mm/s.
 

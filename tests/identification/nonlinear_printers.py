@@ -24,13 +24,13 @@ from hframe_post.identification.recordings.sweep import runs as sweeps
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import AxisShaping
-from hframe_post.native.contour import in_motion
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.studies.inputs import rectangle
 from tests.friction_printers import KINDS, SlidingAxis, SlidingMachine, drawn_sliding, played
+from tests.native.oracles import in_motion
 from tests.random_printers import cube
 from tests.resonance_recordings import klipper
 from tests.simulator import RATE, STEPS

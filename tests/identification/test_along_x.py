@@ -156,7 +156,7 @@ def test_modes_that_move_do_not_shift_runs_whose_start_is_known() -> None:
     runs = []
     for x in (80.0, 140.0, 200.0):
         one = shown(G.at(x).response(OMEGA))
-        runs.append(RunResponse(x, one, one, 4e-5, np.zeros(1)))
+        runs.append(RunResponse(x, one, one, 4e-5))
     for before, after in zip(runs, with_common_delay(runs).runs, strict=True):
         turned = np.angle(after.response.H / before.response.H) / (2.0 * np.pi * HZ)
         below(1e3 * float(np.abs(turned).max()), 0.0401, "shift of a run, ms")

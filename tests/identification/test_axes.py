@@ -8,7 +8,7 @@ import pytest
 from hframe_post.arrays import TS, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation.axes import Fit, Swept, fit_racking, fit_swept
-from hframe_post.identification.responses.frequency_response import Distortion, FrequencyResponse
+from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from tests.identification.modal_tools import HZ
 from tests.plants import all_of_them, at, at_rest
 from tests.simulator import Axis, Machine, Mode
@@ -64,20 +64,6 @@ def test_noisy_responses_of_known_plants_are_recovered(k: int) -> None:
     )
     assert off(found, at(G, HZ)) < 0.01
     assert found.G.dc_gain == pytest.approx(at_rest(G), abs=1e-9)
-
-
-@pytest.mark.slow
-def test_what_a_distortion_accounts_for_does_not_bend_the_model() -> None:
-    """A belt that gets softer at resonance: a peak that leans over."""
-    right = exact(PEAK_HZ, 0.06)
-    leaning = 0.5 * (right + exact(0.96 * PEAK_HZ, 0.045))
-    distortion = Distortion(HZ, (leaning - right) / leaning, 0.0)
-    measured = seen(GAIN * leaning, 0.003)
-    found = fitted(distortion.removed_from(measured))
-    assert found.gain == pytest.approx(GAIN, abs=0.005)
-    assert off(found, right) < off(fitted(measured), right)
-    (hz, _), *_ = found.modes
-    assert hz == pytest.approx(PEAK_HZ, rel=0.03)
 
 
 def test_measurements_that_are_none_are_refused() -> None:

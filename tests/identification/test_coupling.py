@@ -13,8 +13,6 @@ from hframe_post.errors import IdentificationError
 from hframe_post.identification.diagnosis.coupling import (
     MeasuredCoupling,
     find_coupling,
-    pitch_note,
-    pitching,
 )
 from hframe_post.identification.estimation import known_start
 from hframe_post.identification.estimation.estimated import Estimated
@@ -347,31 +345,9 @@ def test_diagonals_are_one_recording_however_many() -> None:
     for seed, sign in enumerate((1.0, 1.0, -1.0, -1.0, 1.0)):
         d = (0.5**0.5, sign * 0.5**0.5)
         x, y = (replace(one, H=one.H / d[0]) for one in printer.measured(d, seed))
-        runs.append(RunResponse(X_C, x, x, 0.0, COMMAND, None, y, None, None, d, (X_C, 150.0)))
+        runs.append(RunResponse(X_C, x, x, 0.0, y, d, (X_C, 150.0)))
     (found,) = crossed(0, RunGroup(runs, (0.0, 0.0), (4.0, 200.0), 32.0, 32.0), BAND)
     true = printer.response(found.along.hz)
     assert off(found.along.H, true[:, 0, 0]) < 0.05
     assert off(found.across.H, true[:, 1, 0]) < 0.05
     assert not crossed(0, RunGroup(runs[:2], (0.0, 0.0), (4.0, 200.0), 32.0, 32.0), BAND)
-
-
-# ---------------------------------------------------------------------- a head that pitches
-
-
-def test_a_head_that_pitches_is_reported_with_what_one_height_hides() -> None:
-    along, _ = Coupled().measured((1.0, 0.0), 1)
-    pitch = replace(along, H=0.5 * along.H * (along.hz > 30.0))
-    found = pitching("x", along, pitch, 40.0)
-    assert found is not None
-    assert found.share == pytest.approx(0.5, abs=0.02)
-    assert found.hz > 30.0
-    assert pitching("x", along, pitch, None) == found
-    text = pitch_note([found, replace(found, axis="y", hz=65.2, share=1.0)])
-    assert text.count("the head pitches") == 1
-    assert "0.5 times x at" in text
-    assert "1.0 times y at 65 Hz" in text
-    assert "may bring less than predicted" in text
-    assert pitching("x", along, pitch, 0.0) is None  # at the nozzle's height nothing is hidden
-    assert pitching("x", along, replace(along, H=0.1 * along.H), 40.0) is None
-    silent = replace(along, coherence=np.full(len(along.hz), 1e-3))
-    assert pitching("x", along, silent, 40.0) is None

@@ -84,9 +84,6 @@ class KlipperCode(Code):
     def set_acceleration(self, acceleration: float) -> str:
         return f"SET_VELOCITY_LIMIT ACCEL={plain(acceleration, 0)}"
 
-    def set_advance(self, seconds: float) -> str:
-        return f"SET_PRESSURE_ADVANCE ADVANCE={plain(seconds, 5)}"
-
 
 def table_of(printer: Printer) -> KlipperTable:
     """Return Klipper's own limits. Raises PrinterError if the profile has none."""

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from hframe_post.errors import HframeError, IdentificationError
-from hframe_post.identification.by_eye.racking import (
-    Comb,
-    CombReading,
-    PrintedRacking,
-    printed_racking,
-)
 from hframe_post.identification.by_eye.tower import LAYER, LAYERS, SIDE
 from hframe_post.identification.by_eye.waves import (
     SECOND_CREST,
@@ -42,16 +35,10 @@ HEAD = """\
 
 
 ROW = "A row reads like x1 = [9.5, 4, 5.5], with a point in 9.5: mm, over how many waves, seen"
-RACKING = """\
-# The long low wall in front has a small mark every 20 mm, where the head stopped. Count the waves
-# behind each mark, on the wall's front, from left to right; the first 20 mm do not count. Then
-# measure them on the block that shows most: its number in the row (the first is 1), mm from crest
-# to crest, and over how many waves. Leave zeros if you see none.
-"""
 
 
-def form(bands: Sequence[Band], acceleration: float, wall: Comb | None = None) -> str:
-    """Return an empty form for a tower with these bands, printed with mm/s², and for a comb."""
+def form(bands: Sequence[Band], acceleration: float) -> str:
+    """Return an empty form for a tower with these bands, printed with mm/s²."""
     rows = [f"{HEAD}", "[print]", f"acceleration = {acceleration:g}"]
     rows += [f"speeds = {[band.speed for band in bands]}"]
     rows += [f"corners = {[round(band.corner, 3) for band in bands]}", "", "[waves]"]
@@ -60,20 +47,15 @@ def form(bands: Sequence[Band], acceleration: float, wall: Comb | None = None) -
             low, high = k * LAYERS * LAYER, (k + 1) * LAYERS * LAYER
             where = f"{its_wall}, {low:g} to {high:g} mm up, {band.speed:g} mm/s"
             rows.append(f"{axis}{k + 1} = [0, 0, 0]".ljust(28) + f"# {where}")
-    if wall is not None:
-        rows += ["", f"{RACKING}", "[racking]"]
-        rows += [f"wall = {[wall.left, wall.blocks, wall.speed, wall.acceleration]}"]
-        rows += [f"seen = {[0] * (wall.blocks - 1)}", "measured = [0, 0, 0]"]
     return "\n".join([*rows, ""])
 
 
 @dataclass(frozen=True, slots=True)
 class Filled:
-    """A form that was filled in: readings by axis, mm/s² of the print, and what a comb shows."""
+    """A form that was filled in: readings by axis, and mm/s² of the print."""
 
     readings: dict[str, list[Reading]]
     acceleration: float
-    blocks: CombReading | None = None
 
     def modes(self) -> dict[str, PrintedMode]:
         """Return the mode of each axis. Raises IdentificationError, which names the axis."""
@@ -131,13 +113,6 @@ class Filled:
                     f"{one.seen:g} from the corner on: did you count crests?"
                 )
 
-    def racking(self, modes: dict[str, PrintedMode], middle: float) -> PrintedRacking | None:
-        """Return the racking that shows, if any. middle: of the travel in x, mm."""
-        if self.blocks is None:
-            return None
-        seen_from = math.sqrt(modes["x"].seen_from * modes["y"].seen_from)
-        return printed_racking(self.blocks, modes["x"], middle, seen_from)
-
 
 def filled(text: str, source: str) -> Filled:
     """Return a filled form. Raises HframeError, which names the row."""
@@ -148,11 +123,11 @@ def filled(text: str, source: str) -> Filled:
             f"{source} is not a form of 'hframe-post calibrate-print': {error}. {ROW}"
         ) from None
     try:
-        printed, waves, racking = document["print"], document["waves"], document.get("racking", {})
+        printed, waves = document["print"], document["waves"]
         pairs = zip(printed["speeds"], printed["corners"], strict=True)
         bands = [Band(float(speed), float(corner)) for speed, corner in pairs]
-        if not (isinstance(waves, dict) and isinstance(racking, dict)):
-            raise TypeError("waves and racking are tables")
+        if not isinstance(waves, dict):
+            raise TypeError("waves is a table")
         acceleration = float(printed["acceleration"])
     except (ValueError, KeyError, TypeError) as error:
         raise HframeError(
@@ -165,7 +140,7 @@ def filled(text: str, source: str) -> Filled:
         ]
         for axis in WALLS
     }
-    return Filled(readings, acceleration, _blocks(racking, source) if racking else None)
+    return Filled(readings, acceleration)
 
 
 def _reading(band: Band, row: object, name: str) -> Reading:
@@ -184,26 +159,12 @@ def _reading(band: Band, row: object, name: str) -> Reading:
     return one
 
 
-def _blocks(racking: dict[str, object], source: str) -> CombReading:
-    message = (
-        f"{source}: under [racking], seen needs a number for each block, as many as there were "
-        "zeros, and measured three numbers: block, mm, over how many waves"
-    )
-    left, blocks, speed, acceleration = _numbers(racking.get("wall"), 4, message, -MOST)
-    seen = _numbers(racking.get("seen"), int(blocks) - 1, message)
-    of, distance, waves = _numbers(racking.get("measured"), 3, message)
-    if of > len(seen):
-        raise HframeError(message)
-    wall = Comb(left, int(blocks), speed, acceleration)
-    return CombReading(wall, tuple(seen), int(of), distance, waves)
-
-
-def _numbers(row: object, count: int, message: str, least: float = 0.0) -> list[float]:
+def _numbers(row: object, count: int, message: str) -> list[float]:
     """Return a row of ``count`` numbers. Raises HframeError with the message otherwise."""
     if (
         not isinstance(row, list)
         or len(row) != count
-        or not all(isinstance(one, int | float) and least <= one < MOST for one in row)
+        or not all(isinstance(one, int | float) and 0.0 <= one < MOST for one in row)
     ):
         raise HframeError(message)
     return [float(one) for one in row]

@@ -3,9 +3,6 @@
 Behind a corner a wall shows the waves of the axis that has just stopped there:
 
     right and left wall: x      front and back wall: y
-
-In front of the tower of a printer that can rack stands a low wall along x, as long as the bed
-allows (``racking``). The tower's corner for y is then in the middle, where racking shows least.
 """
 
 from __future__ import annotations
@@ -23,7 +20,6 @@ from hframe_post.errors import HframeError
 from hframe_post.firmware.code import Code, plain
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import OFF, STAMP
-from hframe_post.identification.by_eye.racking import BLOCK, Comb
 from hframe_post.identification.by_eye.waves import Band
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Limits, Printer
@@ -37,7 +33,6 @@ SPEEDS = (60.0, 100.0, 150.0)  # mm/s of bands, as far as the printer reaches th
 HARD, SOFT = 20.0, 0.4  # mm/s at corners, and the share of it at soft ones
 BRIM, FIRST, TRAVEL = 4, 30.0, 100.0  # lines around the first layer; mm/s
 HARDEST_JERK = 5e7  # mm/s³, of squares to compare
-COMB_SPEED, COMB_ACCELERATION, DEPTH = 80.0, 10000.0, 10.0  # at most; mm in y
 
 COLD = ["M82", "G92 E0", "M104 S0", "M140 S0", "M106 S0"]  # and E as firmwares begin with it
 Place = tuple[float, float]  # x and y, mm
@@ -72,19 +67,14 @@ def tower(printer: Printer, heat: Heat) -> list[str]:
 
     Raises HframeError if it does not fit onto the bed.
     """
-    (x, y), long = middle(printer), comb(printer)
-    width = depth = SIDE + 2.0 * GAP
-    if long is not None:
-        x, width, depth = x - SIDE / 2.0, 2.0 * (SIDE + GAP), depth + 2.0 * (GAP + DEPTH)
-    if np.ptp(printer.travel.x) < width or np.ptp(printer.travel.y) < depth:
-        raise HframeError(f"the bed must be at least {width:g} mm wide and {depth:g} mm deep")
+    (x, y), needed = middle(printer), SIDE + 2.0 * GAP
+    if min(np.ptp(printer.travel.x), np.ptp(printer.travel.y)) < needed:
+        raise HframeError(f"the bed must be at least {needed:g} mm wide and deep")
     lines = [
         OFF.decode(),
         f"; waves to measure, hframe-post {__version__}",
         *heated(printer, heat),
     ]
-    if long is not None:
-        lines += _comb(printer, long, y - SIDE / 2.0 - GAP - DEPTH)
     for k, band in enumerate(bands(printer)):
         lines += [f"; band {k + 1}: {band.speed:g} mm/s"]
         lines += _limits(printer, printer.limits.acceleration, band.corner)
@@ -109,37 +99,6 @@ def heated(printer: Printer, heat: Heat) -> list[str]:
     nozzle, bed = (plain(one, 0) for one in heat)
     return [f"M140 S{bed}", f"M190 S{bed}", "G28", *_code(printer).after_homing,
             f"M104 S{nozzle}", f"M109 S{nozzle}", "M106 S128", "G90", "M83"]  # fmt: skip
-
-
-def comb(printer: Printer) -> Comb | None:
-    """Return the wall along x that shows racking; None if the printer cannot rack."""
-    if not printer.kinematics.racks:
-        return None
-    most = printer.motors.belt_acceleration * printer.kinematics.min_speed_ratio
-    a = min(most, COMB_ACCELERATION)
-    v = min(COMB_SPEED, printer.limits.velocity, float(np.sqrt(0.1 * BLOCK * a)))
-    blocks = int((np.ptp(printer.travel.x) - 2.0 * GAP) // BLOCK)
-    left = middle(printer)[0] - blocks * BLOCK / 2.0
-    return Comb(left, blocks, round(v, 1), round(a))
-
-
-def _comb(printer: Printer, wall: Comb, y: float) -> Iterator[str]:
-    """Yield the layers of a comb: its blocks at y (mm), and a plain way back behind them."""
-    left, right, back = wall.left, wall.left + wall.blocks * BLOCK, y + DEPTH
-    code = _code(printer)
-    yield from ["; wall for racking", *_limits(printer, wall.acceleration, HARD)]
-    yield from _brim(printer, (left, y), (right, back))
-    yield travel(left, y)
-    for layer in range(LOW):
-        yield from (_height(layer), "G4 P0")
-        for x, both in zip(wall.borders().tolist(), pairwise(wall.accelerations), strict=True):
-            halves = pairwise([(x, y), (x + BLOCK / 2.0, y), (x + BLOCK, y)])
-            for half, a in zip(halves, both, strict=True):
-                yield code.set_acceleration(a)
-                yield from extruded(printer, half, wall.speed if layer else FIRST)
-            yield "G4 P0"
-        yield from extruded(printer, [(right, y), (right, back), (left, back), (left, y)], FIRST)
-    yield _height(LOW + LAYERS)
 
 
 def _square(

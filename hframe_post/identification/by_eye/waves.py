@@ -7,8 +7,8 @@ hard and soft corners tell it.
 
 A mode with the poles s₁ and s̄₁ responds to a command U with G·U, G = |s₁|²/((s − s₁)(s − s̄₁)). Of a
 command of straight lines, s²U is pulses at the samples, so an ``ImpulseResponse`` is exact. Its
-deviation is the inverse Laplace transform of G/s² for an axis, without the double pole at rest,
-which is the command and its lag of 2ζ/ω; and of modes' product G for what follows acceleration.
+deviation is the inverse Laplace transform of G/s², without the double pole at rest, which is the
+command and its lag of 2ζ/ω.
 """
 
 from __future__ import annotations
@@ -82,23 +82,11 @@ def pole(hz: float, damping: float) -> complex:
 def mode_response(hz: float, damping: float) -> ImpulseResponse:
     """Return a mode that follows its command at rest, for a command of straight lines."""
     s = pole(hz, damping)
-    return ImpulseResponse(ringing([s], 2), 0, lag=-2.0 * (1.0 / s).real)
-
-
-def ringing(poles: Sequence[complex], integrals: int) -> Array:
-    """Return how modes in a row, with these poles, ring after a pulse that is integrated first.
-
-    (m,) samples until it has settled, by residues.
-    """
-    t, total = np.arange(LONGEST), np.zeros(LONGEST)
-    for k, s in enumerate(poles):
-        residue = abs(s) ** 2 / (2j * s.imag) / s**integrals
-        for p in (*poles[:k], *poles[k + 1 :]):
-            residue *= abs(p) ** 2 / ((s - p) * (s - p.conjugate()))
-        total += 2.0 * (residue * np.exp(s * t)).real
-    total[0] = 0.0  # a lag begins one sample later
-    lasting = np.flatnonzero(np.abs(total) > SETTLED * np.abs(total).max())
-    return total[: lasting[-1] + 1]
+    residue = abs(s) ** 2 / (2j * s.imag) / s**2
+    q = np.asarray(2.0 * (residue * np.exp(s * np.arange(LONGEST))).real)
+    q[0] = 0.0  # a lag begins one sample later
+    lasting = np.flatnonzero(np.abs(q) > SETTLED * np.abs(q).max())
+    return ImpulseResponse(q[: lasting[-1] + 1], 0, lag=-2.0 * (1.0 / s).real)
 
 
 def travel(length: float, speed: float, ends: float, up: float, down: float) -> Array:

@@ -12,20 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Complex, X, Y
+from hframe_post.arrays import TS, X, Y
 from hframe_post.identification.estimation.estimated import Estimated
 from hframe_post.identification.estimation.shared import in_print, shared
 from hframe_post.identification.responses.crossed import Crossed
-from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.model.plant import Coupling
 
 REPEATS = 0.7  # share of a recording's coupling that the others may fail to foresee
 LEAST_SHARE = 0.02  # of the axis' own error in a print, from which a coupling is compensated
 LEAST_SIZE = 0.06  # of the command, below which there is none, unless it is compensated
 TURNED = np.radians(2.0)  # by which a sensor is turned before the report says so
-SMOOTHED_HZ = 1.0  # over which neighbouring frequencies are averaged; modes are wider
-ABOVE_NOISE = 3.0
-PITCHES = 0.3  # of the response along, from which that in z is reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,50 +117,3 @@ def find_coupling(
         float(runs[0].across.hz[most]), float(sizes[most]), float(np.abs(error[most])),
         found.left if found.parts else None,
     )  # fmt: skip
-
-
-def _smoothed(values: Array | Complex, n: int) -> Complex:
-    padded = np.pad(np.asarray(values, dtype=complex), (n // 2, n - 1 - n // 2), mode="edge")
-    return np.asarray(np.convolve(padded, np.ones(n) / n, "valid"))
-
-
-@dataclass(frozen=True, slots=True)
-class Pitch:
-    """What z shows while ``axis`` moves: where most, and how much, relative to the axis itself."""
-
-    axis: str
-    hz: float
-    share: float
-
-
-def pitching(
-    axis: str, along: FrequencyResponse, z: FrequencyResponse, height: float | None
-) -> Pitch | None:
-    """Return how the head pitches while ``axis`` moves; None if it does not.
-
-    z: the response of the sensor's z to the same command. height: mm of the sensor above the
-    nozzle, the z of --sensor-offset; None if it is unknown. A head that pitches by φ moves a sensor
-    at that height by height·φ more than the nozzle; z shows that it pitches, but not about which
-    point, so one height does not tell φ.
-    """
-    n = max(int(SMOOTHED_HZ / (z.hz[1] - z.hz[0])), 1)
-    size = np.abs(_smoothed(z.H, n))
-    sd = np.sqrt(_smoothed((z.noise * np.abs(z.H)) ** 2, n).real / n)
-    share = size / np.maximum(np.abs(_smoothed(along.H, n)), 1e-12)
-    strong = (size > ABOVE_NOISE * sd) & (size > 0.5 * size.max())
-    if height == 0.0 or not strong.any():
-        return None
-    most = int(np.argmax(np.where(strong, share, 0.0)))
-    if share[most] < PITCHES:
-        return None
-    return Pitch(axis, float(z.hz[most]), float(share[most]))
-
-
-def pitch_note(found: Sequence[Pitch]) -> str:
-    """Return what pitching costs, in one note for all axes."""
-    shown = " and ".join(f"{one.share:.1f} times {one.axis} at {one.hz:.0f} Hz" for one in found)
-    return (
-        f"the head pitches: the sensor's z responds {shown}. Around there a sensor above the "
-        "nozzle feels another motion than the nozzle makes, so compensation may bring less than "
-        "predicted ('--sensor-offset 0,0,0' if it sits at the nozzle's height)"
-    )

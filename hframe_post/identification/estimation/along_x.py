@@ -50,8 +50,7 @@ def fit_places(found: Fit, places: Places) -> Fit:
         Elsewhere(x, _frequency(own, one.G), one.G) for x, one in fits.items() if x != middle
     ]
     G = replace(own, x=middle, elsewhere=tuple(elsewhere))
-    rocking = fits[middle].rocking and (found.rocking or fits[middle].rocking)
-    return begun(replace(fits[middle], G=G, rocking=rocking), found.recording_delay)
+    return begun(replace(fits[middle], G=G), found.recording_delay)
 
 
 def factor(G: Linear, place: float) -> float:

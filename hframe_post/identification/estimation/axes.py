@@ -21,13 +21,6 @@ from hframe_post.identification.estimation import known_start, unknown_start
 from hframe_post.identification.estimation.estimated import Estimated
 from hframe_post.identification.estimation.kernel import Mode
 from hframe_post.identification.estimation.modes import Modes, described
-from hframe_post.identification.estimation.rocking import (
-    Rocking,
-    largest,
-    left_below,
-    rocking_flags,
-    without_frame,
-)
 from hframe_post.identification.responses.frequency_response import (
     SENSOR,
     FrequencyResponse,
@@ -79,9 +72,8 @@ class Fit:
 
     residual: share of the measurement that it leaves, weighted with input power. gain: of the
     sensor, not part of G. recording_delay: s, not part of G.
-    measured: what was estimated; G is that without a frame that rocks. sum: of modes, that
-    describes the measurement; of racking, none. highest_hz: up to which it was measured. rocking:
-    of the frame.
+    measured: what was estimated. sum: of modes, that describes the measurement; of racking, none.
+    highest_hz: up to which it was measured.
     """
 
     G: ImpulseResponse
@@ -91,7 +83,6 @@ class Fit:
     measured: Estimated
     sum: Modes | None = None
     highest_hz: float = np.inf
-    rocking: Rocking | None = None
 
     @property
     def lag(self) -> float:
@@ -103,9 +94,8 @@ class Fit:
         """Return (Hz, damping ratio) of each mode that rings and counts, lowest first."""
         if self.sum is None:
             return []
-        modes = self.sum.only(~rocking_flags(self.sum))
-        hz, zeta = modes.hz, modes.zeta
-        listed = (modes.sizes > LISTED) & (zeta < RINGS) & (hz <= self.highest_hz)
+        hz, zeta = self.sum.hz, self.sum.zeta
+        listed = (self.sum.sizes > LISTED) & (zeta < RINGS) & (hz <= self.highest_hz)
         return sorted(zip(hz[listed].tolist(), zeta[listed].tolist(), strict=True))
 
     def response(self, hz: Array) -> Complex:
@@ -172,7 +162,7 @@ class _RoughlySwept:
         found = self._found
         if start:
             found = known_start.estimated(whole, start=found.prior, swept=True)
-        fit = _without_its_frame(found, whole, self._in_modes(found, whole))
+        fit = _with_modes(found, whole, self._in_modes(found, whole))
         _check_followed(whole, fit)
         return begun(fit, self._middle + start)
 
@@ -258,8 +248,7 @@ def _from_its_damping(axis: Excited) -> Fit | None:
     found = known_start.estimated(assumed, (modes.gain, GAIN_BY_MODES))
     found = replace(found, gain=gain * found.gain, delay=late)
     fit = _described(found, whole, (late - NEAR, late + NEAR))
-    rocking = fit.rocking or _left_below(axis, fit)
-    return replace(fit, rocking=rocking) if fit.residual < LINEAR else None
+    return fit if fit.residual < LINEAR else None
 
 
 def _assumed_below(
@@ -287,13 +276,7 @@ def _with_an_ideal_mode(axis: Excited) -> Fit:
     """Return the response that follows its command below the resonance as one mode does."""
     whole = average(axis.runs)
     found = unknown_start.estimated(whole)
-    fit = _described(found, whole, (found.delay - NEAR, found.delay + NEAR))
-    return replace(fit, rocking=_left_below(axis, fit))
-
-
-def _left_below(axis: Excited, found: Fit) -> Rocking | None:
-    assert found.sum is not None
-    return left_below(axis.runs, found.sum, axis.resonance_hz)
+    return _described(found, whole, (found.delay - NEAR, found.delay + NEAR))
 
 
 # ---------------------------------------------------------------------- both
@@ -302,18 +285,13 @@ def _left_below(axis: Excited, found: Fit) -> Rocking | None:
 def _described(found: Estimated, whole: FrequencyResponse, delays: tuple[float, float]) -> Fit:
     """Return the fit of a response whose modes are late as these bounds tell, s."""
     gain = (found.gain, 0.03 * abs(found.gain))
-    return _without_its_frame(found, whole, _in_modes(found, whole, delays, gain, speed=True))
+    return _with_modes(found, whole, _in_modes(found, whole, delays, gain, speed=True))
 
 
-def _without_its_frame(found: Estimated, whole: FrequencyResponse, modes: Modes) -> Fit:
-    """Return the fit of a response, without a frame that rocks. whole: with the sensor's gain."""
-    G, rocking = found.G, largest(modes)
-    if rocking is not None:
-        G = without_frame(G, replace(modes, delay=modes.delay - found.delay), found.modes)
+def _with_modes(found: Estimated, whole: FrequencyResponse, modes: Modes) -> Fit:
+    """Return the fit of a response. whole: with the sensor's gain."""
     left = share_left(found.response(whole.hz), whole, whole.power)
-    return Fit(
-        G, left, found.gain, found.delay, found, modes, float(whole.hz[-1]), rocking
-    )  # fmt: skip
+    return Fit(found.G, left, found.gain, found.delay, found, modes, float(whole.hz[-1]))
 
 
 def _in_modes(

@@ -1,4 +1,4 @@
-"""Frequency responses and harmonics from samples at 1 ms.
+"""Frequency responses from samples at 1 ms.
 
 Responses are found by Welch's method and averaged over runs:
 
@@ -12,10 +12,6 @@ Responses are found by Welch's method and averaged over runs:
 The record is at rest at both ends and padded with rest, so no segment cuts a response off. The
 remaining leakage smooths H over the width of the window's spectrum: for a Hann window of T
 seconds, a resonance of damping ζ and frequency f is about 1 / (3 (T ζ f)²) too low at its peak.
-
-A linear printer responds to a sine with a sine. The sweep's phase φ(t) is known, so the response is
-split into harmonics A_k(t) e^{jkφ} in short windows. What appears at the half orders k + ½ is
-noise.
 """
 
 from __future__ import annotations
@@ -27,11 +23,9 @@ from functools import lru_cache
 import numpy as np
 from scipy import signal
 from scipy.fft import rfft, rfftfreq
-from scipy.signal import butter, hilbert, sosfiltfilt
 
-from hframe_post.arrays import TS, Array, Complex, Flags
+from hframe_post.arrays import Array, Complex, Flags
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.clock_sync import find_marks, moving_samples
 
 RATE_HZ = 1000.0
 SEGMENT = 16000  # samples; bias 0.4 % at the peak of a resonance at 20 Hz with damping 0.03
@@ -208,105 +202,10 @@ def lowest(x: Array, costs: Sequence[float]) -> float:
     return float(x[k] + step * (x[1] - x[0]))
 
 
-# ---------------------------------------------------------------------- harmonics
-
-WINDOW, HOP = 1000, 500  # samples
-LOWEST_HZ = 5.0  # below it the orders overlap
-HIGHEST_HZ = 240.0  # up to which recordings have a flat response
-
-
-@dataclass(frozen=True, slots=True)
-class Harmonics:
-    """Harmonics in w windows: frequency hz (w,); amplitude of orders 1 to 3 (w, 3); power of the
-    noise at each order (w, 3)."""
-
-    hz: Array
-    amplitude: Complex
-    noise: Array
-
-    @classmethod
-    def from_runs(cls, runs: Sequence[Harmonics]) -> Harmonics:
-        hz, amplitude, noise = (
-            np.concatenate([getattr(run, part) for run in runs])
-            for part in ("hz", "amplitude", "noise")
-        )
-        return cls(hz, amplitude, noise)
-
-    def used(self, order: int) -> Flags:
-        """Flag the windows (w,) in which a harmonic can be measured."""
-        return np.asarray((self.hz > LOWEST_HZ) & (order * self.hz < HIGHEST_HZ))
-
-    def share(self, order: int) -> float:
-        """Return a harmonic's share of the response's amplitude; 0 where all of it may be noise."""
-        used = self.used(order)
-        if not used.any():
-            return 0.0
-        power, first = (np.abs(self.amplitude[used][:, [order - 1, 0]]) ** 2).mean(axis=0)
-        noise = float(np.median(self.noise[used, order - 1]) / np.log(2.0))
-        excess = float(power) - noise
-        return float(np.sqrt(excess / first)) if excess > 3.0 * noise / np.sqrt(used.sum()) else 0.0
-
-
-def harmonics(command: Array, acceleration: Array) -> Harmonics | None:
-    """Return orders 1 to 3 of the sweep between the marks; None if the command has no marks.
-
-    command, acceleration (m,): mm/s² along the swept axis, every 1 ms.
-    """
-    marks = find_marks(command, moving_samples(command))
-    if marks is None:
-        return None
-    part = slice(marks.first + marks.length + marks.response, marks.second)
-    # the slow sway beneath the sweep lies below 1.5 Hz and does not belong to its phase
-    sos = butter(4, 1.5, "highpass", fs=1.0 / TS, output="sos")
-    phase = np.unwrap(np.angle(hilbert(sosfiltfilt(sos, command[part]))))
-    a = sosfiltfilt(sos, acceleration[part])
-    starts = np.arange(0, len(phase) - WINDOW, HOP)
-    taper = np.hanning(WINDOW)
-    taper /= taper.sum()
-
-    def order(k: float) -> Complex:
-        demodulated = a * np.exp(-1j * k * phase)
-        views = np.lib.stride_tricks.sliding_window_view(demodulated, WINDOW)[starts]
-        return np.asarray(2.0 * views @ taper)
-
-    hz = (phase[starts + WINDOW] - phase[starts]) / (2.0 * np.pi * WINDOW * TS)
-    amplitude = np.column_stack([order(k) for k in (1.0, 2.0, 3.0)])
-    between = np.column_stack([order(k) for k in (1.5, 2.5, 3.5)])
-    return Harmonics(hz, amplitude, np.abs(between) ** 2)
-
-
-# ---------------------------------------------------------------------- noise and distortion
+# ---------------------------------------------------------------------- noise
 
 NOISE_FLOOR = 0.003  # relative noise of H that is assumed at the least
 SENSOR = (1.0, 0.03)  # gain of a sensor, as mean and standard deviation
-
-
-@dataclass(frozen=True, slots=True)
-class Distortion:
-    """The share (k,) of a measured response that is nonlinear, at hz (k,) ascending.
-
-    certain: how much of it is known in phase and size, 0 to 1.
-    """
-
-    hz: Array
-    share: Complex
-    certain: float
-
-    def at(self, hz: Array) -> Complex:
-        real, imaginary = (np.interp(hz, self.hz, k) for k in (self.share.real, self.share.imag))
-        return np.asarray(real + 1j * imaginary)
-
-    def removed_from(self, response: FrequencyResponse) -> FrequencyResponse:
-        """Return the linear part of a response, as far as it is known; the rest counts as noise.
-
-        At least 30 % of a distortion may remain.
-        """
-        share = self.at(response.hz)
-        power = max(1.0 - self.certain, 0.3) ** 2 * np.abs(share) ** 2 * response.averages
-        return replace(
-            response, H=response.H * (1.0 - self.certain * share),
-            coherence=response.coherence / (1.0 + response.coherence * power),
-        )  # fmt: skip
 
 
 def largest_response(part: FrequencyResponse) -> float:

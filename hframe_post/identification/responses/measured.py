@@ -26,11 +26,9 @@ from hframe_post.identification.recordings.alignment import acceleration, aligne
 from hframe_post.identification.recordings.known_start import KnownStart, on_command_clock
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
-    Harmonics,
     advanced,
     delays,
     estimate,
-    harmonics,
 )
 
 
@@ -40,9 +38,8 @@ class Run:
 
     calibrated: whether command and recording are those of our own sweep, which tell start and
     clock; else ``nozzle`` may be in the sensor's axes, and all this is found from the motion.
-    rough_clock: start (s) and drift, if they are known to 20 ms. second: of another sensor, on the
-    same clock as ``nozzle``. start: of the command, for motions of `measure`, whose recordings tell
-    it.
+    rough_clock: start (s) and drift, if they are known to 20 ms. start: of the command, for motions
+    of `measure`, whose recordings tell it.
     """
 
     name: str
@@ -50,7 +47,6 @@ class Run:
     nozzle: Recording
     calibrated: bool = True
     rough_clock: tuple[float, float] | None = None
-    second: Recording | None = None
     start: KnownStart | None = None
 
     @property
@@ -111,16 +107,11 @@ class MeasurementSettings:
     """What `identify` needs to know about the measurement.
 
     racks: whether the kinematics can rack. offset: from the nozzle to its sensor in x and y, mm.
-    height: of the sensor above the nozzle, mm, if known. step: mm of belt for one motor step.
-    bed_moves: whether y moves the bed, with its sensor.
     """
 
     band_hz: tuple[float, float]
     racks: bool = True
     offset: tuple[float, float] = (0.0, 0.0)
-    height: float | None = None
-    step: float = 0.02
-    bed_moves: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,22 +119,16 @@ class RunResponse:
     """Frequency responses of one run.
 
     response: along the swept axis. y: along y, which shows racking. place: x of the sensor, mm.
-    late: half-width of the uncertainty of the recording's start, s. command (m,): mm along the
-    swept axis. harmonics: None if the command has no marks. across, z: of the other axis, and of z
-    in runs along one axis. second (k,): size of the response of a second sensor, at the frequencies
-    of ``response``. direction: unit vector of the motion; both responses are per motion along the
-    axis. point: x and y of the sensor, mm. These five: of uncalibrated runs only.
+    late: half-width of the uncertainty of the recording's start, s. across: of the other axis.
+    direction: unit vector of the motion; both responses are per motion along the axis. point: x and
+    y of the sensor, mm. These three: not of our own sweep.
     """
 
     place: float
     response: FrequencyResponse
     y: FrequencyResponse
     late: float
-    command: Array
-    harmonics: Harmonics | None = None
     across: FrequencyResponse | None = None
-    z: FrequencyResponse | None = None
-    second: Array | None = None
     direction: tuple[float, float] | None = None
     point: tuple[float, float] = (0.0, 0.0)
 
@@ -155,8 +140,8 @@ class RunResponse:
         return self._changed(lambda response: replace(response, H=response.H * gain))
 
     def _changed(self, change: Callable[[FrequencyResponse], FrequencyResponse]) -> RunResponse:
-        across, z = (one and change(one) for one in (self.across, self.z))
-        return replace(self, response=change(self.response), y=change(self.y), across=across, z=z)
+        across = self.across and change(self.across)
+        return replace(self, response=change(self.response), y=change(self.y), across=across)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,9 +176,7 @@ def nozzle_responses(runs: list[Run], settings: MeasurementSettings) -> RunGroup
         a = turned(one.acceleration, float(np.mean(angles)))
         along, y = (estimate(u, a[:, k]).within(settings.band_hz) for k in (run.axis, Y))
         place = run.place + settings.offset[X]
-        swept = run.command[:, run.axis]
-        orders = harmonics(u, a[:, run.axis])
-        responses.append(RunResponse(place, along, y, one.uncertainty, swept, orders))
+        responses.append(RunResponse(place, along, y, one.uncertainty))
     return with_common_delay(responses)
 
 

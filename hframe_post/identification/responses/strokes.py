@@ -45,7 +45,7 @@ def stroke_responses(runs: Sequence[Run], settings: MeasurementSettings) -> dict
             x, y = (at + off for at, off in zip(run.point, settings.offset, strict=True))
             assert run.start is not None
             response = RunResponse(
-                x, along, responses[axis][Y], 2.0 * run.start.sd, run.command[:, axis],
+                x, along, responses[axis][Y], 2.0 * run.start.sd,
                 across=across, direction=(1.0 - axis, float(axis)), point=(x, y),
             )  # fmt: skip
             found[axis].append(response)

@@ -16,7 +16,6 @@ import numpy as np
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.alignment import acceleration
-from hframe_post.identification.recordings.clock_sync import Resampler
 from hframe_post.identification.recordings.self_alignment import SelfAligned, self_aligned
 from hframe_post.identification.responses.direction import Direction, direction
 from hframe_post.identification.responses.frequency_response import (
@@ -104,30 +103,15 @@ def _run_response(
     axis: int, one: _Located, located: Sequence[_Located], settings: MeasurementSettings
 ) -> RunResponse:
     x, y = (_response(one.aligned, seen, settings) for seen in _axes(one, located))
-    up = one.aligned.up
-    z = _response(one.aligned, up, settings) if up.any() else None
     share = float(one.commanded[axis])
     alone = share > 1.0 - 1e-6  # a diagonal does not show racking alone
     along, across = (x, y) if axis == X else (y, x)
     px, py = (one.run.command.mean(axis=0) + settings.offset).tolist()
     found = RunResponse(
-        px, along, y if alone else along, 0.0, one.run.displacement, None, across,
-        z if alone else None, _second(one, settings),
+        px, along, y if alone else along, 0.0, across,
         (float(one.commanded[X]), float(one.commanded[Y])), (px, py),
     )  # fmt: skip
     return found.scaled(1.0 / share).advanced(one.seen.delay)
-
-
-def _second(one: _Located, settings: MeasurementSettings) -> Array | None:
-    """Return the size (k,) of a second sensor's response; its clock is that of the first."""
-    first, second, found = one.run.nozzle, one.run.second, one.aligned
-    if second is None:
-        return None
-    start = found.start + float(first.t[0] - second.t[0])
-    sensor = Resampler(second.t, second.a - second.a.mean(axis=0))
-    response = replace(found, acceleration=sensor.resampled(start, found.drift, len(found.command)))
-    H = np.array([_response(response, axis, settings).H for axis in np.eye(3)])
-    return np.asarray(np.linalg.norm(H, axis=0))
 
 
 def _axes(one: _Located, located: Sequence[_Located]) -> Array:
