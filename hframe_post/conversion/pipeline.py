@@ -245,7 +245,7 @@ class PlannedFile:
     @property
     def sliced_seconds(self) -> float:
         """Return how long the firmware takes for what was read so far, as sliced."""
-        return self._sliced.seconds
+        return self._sliced.own.seconds
 
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
