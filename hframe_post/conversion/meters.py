@@ -25,10 +25,17 @@ from hframe_post.stream.chunks import stretches
 from hframe_post.stream.features import Place, kind
 from hframe_post.stream.running import joined
 from hframe_post.stream.types import Dwell, Item, MoveAtRest, Moves, Passthrough, Rest, Samples
+from hframe_post.writers.stream.print_time import duration
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
 
+COSTS = {  # causes of a longer print, for people
+    "limits": "lower limits in the profile",
+    "jerk": "smoother acceleration",
+    "stops": "rests at stops",
+}
+WORTH_SAYING = 2e-3  # of the print's time
 JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
 _RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
 
@@ -92,23 +99,49 @@ class Meter(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PrintTime:
-    """Duration of the print, s: as the firmware plays the sliced file, and as converted."""
+    """Duration of the print, s: as the firmware plays the sliced file, and as converted.
+
+    ramps: of the converted path if nothing limited its jerk; resting: added at stops.
+    """
 
     before: float = 0.0
     after: float = 0.0
+    ramps: float = 0.0
+    resting: float = 0.0
+
+    @property
+    def costs(self) -> dict[str, float]:
+        """Return the seconds that the print takes longer than as sliced, by cause."""
+        return {
+            "limits": self.ramps - self.before,
+            "jerk": self.after - self.resting - self.ramps,
+            "stops": self.resting,
+        }
+
+    def as_text(self) -> str:
+        """Return both times, and what costs the difference."""
+        change = 100.0 * (self.after / self.before - 1.0) if self.before else 0.0
+        text = f"{duration(self.before)} → {duration(self.after)} ({change:+.1f} %)"
+        causes = [
+            f"{s:.0f} s for {COSTS[cause]}"
+            for cause, s in sorted(self.costs.items(), key=lambda each: -each[1])
+            if s >= max(0.5, WORTH_SAYING * self.before)
+        ]
+        return f"{text}: {', '.join(causes)}" if causes and change > 0.0 else text
 
 
 @dataclass(slots=True)
 class MotionSummary:
     """What the stages saw of one span or of several.
 
-    fed: most filament in one stretch, mm. seconds: processor time by stage. picture: if one was
-    asked for. advance: pressure advance. in_bands: outer walls, and what of them a motor spends in
-    a band that it avoids. metered: sums of the options' meters.
+    fed: most filament in one stretch, mm. resting: samples added at stops. seconds: processor time
+    by stage. picture: if one was asked for. advance: pressure advance. in_bands: outer walls, and
+    what of them a motor spends in a band that it avoids. metered: sums of the options' meters.
     """
 
     samples: int = 0
     fed: float = 0.0
+    resting: int = 0
     peaks: Peaks = field(default_factory=Peaks)
     clamped: Clamped = field(default_factory=Clamped)
     contour: dict[str, ContourErrors] = field(default_factory=dict)
@@ -126,6 +159,7 @@ class MotionSummary:
 
     def join(self, later: MotionSummary) -> None:
         self.samples += later.samples
+        self.resting += later.resting
         self.fed = max(self.fed, later.fed)
         one, other = self.peaks, later.peaks
         (x, y), (other_x, other_y) = one.axis_acceleration, other.axis_acceleration

@@ -145,7 +145,7 @@ def test_spaces_in_all_paths(own: Any, data: list[str], tmp_path: Path) -> None:
     assert Message.shown == []
     assert re.search("^; processed by .* printer my printer", text, re.MULTILINE)
     assert text.count(";POSTPROCESSED\n") == 1
-    assert "contour error" in report.read_text("utf-8")
+    assert "ringing" in report.read_text("utf-8")
 
 
 def test_without_its_settings_the_script_has_those_of_its_installation(

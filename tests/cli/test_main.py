@@ -28,7 +28,7 @@ def test_converts_to_a_file_and_leaves_the_input(part: Path, tmp_path: Path) -> 
     assert done.returncode == 0
     assert part.read_bytes() == RECTANGLE.read_bytes()
     assert b"; processed by hframe-post" in (tmp_path / "out.gcode").read_bytes()
-    assert b"contour error" in done.stderr
+    assert b"result           ringing" in done.stderr
     assert not done.stdout
 
 

@@ -167,7 +167,7 @@ def test_clamping_keeps_the_command_on_the_bed_and_reports(paper: Printer) -> No
     assert min(x for x, _, _ in follow(text).points[1:]) >= 0.0
     assert report.clamped.samples > 0
     assert report.clamped.line == 3
-    assert "\nWARNING          clamped " in report.as_text()
+    assert "\nWARNING          less is compensated on " in report.as_text()
 
 
 def test_path_outside_the_bed_cannot_be_compensated(paper: Printer) -> None:

@@ -85,8 +85,6 @@ def test_what_limits_a_print_is_reported(paper: Printer) -> None:
     limited = figures["limited_by"]
     assert limited["acceleration"] == {"path_percent": 50.0, "least": 500.0, "greatest": 500.0}
     assert limited["speed"]["path_percent"] == 50.0
-    shown = conversion.report().as_text()
-    assert "limited by       acceleration in the file (500 mm/s² on 50 % of the path)" in shown
 
 
 def test_macros_that_return_keep_their_place(paper: Printer) -> None:

@@ -87,7 +87,7 @@ def test_an_upload_is_converted_described_printed_and_cancelled(printer: Printer
         assert f">{html.escape(name)} has no page" in answer
     assert [thumbnail["size"] for thumbnail in described["thumbnails"]] == [4]
     (summary,) = [line for line in printer.console() if "cube.gcode: converted" in line]
-    assert "contour error" in summary
+    assert "ringing" in summary
 
 
 def test_the_same_file_uploaded_again_and_a_converted_one_give_the_same_bytes(

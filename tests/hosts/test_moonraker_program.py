@@ -134,7 +134,7 @@ def test_it_writes_the_bytes_of_the_command_line(part: Path, reports: list[Any])
     texts = [each["text"] for each in reports]
     assert len(texts) == 4
     assert texts[0].startswith("hframe-post: part.gcode: converted\n")
-    assert "contour error" in texts[0]
+    assert "ringing" in texts[0]
     assert texts[1].endswith(page_of("sub/part.gcode"))
     assert texts[2] == "hframe-post: part.gcode: this file is converted already; left as it is"
     assert not any(each["failed"] for each in reports)

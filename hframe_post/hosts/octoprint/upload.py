@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -126,8 +127,8 @@ def summary(path: str) -> dict[str, str] | None:
         return None
     first, *lines = f"{CONVERTED[2:]}{text}".splitlines()
     said = [line[len(COMMENT) :].rstrip() for line in lines if line.startswith(COMMENT)]
-    predicted = [line for line in said if line.startswith("predicted")] or ["predicted"]
-    words = predicted[-1].partition("predicted")[2].partition(",")[0].split()
+    results = [line for line in said if line.startswith("result")] or ["result"]
+    words = re.split("[;(]", results[0].partition("result")[2])[0].split()
     warnings = sum(line.startswith("WARNING") for line in said)
     counted = f"; {warnings} warning{'s' * (warnings > 1)}" if warnings else ""
     return {"line": " ".join(["Compensated:" if words else "Compensated", *words]) + counted,
