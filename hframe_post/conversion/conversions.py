@@ -21,6 +21,7 @@ from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.strategies import Compensator
+from hframe_post.prediction.windows import WHOLE
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
 from hframe_post.writers.stream.print_time import SUMMARY, Output, after_head, later
@@ -97,7 +98,7 @@ class SpanWriter:
         stages = Stages(
             printer, options, compensator, at_stops=self._at_stops,
             printing=replace(start.printing), skip_slow=options.tolerance is not None,
-            advance=start.advance,
+            advance=start.advance, whole=0 if start.place else WHOLE,
         )  # fmt: skip
         own = firmware(printer)
         rules = own.motion(printer, options.tolerance, options.retract == "moving")

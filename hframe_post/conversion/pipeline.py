@@ -129,13 +129,14 @@ class Stages:
     strategies: to compute; the options' by default. at_stops: solvers reused from other stages with
     the same printer and compensator, because solvers cache their solutions. printing: layer and
     feature at the beginning. skip_slow: see ``sampled``. advance: pressure advance at the
-    beginning; the profile's by default.
+    beginning; the profile's by default. whole: see ``ErrorMeter``; a picture shows all.
     """
 
     def __init__(
         self, printer: Printer, options: Options, compensator: Compensator,
         strategies: tuple[str, ...] = (), at_stops: StopSolvers | None = None,
         printing: Place | None = None, skip_slow: bool = False, advance: Advance | None = None,
+        whole: int | None = None,
     ) -> None:  # fmt: skip
         self._skip_slow = skip_slow
         self._printer, self._options, self._compensator = printer, options, compensator
@@ -149,7 +150,9 @@ class Stages:
         own = firmware(printer)
         limits = own.motion(printer, options.tolerance).extruder
         self._advancing = Advancing(advance or own.advance(printer), limits)
-        self._errors = ErrorMeter(printer.plant, doubts=doubts, picture=picture)
+        self._errors = ErrorMeter(
+            printer.plant, doubts=doubts, picture=picture, whole=None if picture else whole
+        )
         self._walls = BandMeter(printer, self._options.strategy, printing or Place())
         self._meter = options.meters.begun(printing or Place()) if options.meters else None
         self.times = StageTimes()
@@ -216,7 +219,7 @@ class Stages:
             self._clock.end, self._clock.fed, self._clock.resting, self._guard.peaks,
             self._clamp.clamped, self._errors.contour, self._errors.width, self.times.seconds,
             self._errors.picture, self._advancing.summary, self._walls.time,
-            self._meter.sums if self._meter is not None else None,
+            self._meter.sums if self._meter is not None else None, self._errors.judged,
         )  # fmt: skip
 
 
@@ -278,6 +281,7 @@ class PlannedFile:
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
             bands=self._bands(motion.in_bands), metered=motion.metered,
+            predicted=motion.judged / max(motion.samples, 1),
         )  # fmt: skip
 
     def _timed(self, plans: Iterable[Planned]) -> Iterator[Planned]:
