@@ -22,6 +22,7 @@ from hframe_post.printer.choice import Choice, choose
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
+    from hframe_post.writers.files import Outputs
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 SPECIAL = re.compile(r"[^\w@%+=:,./\\~-]")  # what a shell would not take as it stands
@@ -256,6 +257,18 @@ def log(text: str) -> None:
 
 def _print_log(text: str) -> None:
     click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)
+
+
+def write_kernel(outputs: Outputs, profile: Path, text: str) -> None:
+    """Write the kernel of a profile's text next to it, if Klipper may use one."""
+    from hframe_post.firmware.klipper.live import kernel_file, name_of
+    from hframe_post.printer.profile import parse
+
+    if profile.suffix != ".toml":  # such as /dev/stdout
+        return
+    data = kernel_file(parse(text, profile.stem, str(profile)))
+    if data is not None:
+        outputs.open(name_of(profile)).write(data)
 
 
 def old_option(name: str, instead: str) -> Callable[[Command], Command]:

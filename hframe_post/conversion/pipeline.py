@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from hframe_post.arrays import TS
 from hframe_post.compensation.advance import AdvanceSummary, Advancing
 from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
@@ -50,13 +51,14 @@ from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import PieceStart, pace
 from hframe_post.planner.sampling import sample
+from hframe_post.planner.sliced import seconds_of_ramps
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
 from hframe_post.stream.running import StageTimes, joined, prefetch
-from hframe_post.stream.types import Item, Planned, Samples
+from hframe_post.stream.types import Item, Plan, Planned, Samples
 from hframe_post.version import __version__
 
 if TYPE_CHECKING:
@@ -128,13 +130,14 @@ class Stages:
     strategies: to compute; the options' by default. at_stops: solvers reused from other stages with
     the same printer and compensator, because solvers cache their solutions. printing: layer and
     feature at the beginning. skip_slow: see ``sampled``. advance: pressure advance at the
-    beginning; the profile's by default.
+    beginning; the profile's by default. whole: see ``ErrorMeter``; a picture shows all.
     """
 
     def __init__(
         self, printer: Printer, options: Options, compensator: Compensator,
         strategies: tuple[str, ...] = (), at_stops: StopSolvers | None = None,
         printing: Place | None = None, skip_slow: bool = False, advance: Advance | None = None,
+        whole: int | None = None,
     ) -> None:  # fmt: skip
         self._skip_slow = skip_slow
         self._printer, self._options, self._compensator = printer, options, compensator
@@ -148,7 +151,9 @@ class Stages:
         own = firmware(printer)
         limits = own.motion(printer, options.tolerance).extruder
         self._advancing = Advancing(advance or own.advance(printer), limits)
-        self._errors = ErrorMeter(printer.plant, doubts=doubts, picture=picture)
+        self._errors = ErrorMeter(
+            printer.plant, doubts=doubts, picture=picture, whole=None if picture else whole
+        )
         self._walls = BandMeter(printer, self._options.strategy, printing or Place())
         self._meter = options.meters.begun(printing or Place()) if options.meters else None
         self.times = StageTimes()
@@ -212,10 +217,10 @@ class Stages:
     def summary(self) -> MotionSummary:
         """Return the summary of all samples that were taken so far."""
         return MotionSummary(
-            self._clock.end, self._clock.fed, self._guard.peaks,
+            self._clock.end, self._clock.fed, self._clock.resting, self._guard.peaks,
             self._clamp.clamped, self._errors.contour, self._errors.width, self.times.seconds,
             self._errors.picture, self._advancing.summary, self._walls.time,
-            self._meter.sums if self._meter is not None else None,
+            self._meter.sums if self._meter is not None else None, self._errors.judged,
         )  # fmt: skip
 
 
@@ -241,7 +246,12 @@ class PlannedFile:
         self._input = InputMeter()
         self._path = PathMeter(printer.limits, options.paces is not None)
         self._firmware, self._sliced = firmware(printer), SlicedFile(printer)
-        self._times, self._following = StageTimes(), following(printer)
+        self._times, self._following, self._ramps = StageTimes(), following(printer), 0.0
+
+    @property
+    def sliced_seconds(self) -> float:
+        """Return how long the firmware takes for what was read so far, as sliced."""
+        return self._sliced.own.seconds
 
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
@@ -249,7 +259,7 @@ class PlannedFile:
         items = self._times.timed("read", self._input.items(items))
         items = paced(self._sliced.items(items), self._options)
         items = self._path.items(items)
-        plans = scheduled(items, self._printer, followed=self._following)
+        plans = self._timed(scheduled(items, self._printer, followed=self._following))
         return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))
 
     def report(self, motion: MotionSummary) -> Report:
@@ -266,13 +276,27 @@ class PlannedFile:
             check_prediction(contour["none"].rms)
         return Report(
             self._options.strategy, self._input.summary, self._path.summary,
-            PrintTime(self._sliced.own.seconds, motion.duration), motion.peaks, motion.clamped,
-            contour, width, shaping=shaping,
+            self._print_time(motion), motion.peaks, motion.clamped,
+            contour, width, shaping=shaping, couples=bool(self._printer.plant.couplings),
             notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
             bands=self._bands(motion.in_bands), metered=motion.metered,
+            predicted=motion.judged / max(motion.samples, 1),
         )  # fmt: skip
+
+    def _timed(self, plans: Iterable[Planned]) -> Iterator[Planned]:
+        """Add up the time of plans if nothing limited their jerk."""
+        for item in plans:
+            if isinstance(item, Plan):
+                self._ramps += seconds_of_ramps(item)
+            yield item
+
+    def _print_time(self, motion: MotionSummary) -> PrintTime:
+        own = self._sliced.own
+        return PrintTime(
+            own.seconds, motion.duration, own.standing + self._ramps, TS * motion.resting
+        )
 
     def advance(self, found: AdvanceSummary) -> AdvanceReport | None:
         """Return what was done about pressure advance, if there is any."""
@@ -353,9 +377,10 @@ def stamp(printer: Printer, options: Options) -> str:
 
 
 def first_line(printer: Printer, options: Options) -> bytes:
-    """Return the first line of G-code that was converted with these options, ``resolved``.
+    """Return the first line in G-code of a conversion with these options, ``resolved``.
 
-    A file that begins with it was converted by this version with the same profile and settings.
+    A file that has it was converted by this version with the same profile and settings. Only the
+    comments with which the sliced file begins precede it.
     """
     return b"%s %s\n" % (STAMP, stamp(printer, options).encode())
 

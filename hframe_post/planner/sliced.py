@@ -35,6 +35,7 @@ from hframe_post.stream.types import (
 class AsSliced:
     """The firmware's own plan of a file. ``seconds``: of all items that were planned.
 
+    standing: what of them x and y rest.
     in_bands: the outer walls' time, and what of it a motor spends in these bands.
     """
 
@@ -44,7 +45,7 @@ class AsSliced:
         steep = math.inf if self._lifts else STEEP
         self._queue = Lookahead(rules.limits, z_share=1.0, steep=steep)
         self._last: Moves | None = None  # moves before the item
-        self.seconds = 0.0
+        self.seconds = self.standing = 0.0
         self._bands, self._walls, self.in_bands = bands, OuterWalls(), TimeInBands()
         self._outer = list[Flags]()  # which of the queued moves are outer walls
         self._ratio = list[Array]()  # cruise ratios of the queued moves
@@ -79,13 +80,17 @@ class AsSliced:
         if isinstance(item, Passthrough) and item.handling is Handling.CARRY:
             if self._queue.count:
                 self._queue.mark(item.text)
-                self.seconds += item.seconds
+                self._stand(item.seconds)
                 return
         else:
             yield from map(self._timed, self._queue.stop())
         if item is not None:
-            self.seconds += item.seconds if isinstance(item, Passthrough) else self._at_rest(item)
+            self._stand(item.seconds if isinstance(item, Passthrough) else self._at_rest(item))
             yield item
+
+    def _stand(self, seconds: float) -> None:
+        self.seconds += seconds
+        self.standing += seconds
 
     def _lift(self, lift: MoveAtRest, before: Moves) -> Moves:
         """Return a lift as a move, with the limits of the moves before it."""
@@ -158,6 +163,14 @@ class AsSliced:
             return 0.0
         top = min(move.speed, v, math.sqrt(a * d))
         return float(d / top + top / a)
+
+
+def seconds_of_ramps(plan: Plan) -> float:
+    """Return how long a plan takes if nothing limits its jerk."""
+    d, v, a = np.diff(plan.s[plan.ends]), plan.speed, plan.acceleration
+    v_s, v_e = v[:-1], v[1:]
+    reached = np.sqrt(np.maximum(a * d + (v_s**2 + v_e**2) / 2.0, np.maximum(v_s, v_e) ** 2))
+    return float(_seconds(d, v_s, v_e, np.minimum(plan.cruise, reached), a).sum())
 
 
 def _seconds(d: Array, v_s: Array, v_e: Array, top: Array, a: Array) -> Array:

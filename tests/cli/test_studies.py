@@ -285,8 +285,8 @@ def test_a_share_without_its_percent_sign_is_answered_with_it() -> None:
 def test_simulate_says_that_a_plant_is_invented(tmp_path: Path) -> None:
     profile = tmp_path / "my.toml"
     profile.write_text('extends = "paper"\n[plant]\ninvented = true\n')
-    assert b"NOT YOUR PLANT" in run("simulate", "-p", profile).stdout
-    assert b"NOT YOUR PLANT" not in run("simulate").stdout
+    assert b"not your printer" in run("simulate", "-p", profile).stdout
+    assert b"not your printer" not in run("simulate").stdout
 
 
 @pytest.mark.parametrize("text", ["", "heavy", "-1", "-0.1", "nan", "inf", "1e15"])

@@ -117,8 +117,7 @@ def test_no_layer_is_too_short_and_what_limits_the_speed_is_reported(
     assert loose.trial.limited.sum() == pytest.approx(loose.trial.seconds, rel=1e-9)
     assert loose.trial.limited_by["file"] > 0.0
     printed = speed_as_text(loose)
-    assert re.search(r"faster .*\(-\d+ %\), outer-wall within \d+ µm \(at 95 %\)", printed)
-    assert re.search(r"\d+ µm without hframe-post", printed)
+    assert re.search(r"permitted; \d+ without hframe-post", printed)
 
 
 @pytest.mark.slow

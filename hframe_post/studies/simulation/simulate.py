@@ -138,7 +138,8 @@ class SimulationReport(Report):
             layers = layers[:LAYERS_SHOWN]
         lines += self._table(title, layers)
         lines += self._trust()
-        return "\n".join(self.warning_lines() + lines)
+        warnings = [f"WARNING          {text}" for text in self.warnings()]
+        return "\n".join([*warnings, *lines])
 
     def _ranges(self) -> list[str]:
         """Return the ranges of the errors of the whole print, which the table does not hold."""
