@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y
-from hframe_post.compensation.shape import SHAPER
+from hframe_post.compensation.shape import LIVE, SHAPER
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.model.error_range import SUMS, error_range
@@ -58,7 +58,7 @@ def page(
         "name": name,
         "version": __version__,
         "warnings": report.warnings(),
-        "notes": [note for note in notes if not note.startswith("WARNING")],
+        "notes": [*(each for each in notes if not each.startswith("WARNING")), *_live(report)],
         "facts": _facts(printer, options),
         "chosen": options.strategy,
         "strategies": [_strategy(each, report) for each in strategies],
@@ -98,6 +98,16 @@ def _compressed(lines: Iterable[bytes], count: int) -> bytes:
 
 
 # ---------------------------------------------------------------------- figures
+
+
+def _live(report: Report) -> list[str]:
+    """Return what the file as sliced would have if Klipper compensated by itself."""
+    if LIVE not in report.contour:
+        return []
+    um = 1e3 * report.contour[LIVE].rms
+    return [
+        f"in Klipper       {um:.1f} µm RMS: the sliced file, compensated by Klipper itself (live)"
+    ]
 
 
 def _bands(report: Report) -> dict[str, Any] | None:

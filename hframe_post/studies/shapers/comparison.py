@@ -20,9 +20,8 @@ from hframe_post.conversion.meters import ErrorMeter
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream, parsed
 from hframe_post.conversion.sliced_errors import SlicedFile
-from hframe_post.errors import ArgumentError
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
-from hframe_post.firmware.klipper.live import live_kernel
+from hframe_post.firmware.klipper.live import by_itself
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
@@ -65,7 +64,7 @@ def compare_shapers(
     shapings = {found.x.name: found for found in search(printer.plant, pieces)}
     shapings |= {name + CALIBRATED: calibrated_with(printer.plant, name) for name in KLIPPER}
     sliced, meter = AsSliced(firmware(printer).limits(printer)), ErrorMeter(plant)
-    by_firmware = {**shapings, **by_itself(printer)}
+    by_firmware: dict[str, Shapes] = {**shapings, **by_itself(printer, LIVE)}
     today = shape(sliced.samples(parsed(lines(), printer, options)), by_firmware)
     ours = SampleStream(lines(), printer, options, tuple(STRATEGIES)[1:])
     for _ in chain(meter.samples(today), meter.samples(ours)):
@@ -77,16 +76,6 @@ def compare_shapers(
         for name, contour in meter.contour.items()
     )
     return sorted(compared, key=lambda one: one.contour.rms)
-
-
-def by_itself(printer: Printer) -> dict[str, Shapes]:
-    """Return the kernel with which Klipper compensates by itself, if it can."""
-    if printer.firmware.klipper is None:
-        return {}
-    try:
-        return {LIVE: live_kernel(printer)}
-    except ArgumentError:  # the motors cannot follow
-        return {}
 
 
 def comparison_as_json(found: list[ShaperComparison]) -> list[dict[str, Any]]:
