@@ -15,11 +15,14 @@ from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
 from hframe_post.model.kinematics import Differences
 from hframe_post.model.plant import Plant
+from hframe_post.model.responses import Plants
+from hframe_post.native.stop import NEAREST
 from hframe_post.planner.bands import OUTER_WALL, MotorBands, TimeInBands
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.line_width import Lines
-from hframe_post.prediction.predict import judge
+from hframe_post.prediction.predict import Judgement, judge, judge_window
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics, Labels
+from hframe_post.prediction.windows import Windows
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.features import Place, kind
@@ -137,6 +140,7 @@ class MotionSummary:
     fed: most filament in one stretch, mm. resting: samples added at stops. seconds: processor time
     by stage. picture: if one was asked for. advance: pressure advance. in_bands: outer walls, and
     what of them a motor spends in a band that it avoids. metered: sums of the options' meters.
+    judged: samples whose errors were predicted.
     """
 
     samples: int = 0
@@ -151,6 +155,7 @@ class MotionSummary:
     advance: AdvanceSummary = field(default_factory=AdvanceSummary)
     in_bands: TimeInBands = field(default_factory=TimeInBands)
     metered: Any = None
+    judged: int = 0
 
     @property
     def duration(self) -> float:
@@ -159,6 +164,7 @@ class MotionSummary:
 
     def join(self, later: MotionSummary) -> None:
         self.samples += later.samples
+        self.judged += later.judged
         self.resting += later.resting
         self.fed = max(self.fed, later.fed)
         one, other = self.peaks, later.peaks
@@ -265,28 +271,45 @@ class FilamentMeter:
 class ErrorMeter:
     """Predicts the errors of the nozzle's path and line, by strategy: ``contour`` and ``width``.
 
-    doubts: what is not known of the plant. picture: also collects them, if given.
+    doubts: what is not known of the plant. picture: also collects them, if given. whole: samples
+    from the first one on that are all judged, and a share of those after them; None: judge all.
+    judged: samples that were.
     """
 
     def __init__(
         self, plant: Plant, every: int = JUDGED_EVERY, doubts: Doubts | None = None,
-        picture: Picture | None = None,
+        picture: Picture | None = None, whole: int | None = None,
     ) -> None:  # fmt: skip
         self._plant, self._every, self._doubts = plant, every, doubts
+        self._whole, self.judged = whole, 0
         self.picture, self._lines = picture, Lines()
         self.contour: dict[str, ContourErrors] = {}
         self.width: dict[str, ErrorStatistics] = {}
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
-        for judgement in judge(chunks, self._plant, self._every, self._doubts):
-            for name, errors in judgement.contour.items():
-                contour = self.contour.setdefault(name, ContourErrors())
-                contour.add(errors, judgement.extruding)
-                if name in judgement.products:
-                    extruding = judgement.extruding[judgement.doubtful]
-                    contour.doubt(judgement.products[name], extruding)
-            for name, (_, shares) in self._lines.pieces(judgement).items():
-                self.width.setdefault(name, ErrorStatistics()).add(shares)
-            if self.picture is not None:
-                self.picture.add(judgement)
-            yield judgement.chunk
+        if self._whole is None:
+            for judgement in judge(chunks, self._plant, self._every, self._doubts):
+                self._add(judgement, self._lines)
+                if self.picture is not None:
+                    self.picture.add(judgement)
+                yield judgement.chunk
+            return
+        doubts, plants = self._doubts, Plants([self._plant])
+        before = max(self._plant.memory, doubts.past if doubts is not None else 0, NEAREST)
+        after = self._plant.ahead + NEAREST + 1 + (doubts.ahead if doubts is not None else 0)
+        for chunk, windows in Windows(before, after, self._whole).samples(chunks):
+            for each in windows:
+                judgement = judge_window(each, plants, self._every, doubts)
+                self._add(judgement, Lines(), each.weight)
+            yield chunk
+
+    def _add(self, judgement: Judgement, lines: Lines, weight: int = 1) -> None:
+        self.judged += len(judgement.chunk)
+        for name, errors in judgement.contour.items():
+            contour = self.contour.setdefault(name, ContourErrors())
+            contour.add(errors, judgement.extruding, weight)
+            if name in judgement.products:
+                extruding = judgement.extruding[judgement.doubtful]
+                contour.doubt(judgement.products[name], extruding, weight)
+        for name, (_, shares) in lines.pieces(judgement).items():
+            self.width.setdefault(name, ErrorStatistics()).add(shares, weight)

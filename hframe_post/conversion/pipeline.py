@@ -129,13 +129,14 @@ class Stages:
     strategies: to compute; the options' by default. at_stops: solvers reused from other stages with
     the same printer and compensator, because solvers cache their solutions. printing: layer and
     feature at the beginning. skip_slow: see ``sampled``. advance: pressure advance at the
-    beginning; the profile's by default.
+    beginning; the profile's by default. whole: see ``ErrorMeter``; a picture shows all.
     """
 
     def __init__(
         self, printer: Printer, options: Options, compensator: Compensator,
         strategies: tuple[str, ...] = (), at_stops: StopSolvers | None = None,
         printing: Place | None = None, skip_slow: bool = False, advance: Advance | None = None,
+        whole: int | None = None,
     ) -> None:  # fmt: skip
         self._skip_slow = skip_slow
         self._printer, self._options, self._compensator = printer, options, compensator
@@ -149,7 +150,9 @@ class Stages:
         own = firmware(printer)
         limits = own.motion(printer, options.tolerance).extruder
         self._advancing = Advancing(advance or own.advance(printer), limits)
-        self._errors = ErrorMeter(printer.plant, doubts=doubts, picture=picture)
+        self._errors = ErrorMeter(
+            printer.plant, doubts=doubts, picture=picture, whole=None if picture else whole
+        )
         self._walls = BandMeter(printer, self._options.strategy, printing or Place())
         self._meter = options.meters.begun(printing or Place()) if options.meters else None
         self.times = StageTimes()
@@ -216,7 +219,7 @@ class Stages:
             self._clock.end, self._clock.fed, self._clock.resting, self._guard.peaks,
             self._clamp.clamped, self._errors.contour, self._errors.width, self.times.seconds,
             self._errors.picture, self._advancing.summary, self._walls.time,
-            self._meter.sums if self._meter is not None else None,
+            self._meter.sums if self._meter is not None else None, self._errors.judged,
         )  # fmt: skip
 
 
@@ -243,6 +246,11 @@ class PlannedFile:
         self._path = PathMeter(printer.limits, options.paces is not None)
         self._firmware, self._sliced = firmware(printer), SlicedFile(printer)
         self._times, self._following, self._ramps = StageTimes(), following(printer), 0.0
+
+    @property
+    def sliced_seconds(self) -> float:
+        """Return how long the firmware takes for what was read so far, as sliced."""
+        return self._sliced.own.seconds
 
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
@@ -273,6 +281,7 @@ class PlannedFile:
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
             bands=self._bands(motion.in_bands), metered=motion.metered,
+            predicted=motion.judged / max(motion.samples, 1),
         )  # fmt: skip
 
     def _timed(self, plans: Iterable[Planned]) -> Iterator[Planned]:
@@ -366,9 +375,10 @@ def stamp(printer: Printer, options: Options) -> str:
 
 
 def first_line(printer: Printer, options: Options) -> bytes:
-    """Return the first line of G-code that was converted with these options, ``resolved``.
+    """Return the first line in G-code of a conversion with these options, ``resolved``.
 
-    A file that begins with it was converted by this version with the same profile and settings.
+    A file that has it was converted by this version with the same profile and settings. Only the
+    comments with which the sliced file begins precede it.
     """
     return b"%s %s\n" % (STAMP, stamp(printer, options).encode())
 

@@ -188,6 +188,7 @@ class Report:
     when_stopped: str = ""
     advance: AdvanceReport | None = None
     bands: BandReport | None = None
+    predicted: float = 1.0  # share of the print whose errors are predicted; they stand for all
 
     def lines_error(self, name: str) -> float:
         """Return by how much (mm RMS) the written lines, in whole steps, add to a strategy's error.
@@ -223,6 +224,7 @@ class Report:
             "time_costs_s": {cause: round(s, 3) for cause, s in self.time.costs.items()},
             "filament_mm": {k: round(mm, 5) for k, mm in filament.items() if mm is not None},
             "contour_error_um": {n: self._errors_as_json(n) for n in sorted(self.strategies)},
+            "predicted_percent": round(100.0 * self.predicted, 1),
             "line_width_error_percent": {
                 n: self.width[n].percents() for n in sorted(self.strategies) if n in self.width
             },
