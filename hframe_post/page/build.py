@@ -35,8 +35,7 @@ APART = 2.0  # mm between two of them, seen from above
 PER_MM = 100.0  # places are written in 10 µm
 PER_MM_OF_ERROR = 1e4  # errors in 0.1 µm
 PER_MM_OFF = 1e3  # the way from the path to the nozzle in 1 µm
-LABELS = {name: each.label for name, each in STRATEGIES.items()}
-SHOWN = {"none": LABELS["none"], SHAPER: "best input shaper"} | LABELS  # in this order
+SHOWN = ("none", SHAPER, *list(STRATEGIES)[1:])
 
 
 def page(
@@ -121,7 +120,7 @@ def _strategy(name: str, report: Report) -> dict[str, Any]:
     contour = report.contour[name]
     known, p95 = contour.range, contour.micrometres()["p95"]
     rms, lines = 1e3 * contour.expected, 1e3 * report.lines_error(name)
-    shown = {"name": name, "label": SHOWN[name], "p95": p95}
+    shown = {"name": name, "label": report.label(name), "p95": p95}
     shown["rms"] = round(math.hypot(rms, lines), DECIMALS)
     if known is not None:
         ends = (1e3 * known.low, 1e3 * known.high)
