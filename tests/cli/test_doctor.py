@@ -80,8 +80,6 @@ OLD_MACRO = "[gcode_macro CANCEL_PRINT]\ngcode:\n    _HFRAME_END\n    CANCEL_PRI
         ("hframe.cfg", "ACCEL=", "ACCEL=9", "hframe.cfg is not what this profile gives"),
         ("printer.cfg", "max_accel: 10000", "max_accel: 3000",
          "[printer] max_accel: 3000, but firmware.klipper.acceleration = 10000"),
-        ("printer.toml", "belt_acceleration = 31113", "belt_acceleration = 50000",
-         "motors.belt_acceleration = 50000 (setup: 31113)"),
         ("printer.cfg", "[input_shaper]", "[input_shaper]\nshaper_freq_z: 40",
          "shaper_freq_z: 40, but firmware.klipper.shaper_freq_z = 0"),
         ("config/hframe-post/config.toml", "printer.toml", "other.toml", "does not exist any more"),
