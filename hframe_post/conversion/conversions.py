@@ -69,7 +69,7 @@ class GcodeConversion:
             filament_after=written.filament, busiest_second=written.busiest_second,
             lines_per_second=self._rules.lines_per_second, approximation=written.off,
             advance=self._source.advance(self._motion.advance),
-            notices=(*report.notices, *self._code.notices),
+            notices=(*report.notices, *self._code.notices), when_stopped=self._code.when_stopped,
         )  # fmt: skip
         of_summary = len(report.as_text().splitlines())
         return replace(report, lines_written=written.lines + 1 + of_summary)

@@ -268,7 +268,7 @@ class PlannedFile:
         """
         contour, width, shaping = motion.contour, motion.width, None
         if "none" in (self._options.predict or ()) and self._options.strategy != "none":
-            today = self._sliced.today
+            today = self._sliced.today(live=self._options.picture)
             contour, width = {**contour, **today.contour}, {**width, **today.width}
             shaping = today.shaping
         if "none" in contour:
