@@ -15,7 +15,11 @@ from pathlib import Path
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.report import Report
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.running import one_blas_thread
 from tests.benchmarks.models import SPREAD, models
 from tests.benchmarks.timing import fastest, processor_and_wall, seconds
 from tests.conftest import SAMPLES
@@ -53,6 +57,14 @@ def test_conversion_by_processes(benchmark: BenchmarkFixture, tmp_path: Path, jo
         subprocess.run, args=(convert,), kwargs={"check": True}, rounds=1
     )
     benchmark.extra_info["processors"] = len(os.sched_getaffinity(0))
+
+
+def converted(lines: list[bytes], printer: Printer) -> Report:
+    with one_blas_thread():
+        conversion = GcodeConversion(lines, printer, OPTIONS)
+        for _ in conversion:
+            pass
+        return conversion.report()
 
 
 @pytest.mark.parametrize("name", ["figure", "knot", "gyroid", "vase"])

@@ -86,7 +86,7 @@ def test_an_output_that_cannot_be_made_touches_nothing(
 )
 def test_what_nobody_hears_is_done_all_the_same(folder: Path, command: str) -> None:
     assert shell(command, folder)[0] == 0
-    assert (folder / "in.gcode").read_bytes().startswith(b"; processed by hframe-post")
+    assert b"; processed by hframe-post" in (folder / "in.gcode").read_bytes()
 
 
 def limited() -> None:
@@ -138,7 +138,7 @@ def test_names_reach_the_output_as_one_printable_line(folder: Path, name: bytes)
     assert done.returncode == 0, done.stderr
     with open(target, "rb") as file:
         lines = file.read().splitlines()
-    assert lines[0].startswith(b"; processed by hframe-post")
+    assert b"; processed by hframe-post" in lines[1]
     known = RECTANGLE.read_bytes().splitlines()
     for line in lines:
         assert line.decode().isprintable()

@@ -9,9 +9,9 @@ import pytest
 import hframe_post as hp
 from hframe_post.errors import PrinterError
 from hframe_post.model.impulse_response import transfer_function
-from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load, parse, shipped
 from tests.command_line import RECTANGLE, run
+from tests.profiles import with_plant
 
 STARTS = ("example-voron", "example-ender", "example-hbot")
 

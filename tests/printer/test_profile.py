@@ -264,9 +264,6 @@ def test_bad_couplings_are_errors(pattern: str, replacement: str, key: str, caus
 @pytest.mark.parametrize(
     ("pattern", "key"),
     [
-        (r"^jerk[^\n]*\n", "limits.jerk"),
-        (r"^belt_velocity[^\n]*\n", "motors.belt_velocity"),
-        (r"^effort[^\n]*\n", "compensation.effort"),
         (r"^x = [^\n]*\n", "travel.x"),
         (r"^Ts = [^\n]*\n", "plant.Ts"),
         (r"^x_c = [^\n]*\n", "plant.x_c"),
@@ -275,7 +272,6 @@ def test_bad_couplings_are_errors(pattern: str, replacement: str, key: str, caus
         (r"^gain[^\n]*\n", "plant.Gxx.gain"),
         (r"^poles = .*?^\]\n", "plant.Gxx.poles"),
         (r"^zeros = .*?^\]\n", "plant.Gxx.zeros"),
-        (r"^\[motors\].*?(?=^\[compensation\])", "motors"),
         (r"^\[travel\].*?(?=^\[limits\])", "travel"),
         (r"^\[firmware.klipper\].*?(?=^\[plant\])", "firmware.klipper"),
     ],
