@@ -539,7 +539,9 @@ def test_klipper_itself_compensates_where_it_is_found(config: Path, moonraker: P
         assert config.read_text().count("\n[hframe_live]\nkernel: printer.kernel\n") == 1
         assert conf.read_text().count("[hframe_post]\nuploads: leave\n") == 1
     assert read(config.with_name("printer.kernel").read_bytes()).names["kinematics"] == "corexy"
-    said = run("doctor", "-p", config.with_name("printer.toml"), "--printer-cfg", config).stdout
+    said = run(
+        "doctor", "-p", config.with_name("printer.toml"), "--printer-cfg", config
+    ).stdout.decode()
     assert "printer.kernel: hframe-post" in said
     set_up(config, "--no-moonraker")
     assert (config.read_text(), conf.read_text()) == before
@@ -555,10 +557,10 @@ def test_who_converts_uploads_goes_on_to_until_he_says_otherwise(
     (config.parent / "kalico/klippy/plugins").mkdir()
     set_up(config, "--moonraker")
     assert "hframe_live" not in config.read_text()
-    at_a_terminal(b"y\ny\n", "setup", config, "--moonraker", "-o", config.parent)
+    at_a_terminal(b"y\ny\n", "setup", str(config), "--moonraker")
     assert (config.parent / "kalico/klippy/plugins/hframe_live").is_symlink()
     assert "uploads: leave" in conf.read_text()
-    at_a_terminal(b"n\ny\n", "setup", config, "--moonraker", "-o", config.parent)
+    at_a_terminal(b"n\ny\n", "setup", str(config), "--moonraker")
     assert "uploads: leave" not in conf.read_text()
 
 
