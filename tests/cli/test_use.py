@@ -115,5 +115,5 @@ def test_the_profile_of_this_folder_comes_before_the_default(
     assert choose(None, {}).profile == str(own)
     Path("printer.toml").write_text('extends = "paper"\n[plant]\ninvented = true\n')
     assert choose(None, {}).as_text() == "profile          printer.toml (of this folder)"
-    done = CliRunner().invoke(main, [str(RECTANGLE), "-n"])
+    done = CliRunner().invoke(main, [str(RECTANGLE), "-o", "out.gcode"])
     assert "Error: printer.toml: plant.invented: " in done.stderr
