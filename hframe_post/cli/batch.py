@@ -19,8 +19,8 @@ from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     conversion_options,
     files_read,
-    former_option,
     help_all_option,
+    old_option,
     printer_option,
     say,
 )
@@ -57,7 +57,7 @@ def address(text: str) -> str:
     "--resume", is_flag=True,
     help="Skip files that have been converted with the same settings and have not changed since.",
 )  # fmt: skip
-@former_option("--watch", instead="name the folder with --resume, for example from cron")
+@old_option("--watch", "name the folder with --resume, for example from cron")
 @click.option(
     "--scheduler", type=address, metavar="tcp://HOST:PORT",
     help="Convert on the workers of a Dask cluster; files are sent to them and fetched back. Needs "

@@ -119,16 +119,6 @@ def typed(read: Callable[[str], Any]) -> Callable[[str], Any]:
     return convert
 
 
-def former_option(*names: str, instead: str) -> Callable[[Command], Command]:
-    """Return a decorator for an option that is gone: who gives it is told what replaced it."""
-
-    def refuse(context: click.Context, _: click.Parameter, given: str | None) -> None:
-        if given is not None:
-            raise click.UsageError(f"there is no {names[0]} now: {instead}", context)
-
-    return click.option(*names, expose_value=False, hidden=True, callback=refuse)
-
-
 seed_option = click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Random seed.",
 )  # fmt: skip
@@ -298,14 +288,11 @@ def _print_log(text: str) -> None:
     click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)
 
 
-def write_kernel(outputs: Outputs, profile: Path, text: str) -> None:
-    """Write the kernel of a profile's text next to it, if Klipper may use one."""
+def write_kernel(outputs: Outputs, profile: Path, printer: Printer) -> None:
+    """Write the kernel of a printer next to its profile, if Klipper may use one."""
     from hframe_post.firmware.klipper.live import kernel_file, name_of
-    from hframe_post.printer.profile import parse
 
-    if profile.suffix != ".toml":  # such as /dev/stdout
-        return
-    data = kernel_file(parse(text, profile.stem, str(profile)))
+    data = kernel_file(printer)
     if data is not None:
         outputs.open(name_of(profile)).write(data)
 

@@ -79,7 +79,7 @@ class _Reader:
         self._source, self._options, self._dialect = source, options, options.dialect
         self._state = State(options.dialect, options.extrusion, options.start)
         self._bed = Extent(options.travel)
-        self._objects = Objects(options.dialect)
+        self._objects = Objects(options.dialect, source)
         self._retraction = FirmwareRetraction(options.retraction, options.dialect)
         self._plain_moves = PlainMoves(source, self._state, self._bed)
         self._any_motion = False  # requested so far, even from unknown positions
