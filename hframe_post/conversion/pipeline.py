@@ -302,7 +302,11 @@ class PlannedFile:
     def _print_time(self, motion: MotionSummary) -> PrintTime:
         own = self._sliced.own
         return PrintTime(
-            own.seconds, motion.duration, own.standing + self._ramps, TS * motion.resting
+            own.seconds,
+            motion.duration,
+            own.standing + self._ramps,
+            TS * motion.resting,
+            self._within.share,
         )
 
     def advance(self, found: AdvanceSummary) -> AdvanceReport | None:
