@@ -15,6 +15,7 @@ from hframe_post.model.impulse_response import ImpulseResponse, Linear
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
 
+STROKES_OFF, OFF = 0.075, 0.35  # of a sensor's gain: accel_per_hz may be wrong, too
 MOST_LEFT = 0.6  # of a measurement, by the model: of an SV08 after ten weeks 0.52
 OTHER_PRINTER = 0.4  # spread of an axis; a printer that was used for ten weeks: 0.3
 LEAST_CHANGE = 0.02  # relative, that is assumed of a printer that repeats itself
@@ -130,9 +131,8 @@ class Identified:
                     "by itself"
                 )
         for name in AXIS.keys() & self.fits.keys():
-            calibrated = self.measured[name].resonance_hz is None
-            off = abs(self.fits[name].gain - 1.0)
-            if off > (0.075 if calibrated else 0.35):
+            off, struck = abs(self.fits[name].gain - 1.0), self.measured[name].known_start
+            if off > (STROKES_OFF if struck else OFF):
                 return (
                     f"the sensor would have to read {100 * off:.0f} % wrong in {AXIS[name]}, more "
                     f"than sensors do: {self._cause}"

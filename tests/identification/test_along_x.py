@@ -34,10 +34,9 @@ from hframe_post.model.impulse_response import (
     Linear,
     transfer_function,
 )
-from tests.identification.test_identify_strokes import recorded
 from tests.modes import deviation_of_mode
 from tests.quantities import below, near
-from tests.random_printers import drawn, judged, printer
+from tests.random_printers import drawn, judged, printer, struck
 from tests.simulator import Axis, Machine, Mode
 
 HZ = np.arange(3.0, 100.01, 0.25)
@@ -169,7 +168,7 @@ def test_a_printer_whose_modes_move_is_compensated_all_along_x() -> None:
     machine, chip, _ = drawn(seed)
     profile = printer(machine)
     found = identify(
-        recorded(machine, chip, seed, 60.0),
+        struck(machine, chip, seed),
         MeasurementSettings(BAND, racks=profile.kinematics.racks),
     )
     assert found.refusal is None

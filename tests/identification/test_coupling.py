@@ -18,7 +18,6 @@ from hframe_post.identification.estimation import known_start
 from hframe_post.identification.estimation.estimated import Estimated
 from hframe_post.identification.estimation.shared import in_print
 from hframe_post.identification.recordings.alignment import acceleration
-from hframe_post.identification.recordings.excitation import trajectory
 from hframe_post.identification.responses.crossed import Crossed, crossed
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
@@ -31,12 +30,12 @@ from hframe_post.identification.responses.full_response import (
     full_response,
 )
 from hframe_post.identification.responses.measured import RunGroup, RunResponse
-from hframe_post.printer.settings import Sweep
+from tests.recordings import sweep
 
 BAND = (4.0, 100.0)
 HZ = np.arange(BAND[0], BAND[1], 0.125)
 AVERAGES = 12.0
-COMMAND = acceleration(np.pad(trajectory(Sweep(rate_hz_per_s=10.0), 300.0, 80.0), 1000))
+COMMAND = acceleration(sweep(rate=10.0, marks=False))
 MIDDLE, X_C = (140.0, 150.0), 120.0  # mm
 Pair = tuple[FrequencyResponse, FrequencyResponse]
 

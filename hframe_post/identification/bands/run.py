@@ -15,7 +15,7 @@ import numpy as np
 from hframe_post.errors import LimitError
 from hframe_post.firmware.code import plain
 from hframe_post.gcode.commands import STAMP
-from hframe_post.identification.recordings.sweep import APPROACH, LIFT, check_records, room
+from hframe_post.identification.recordings.runs import APPROACH, LIFT, check_records, room
 from hframe_post.printer.firmware_tables import USUAL_CHIP
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__

@@ -87,8 +87,3 @@ def transfer(z: Complex, modes: Sequence[Mode], onset: int) -> Complex:
         columns += [(turning + back) / (2.0 * mode.norms[0]),
                     (turning - back) / (2j * mode.norms[1])]  # fmt: skip
     return np.column_stack(columns) if columns else np.zeros((len(z), 0), dtype=complex)
-
-
-def slow(k: Array, beta: float) -> Array:
-    """Return q (m,) at samples k (m,) of a first-order lag, which is 1 sample late."""
-    return np.where(k > 0.0, np.exp(-beta * np.maximum(k, 0.0)), 0.0)

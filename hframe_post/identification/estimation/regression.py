@@ -26,7 +26,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from hframe_post.arrays import TS, Array
-from hframe_post.identification.estimation.kernel import Decay, Mode, ringing, slow
+from hframe_post.identification.estimation.kernel import Decay, Mode, ringing
 
 AMPLITUDE = 30.0  # a, samples²: more than the q of any printer
 FIRST = Decay(0.02, 0.04, 0.1)  # so little that modes are sought first
@@ -54,8 +54,7 @@ class Data:
     """Measured y (r,), by columns X (r, n + m) of scalars and of q at samples k (m,).
 
     All is divided by the standard deviation of the noise. precision (n,): S⁻¹ of the scalars.
-    by_modes: gives Ψ (r, 2·modes) of modes and their onset. tail: decay per sample of the
-    last scalar, if it is the size of a slow pole; else 0. X_X, X_y: XᵀX and Xᵀy.
+    by_modes: gives Ψ (r, 2·modes) of modes and their onset. X_X, X_y: XᵀX and Xᵀy.
     """
 
     X: Array
@@ -65,7 +64,6 @@ class Data:
     by_modes: Callable[[Sequence[Mode], int], Array]
     X_X: Array
     X_y: Array
-    tail: float = 0.0
 
     @classmethod
     def of(
@@ -73,17 +71,6 @@ class Data:
         by_modes: Callable[[Sequence[Mode], int], Array],
     ) -> Data:  # fmt: skip
         return cls(X, y, k, precision, by_modes, X.T @ X, X.T @ y)
-
-    def with_tail(self, column: Array, precision: float, tail: float) -> Data:
-        """Return the data with one more scalar, the size of a slow pole: its column (r,) of X."""
-        n, beside = len(self.precision), column @ self.X
-        X_X = np.insert(self.X_X, n, beside, axis=0)
-        X_X = np.insert(X_X, n, np.insert(beside, n, column @ column), axis=1)
-        return replace(
-            self, X=np.insert(self.X, n, column, axis=1), X_X=X_X,
-            X_y=np.insert(self.X_y, n, column @ self.y),
-            precision=np.append(self.precision, precision), tail=tail,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,23 +91,21 @@ class Posterior:
     k: Array
     prior: Prior
     cost: float
-    tail: float = 0.0
 
     def response(self, k: Array) -> Array:
-        """Return the mean (l,) of tail, decay and modes together, at samples k (l,)."""
+        """Return the mean (l,) of decay and modes together, at samples k (l,)."""
         columns = self._columns(k)
         return np.asarray(columns @ self.mean[-columns.shape[1] :])
 
     def known(self, k: Array) -> Array:
-        """Return the covariance (l, l) of tail, decay and modes together, at samples k (l,)."""
+        """Return the covariance (l, l) of decay and modes together, at samples k (l,)."""
         columns = self._columns(k)
         own = slice(-columns.shape[1], None)
         return columns @ self.covariance[own, own] @ columns.T
 
     def _columns(self, k: Array) -> Array:
         modes = ringing(k, self.prior.modes, self.prior.onset)
-        tail = [slow(k, self.tail)] if self.tail else []
-        return np.column_stack([*tail, k[:, None] == self.k, modes])
+        return np.column_stack([k[:, None] == self.k, modes])
 
 
 def regress(data: Data, start: Prior | None = None, most: int = MOST_MODES) -> Posterior:
@@ -140,11 +125,6 @@ def regress(data: Data, start: Prior | None = None, most: int = MOST_MODES) -> P
         search = min(search, plain, key=lambda one: one.cost())
     search.drop_modes()
     return search.posterior()
-
-
-def cost(data: Data, prior: Prior) -> float:
-    """Return −log evidence of hyperparameters."""
-    return _Normal.of(data, data.by_modes(prior.modes, prior.onset)).solved(prior.decay)[2]
 
 
 class _Search:
@@ -271,7 +251,7 @@ class _Search:
         """Return the posterior."""
         L, mean, cost = self._normal().solved(self.prior.decay)
         covariance = linalg.cho_solve((L, True), np.eye(len(L)), check_finite=False)
-        return Posterior(mean, covariance, self._data.k, self.prior, cost, self._data.tail)
+        return Posterior(mean, covariance, self._data.k, self.prior, cost)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -134,7 +134,7 @@ def _check_clipping(path: Path, table: Table, a: Array) -> None:
             raise _error(
                 path, table, at,
                 f"{cause}. Record again with a lower acceleration (ACCEL_PER_HZ of TEST_RESONANCES,"
-                " limits.acceleration of the profile for 'measure', sweep.amplitude for a sweep) "
+                " limits.acceleration of the profile for 'measure', sweep.amplitude for 'sweep') "
                 "or with a greater range of the sensor",
             )  # fmt: skip
 
@@ -188,30 +188,6 @@ def diagnose(recording: Recording, quiet: float) -> list[str]:
     ]
 
 
-def oriented(recording: Recording, axes: str = "x=x,y=y,z=z", quiet: float = 1.0) -> Recording:
-    """Return the recording along the printer's axes, without gravity, tilt and offset.
-
-    axes: each axis of the printer as the sensor names it, such as ``x=-y,y=x,z=z``. The tilt is
-    the direction of gravity in the first ``quiet`` seconds, in which the printer must stand
-    still; without gravity (``diagnose``) only the map and the offset are applied. A rotation
-    about the vertical remains: see ``alignment.heading``. Raises IdentificationError.
-    """
-    matrix = axis_map(axes)
-    rest = matrix @ at_rest(recording, quiet)
-    strength = float(np.linalg.norm(rest))
-    rotation = np.eye(3)
-    if PLAUSIBLE[0] <= strength <= PLAUSIBLE[1]:
-        tilt = np.degrees(np.arccos(np.clip(rest[2] / strength, -1.0, 1.0)))
-        if tilt > 45.0:
-            raise IdentificationError(
-                f"with --axes {axes} the sensor would be tilted by {tilt:.0f}°. z must name the "
-                "sensor's axis that points up"
-            )
-        rotation = _upright(rest / strength)
-    a = recording.a @ (rotation @ matrix).T
-    return replace(recording, a=a - rotation @ rest)
-
-
 def axis_map(axes: str) -> Array:
     """Return the matrix (3, 3) for a map such as ``x=-y,y=x,z=z``.
 
@@ -237,10 +213,3 @@ def at_rest(recording: Recording, quiet: float) -> Array:
     """Return what a sensor shows, (3,), in the first ``quiet`` seconds, in which it is at rest."""
     count = int(np.searchsorted(recording.t, recording.t[0] + quiet))
     return np.asarray(recording.a[: max(count, 1)].mean(axis=0))
-
-
-def _upright(up: Array) -> Array:
-    """Return the shortest rotation (3, 3) that takes a unit vector (3,) to z; up_z > −1."""
-    x, y, z = up
-    k = 1.0 / (1.0 + z)
-    return np.array([[1.0 - k * x * x, -k * x * y, -x], [-k * x * y, 1.0 - k * y * y, -y], up])

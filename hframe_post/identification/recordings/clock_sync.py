@@ -1,38 +1,31 @@
 """The sensor's clock relative to that of the command, and recordings resampled to the latter.
 
 A sensor's clock starts elsewhere and runs at another rate: t_sensor = start + (1 + drift)·t.
-A sweep hides both, since a stretched response is simply that of another plant. So a command that
-can be aligned well has two equal marks, one before and one after the sweep: the response to the
-second is the response to the first, later, whatever the plant.
-
-Everything is correlated as an envelope, |⟨u + jû, a⟩| with û the Hilbert transform of u,
-because a plant shifts the phase (racking by 90° to begin with).
+Pieces of the command are searched for in the recording. They are correlated as an envelope,
+|⟨u + jû, a⟩| with û the Hilbert transform of u, because a plant shifts the phase (racking by 90° to
+begin with).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.fft import irfft, rfft, rfftfreq
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import fftconvolve, firwin, hilbert, upfirdn
 
-from hframe_post.arrays import TS, Array, Complex, Integers
+from hframe_post.arrays import TS, Array, Integers
 from hframe_post.errors import IdentificationError
 
 RATE = 1000.0  # of commands, samples a second
 MOST_DRIFT = 0.022  # a little more than the worst clocks have
 AT_REST = 1e-3  # share of the greatest acceleration below which a command is at rest
-WINDOW, WINDOWS, SHORTEST = 2000, 24, 250  # length in samples, and number, without marks
+WINDOW, WINDOWS, SHORTEST = 2000, 24, 250  # length in samples, and number
 CLOCKS, SOME = 11, 3  # drifts that are tried at once, and every how many windows count at first
 FINER_GRIDS = 2
 UNKNOWN_START = 0.25  # s between start and response that no plant explains
 REACH = int(UNKNOWN_START * RATE)
-ROUNDS = 6
 DISPERSION = 0.02  # s by which a plant's delay may differ from window to window
-LEAST_CORRELATION = 0.4  # below it the recording is of something else
 
 
 class Resampler:
@@ -78,95 +71,16 @@ class Resampler:
             raise IdentificationError(f"the recording ends {late:.2f} s before its motion does")
 
 
-# ---------------------------------------------------------------------- by the two marks
-
-
-@dataclass(frozen=True, slots=True)
-class Marks:
-    """The two marks of a command, in samples: starts, their length, and that of the responses."""
-
-    first: int
-    second: int
-    length: int
-    response: int
-
-
 def moving_samples(command: Array) -> Integers:
     """Return the indices of samples at which a command (m,), an acceleration, is not at rest."""
     return np.flatnonzero(np.abs(command) > AT_REST * np.abs(command).max(initial=0.0))
 
 
-def find_marks(command: Array, moving: Integers) -> Marks | None:
-    """Return the first and last stretch between rests of 60 ms, if they are equal."""
-    breaks = np.flatnonzero(np.diff(moving) > 60)
-    starts, ends = moving[np.r_[0, breaks + 1]], moving[np.r_[breaks, -1]] + 1
-    if len(starts) < 3 or ends[0] - starts[0] != ends[-1] - starts[-1]:
-        return None
-    first, second = (command[s:e] for s, e in ((starts[0], ends[0]), (starts[-1], ends[-1])))
-    if np.abs(first - second).max() > AT_REST * np.abs(command).max():
-        return None
-    rests = (starts[0], starts[1] - ends[0], len(command) - ends[-1])
-    tail = min(480, int(min(rests) * 0.8))  # samples in which the response to a mark dies away
-    return Marks(int(starts[0]), int(starts[-1]), len(first), len(first) + tail)
-
-
-def clock_from_marks(command: Array, marks: Marks, track: Array) -> tuple[float, float]:
-    """Return start (s) and drift; track (n, 3) is the recording every 1 ms of its own clock.
-
-    The start still contains the plant's delay. Raises IdentificationError if the marks are not
-    in the recording.
-    """
-    distance = marks.second - marks.first
-    width = int(np.ceil(MOST_DRIFT * distance)) + 1
-    mark = command[marks.first : marks.first + marks.length]
-    track = banded(track, _followed_band(mark))
-    track = np.concatenate([track, np.zeros((marks.response, 3))])  # at rest where it ends
-    likeness = _envelope(mark, track)
-    padded = np.concatenate([likeness, np.zeros(distance + width)])
-    later = maximum_filter1d(padded, 2 * width + 1, mode="constant")[distance:][: len(likeness)]
-    at = int(np.argmax(likeness * later))
-    lag = _lag_between_marks(track, max(at - 10, 0), marks, distance, width)
-    drift = lag / distance - 1.0
-    return at * TS - (1.0 + drift) * marks.first * TS, drift
-
-
-def _lag_between_marks(track: Array, at: int, marks: Marks, distance: int, width: int) -> float:
-    """Return the samples from the first mark's response, which begins at ``at``, to the other's."""
-    n = marks.response + 10
-    response = track[at : at + n]
-    low = max(at + distance - width, 0)
-    region = track[low : at + distance + width + n]
-    if len(region) < n or len(response) < n:
-        raise not_found()
-    products = sum(
-        fftconvolve(r, a[::-1], "valid") for r, a in zip(region.T, response.T, strict=True)
-    )
-    likeness = products / np.sqrt(_energy(region, n) * max((response**2).sum(), 1e-300))
-    best = int(np.argmax(likeness))
-    if likeness[best] < LEAST_CORRELATION:
-        raise not_found()
-    repeated = region[best : best + n]
-    size = next_fast_len(2 * n, real=True)
-    omega = 2.0 * np.pi * rfftfreq(size)
-    cross = (rfft(response, size, axis=0).conj() * rfft(repeated, size, axis=0)).sum(axis=1)
-    return low + best - at + _peak(cross, omega)
-
-
-def _peak(cross: Complex, omega: Array) -> float:
-    """Return the lag near 0 at which the correlation with spectrum ``cross`` peaks, in samples."""
-    lag = 0.0
-    for _ in range(ROUNDS):
-        shifted = cross * np.exp(1j * omega * lag)
-        slope, curve = -(omega * shifted.imag).sum(), -(omega**2 * shifted.real).sum()
-        lag -= float(np.clip(slope / curve, -1.0, 1.0)) if curve < 0.0 else 0.0
-    return lag
-
-
-# ---------------------------------------------------------------------- without marks
+# ---------------------------------------------------------------------- start and drift
 
 
 def clock_from_windows(command: Array, moving: Integers, sensor: Resampler) -> tuple[float, float]:
-    """Return start (s) and drift, without marks, to 20 ms over the recording.
+    """Return start (s) and drift, to 20 ms over the recording.
 
     They are those of the clock on which the windows are found together: of a coarse grid of drifts
     first, and then of finer ones near it. A plant whose delay changes along the sweep looks like a

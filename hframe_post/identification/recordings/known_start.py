@@ -11,25 +11,29 @@ The printer's axes in those of the sensor follow from slow motion, in which the 
 is commanded. What it adds to that grows with the frequency, in phase and with a quarter turn:
 
     a ≈ D·u + E·du/dt + F·d²u/dt² + b,   D (3, 2): where x and y point, as the sensor sees them
+
+No mounting is wrong: a sensor on a bed that moves sees y the other way round, and owners mirror
+axes in printer.cfg, since a spectrum does not show a sign.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import fftconvolve
 
-from hframe_post.arrays import TS, Array
+from hframe_post.arrays import TS, Array, X, Y
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.accelerometer import Recording, at_rest
+from hframe_post.identification.recordings.accelerometer import PLAUSIBLE, Recording, at_rest
 from hframe_post.identification.recordings.alignment import acceleration
 from hframe_post.identification.recordings.clock_sync import Resampler, banded, not_found
-from hframe_post.identification.recordings.orientation import QUIET, completed
 
 PLAYED_SD = 2e-5  # s: by how much Klipper plays a motion longer or shorter than its command
 AGREED = 1e-3  # s by which the two starts may differ, beyond the time between samples
 SHORTEST_STOP = 0.1  # s by which Klipper moves the print time at least, once its queue is empty
+QUIET = 0.5  # s at the start of a recording in which the printer is at rest
 SLOW_HZ = (2.0, 10.0)
 LEAST = 0.3  # share of the command that the sensor must show in slow motion
 LARGEST_LAG = 0.03  # s between a command and what the sensor shows; no printer lags more
@@ -101,6 +105,32 @@ def on_command_clock(command: Array, recording: Recording, start: KnownStart) ->
     if (np.linalg.norm(D, axis=1) < LEAST).any():
         raise not_found()
     return np.asarray(a @ np.linalg.inv(completed(D, moved, rest)))
+
+
+def completed(D: Array, moved: Sequence[int], rest: Array) -> Array:
+    """Return the printer's axes as the sensor sees them: unit vectors x, y, z, in rows (3, 3).
+
+    D (k, 3): where the axes that moved point, of any length; rest (3,): what the sensor shows at
+    rest. Raises IdentificationError without gravity, if one axis moved.
+    """
+    D = D / np.linalg.norm(D, axis=1, keepdims=True)
+    rows = np.zeros((3, 3))
+    rows[list(moved)] = D
+    strength = float(np.linalg.norm(rest))
+    if len(moved) == 2:
+        rows[2] = np.cross(rows[X], rows[Y])
+        rows[2] *= np.sign(rows[2] @ rest) or 1.0
+    elif PLAUSIBLE[0] <= strength <= PLAUSIBLE[1]:
+        along = D[0]
+        up = rest / strength - (along @ rest) / strength * along
+        rows[2] = up / np.linalg.norm(up)
+        rows[1 - moved[0]] = np.cross(rows[2], along) * (1.0 if moved[0] == X else -1.0)
+    else:
+        raise IdentificationError(
+            f"at rest the sensor shows {strength / 1000.0:.4g} m/s² instead of gravity, so "
+            "its axes are unknown. Record both axes at once"
+        )
+    return rows
 
 
 def _check_in_time(slow: Array, shown: Array) -> None:

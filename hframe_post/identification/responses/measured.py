@@ -22,22 +22,18 @@ import numpy as np
 from hframe_post.arrays import Array, Complex, X, Y
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import Recording
-from hframe_post.identification.recordings.alignment import acceleration, aligned, heading, turned
 from hframe_post.identification.recordings.known_start import KnownStart, on_command_clock
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     advanced,
     delays,
-    estimate,
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One sweep. command (m, 2): x and y in mm, every 1 ms; recordings in the printer's axes.
+    """A recording. command (m, 2): x and y in mm, every 1 ms; nozzle: in the sensor's axes.
 
-    calibrated: whether command and recording are those of our own sweep, which tell start and
-    clock; else ``nozzle`` may be in the sensor's axes, and all this is found from the motion.
     rough_clock: start (s) and drift, if they are known to 20 ms. start: of the command, for motions
     of `measure`, whose recordings tell it.
     """
@@ -45,7 +41,6 @@ class Run:
     name: str
     command: Array
     nozzle: Recording
-    calibrated: bool = True
     rough_clock: tuple[float, float] | None = None
     start: KnownStart | None = None
 
@@ -70,15 +65,6 @@ class Run:
             return on_command_clock(self.command, self.nozzle, self.start)
         except IdentificationError as error:
             raise IdentificationError(f"{self.name}: {error}") from None
-
-    @property
-    def axis(self) -> int:
-        """Return X or Y, the axis that moves. Raise IdentificationError unless exactly one does."""
-        moving = np.flatnonzero(np.ptp(self.command, axis=0) > 0.0)
-        if len(moving) != 1:
-            cause = "both axes move" if len(moving) else "no axis moves"
-            raise IdentificationError(f"{self.name}: {cause}; a run must sweep x or y alone")
-        return int(moving[0])
 
     @property
     def direction(self) -> Array:
@@ -121,7 +107,7 @@ class RunResponse:
     response: along the swept axis. y: along y, which shows racking. place: x of the sensor, mm.
     late: half-width of the uncertainty of the recording's start, s. across: of the other axis.
     direction: unit vector of the motion; both responses are per motion along the axis. point: x and
-    y of the sensor, mm. These three: not of our own sweep.
+    y of the sensor, mm.
     """
 
     place: float
@@ -158,26 +144,6 @@ class RunGroup:
     resonance_hz: float | None = None
     lowest_hz: float = 0.0
     known_start: bool = False
-
-
-def nozzle_responses(runs: list[Run], settings: MeasurementSettings) -> RunGroup:
-    """Return the responses of runs of one axis.
-
-    All runs are rotated by the same angle so that the sensor looks along the swept axis: at low
-    frequencies racking looks like a rotation, too, by another angle at each place. Raises
-    IdentificationError.
-    """
-    commands = [acceleration(run.command[:, run.axis]) for run in runs]
-    recorded = [aligned(u, run.nozzle, run.axis) for u, run in zip(commands, runs, strict=True)]
-    triples = list(zip(commands, recorded, runs, strict=True))
-    angles = [heading(u, one.acceleration, run.axis) for u, one, run in triples]
-    responses = []
-    for u, one, run in triples:
-        a = turned(one.acceleration, float(np.mean(angles)))
-        along, y = (estimate(u, a[:, k]).within(settings.band_hz) for k in (run.axis, Y))
-        place = run.place + settings.offset[X]
-        responses.append(RunResponse(place, along, y, one.uncertainty))
-    return with_common_delay(responses)
 
 
 def with_common_delay(responses: Sequence[RunResponse]) -> RunGroup:

@@ -58,8 +58,16 @@ def stroke_responses(runs: Sequence[Run], settings: MeasurementSettings) -> dict
 
 def _responses(run: Run, settings: MeasurementSettings) -> dict[int, list[FrequencyResponse]]:
     """Return what a command in each axis that moves does to x and y."""
-    a = run.on_command_clock()[:, :2]
     u = np.column_stack([acceleration(run.command[:, axis]) for axis in run.axes])
+    found = by_axis(u, run.on_command_clock()[:, :2])
+    return {
+        axis: [one.within(settings.band_hz) for one in each]
+        for axis, each in zip(run.axes, found, strict=True)
+    }
+
+
+def by_axis(u: Array, a: Array) -> list[list[FrequencyResponse]]:
+    """Return what each of the commands u (n, k) does to x and to y, a (n, 2), mm/s²."""
     segment = min(SEGMENT, len(u) // 2)
     hz, P = _spectra(np.hstack([u, a]), segment)
     k, averages = u.shape[1], BANDWIDTH * len(u) / segment
@@ -68,15 +76,14 @@ def _responses(run: Run, settings: MeasurementSettings) -> dict[int, list[Freque
     inverse = np.linalg.inv(P_uu + least * np.eye(k))
     H = P_yu @ inverse
     noise = np.einsum("fii->fi", P_yy - H @ P_yu.conj().transpose(0, 2, 1)).real
-    found: dict[int, list[FrequencyResponse]] = {}
-    for j, axis in enumerate(run.axes):
+    found: list[list[FrequencyResponse]] = []
+    for j in range(k):
         power = 1.0 / np.maximum(inverse[:, j, j].real, TINY)
-        found[axis] = []
+        found.append([])
         for i in (X, Y):
             shown = np.abs(H[:, i, j]) ** 2 * power
             coherence = shown / np.maximum(shown + np.maximum(noise[:, i], 0.0), TINY)
-            one = FrequencyResponse(hz, H[:, i, j], coherence, power, averages)
-            found[axis].append(one.within(settings.band_hz))
+            found[-1].append(FrequencyResponse(hz, H[:, i, j], coherence, power, averages))
     return found
 
 

@@ -1,4 +1,4 @@
-"""The test motion of `verify`: a rectangle and a zigzag, or part of a print, between marks.
+"""The test motion of `verify`: a rectangle and a zigzag, or part of a print.
 
 It is played twice, plain and compensated. When recordings are judged, the part of a command that
 is the motion, and its corners, are found again from the command itself.
@@ -15,13 +15,7 @@ from hframe_post.arrays import TS, Array, Flags, X, Y
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError, LimitError
-from hframe_post.identification.recordings.excitation import alignment_mark
-from hframe_post.identification.recordings.sweep import (
-    SweepRun,
-    check_records,
-    room,
-    within_limits,
-)
+from hframe_post.identification.recordings.runs import PlannedRun, check_records
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples, frozen
 
@@ -31,7 +25,7 @@ LEG, LEGS = 12.0, 6  # of the zigzag: mm along x, and number
 LOOKED_AT, LONGEST, SHORTEST = 250_000, 40_000, 5_000  # samples of a print: of these, from … to
 SHORTEST_STOP, AT_REST = 20, 1e-9  # samples and mm per sample at rest
 GENTLER = (1.0, 0.7, 0.5, 0.35)  # shares of the path's acceleration and jerk, tried in turn
-QUIET = 1000  # samples of rest before, between and after the parts
+QUIET = 1000  # samples of rest before and after it
 
 
 def path(printer: Printer) -> list[bytes]:
@@ -53,7 +47,7 @@ def path(printer: Printer) -> list[bytes]:
     return [f"{line}\n".encode() for line in lines]
 
 
-def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[SweepRun]:
+def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[PlannedRun]:
     """Return the plain and the compensated run: of the test motion, or of a print's beginning.
 
     lines: the print's G-code. Nothing is extruded, and z does not move. The test motion is gentler
@@ -78,7 +72,7 @@ def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[SweepRu
     )
 
 
-def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list[SweepRun]:
+def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list[PlannedRun]:
     options = Options("racking", limits="printer", clamp=False)
     chunks = list[Samples]()
     for chunk in SampleStream(lines, printer, options, tuple(STRATEGIES.values())).computed():
@@ -97,8 +91,8 @@ def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list
         ends = [chunk.end for chunk in chunks if chunk.ends_stretch]
         part = _between_stops(commands["verify-compensated"], ends)
     return [
-        SweepRun(run, X, (float(command[part][0, X]), float(command[part][0, Y])),
-            frozen(_framed(command[part], printer)))
+        PlannedRun(run, X, (float(command[part][0, X]), float(command[part][0, Y])),
+            frozen(np.pad(command[part], ((QUIET, QUIET), (0, 0)), mode="edge")))
         for run, command in commands.items()
     ]  # fmt: skip
 
@@ -126,21 +120,10 @@ def _between_stops(command: Array, ends: Sequence[int]) -> slice:
     return best
 
 
-def _framed(motion: Array, printer: Printer) -> Array:
-    """Return a motion (m, 2) between two marks along x, with rests around them."""
-    ends = motion[[0, -1]]
-    mark = alignment_mark(
-        *within_limits(printer), min(room(printer, X, (float(x), float(y))) for x, y in ends)
-    )
-    along = np.pad(mark, QUIET)[:, None] * [1.0, 0.0]
-    return np.concatenate([ends[0] + along, motion, ends[1] + along])
-
-
 def motion_of(wanted: Array) -> slice:
-    """Return which samples of a command (m, 2) are the test motion, without marks and rests."""
+    """Return which samples of a command (m, 2) are the test motion, without rests."""
     moving = np.flatnonzero((np.diff(wanted, axis=0) != 0.0).any(axis=1))
-    breaks = np.flatnonzero(np.diff(moving) > QUIET // 2)
-    return slice(int(moving[breaks[0] + 1]), int(moving[breaks[-1]]) + 1)
+    return slice(int(moving[0]), int(moving[-1]) + 1)
 
 
 def after_corners(wanted: Array) -> Flags:

@@ -19,9 +19,14 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from hframe_post.arrays import TS, Array, Complex, Flags, X, Y, Z
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.accelerometer import Recording
-from hframe_post.identification.recordings.alignment import acceleration, aligned
-from hframe_post.identification.verification.motion import QUIET, after_corners, motion_of
+from hframe_post.identification.recordings.alignment import acceleration
+from hframe_post.identification.responses.measured import Run
+from hframe_post.identification.verification.motion import (
+    QUIET,
+    STRATEGIES,
+    after_corners,
+    motion_of,
+)
 from hframe_post.model.nozzle import nozzle
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer
@@ -153,19 +158,34 @@ class MeasuredRun:
     noise: float
 
 
-def compare_runs(
-    printer: Printer, plain: tuple[Array, Recording], compensated: tuple[Array, Recording]
-) -> Verdict:
-    """Compare both runs: each a command (m, 2), mm every 1 ms, and the recording of the nozzle.
+def both(found: Sequence[Run]) -> tuple[Run, Run]:
+    """Return the plain and the compensated run. Raises IdentificationError unless there are both.
 
-    Raises IdentificationError if a recording does not belong to its command.
+    found: in any order; of repetitions the last counts.
     """
-    wanted = plain[0]
+    named = {name: run for run in found for name in STRATEGIES if name in run.name}
+    if len(named) < len(STRATEGIES):
+        raise IdentificationError(
+            "not both recordings of 'hframe-post verify --gcode', verify-plain and "
+            "verify-compensated. Give the folder with them and the commands"
+        )
+    plain, compensated = (named[name] for name in STRATEGIES)
+    if len(plain.command) != len(compensated.command):
+        raise IdentificationError(
+            "the commands of the two motions differ in length: they were not written by the same "
+            "'hframe-post verify --gcode'"
+        )
+    return plain, compensated
+
+
+def compare_runs(printer: Printer, plain: Run, compensated: Run) -> Verdict:
+    """Compare both runs. Raises IdentificationError if a recording does not follow its command."""
+    wanted = plain.command
     inside = np.zeros(len(wanted), dtype=bool)
     inside[motion_of(wanted)] = True
     moving = (np.diff(wanted, axis=0, append=wanted[-1:]) != 0.0).any(axis=1) & inside
     at, after, a_path = np.flatnonzero(moving), after_corners(wanted) & inside, _curved(wanted)
-    runs = [measured_run(printer, *run) for run in (plain, compensated)]
+    runs = [measured_run(printer, run) for run in (plain, compensated)]
     measured = [1e3 * contour_error(wanted, run.place, at) for run in runs]
     predicted = [1e3 * contour_error(wanted, run.predicted, at) for run in runs]
     noise = [1e3 * run.noise for run in runs]
@@ -185,16 +205,16 @@ def _rms(values: Array, noise: float = 0.0) -> float:
     return float(np.sqrt(max((values**2).mean() - noise**2, 0.0)))
 
 
-def measured_run(printer: Printer, command: Array, recording: Recording) -> MeasuredRun:
-    """Return what a recording shows of a command (m, 2) in mm. Raises IdentificationError."""
-    found = aligned(acceleration(command[:, X]), recording, X)
+def measured_run(printer: Printer, run: Run) -> MeasuredRun:
+    """Return what a recording shows of its command. Raises IdentificationError."""
+    command, shown = run.command, run.on_command_clock()
     predicted = nozzle(printer.plant, command[0], command)
     without = nozzle(replace(printer.plant, Gxtheta=None), command[0], command)
     a_predicted = _curved(predicted)
-    late, most = 0.0, max(found.uncertainty, HARMLESS_DELAY)
+    late, most = 0.0, HARMLESS_DELAY
     for _ in range(2):  # a delay disturbs what slow motion shows of the sensor
         earlier = np.exp(2j * np.pi * _hz(a_predicted) * late)
-        a = _filtered(found.acceleration[:, :Z], earlier)
+        a = _filtered(shown[:, :Z], earlier)
         a = a @ _correction(a, a_predicted)
         late = float(np.clip(late + _lag(a, a_predicted), -most, most))
     off = _filtered(a - a_predicted, _integrating_twice(_hz(a)))
@@ -243,8 +263,8 @@ def _correction(a: Array, wanted: Array) -> Array:
     off = np.abs(matrix - np.eye(2)).max()
     if off > 0.1 + np.sin(np.radians(10.0)):  # a gain 10 % off, rotated by 10°
         raise IdentificationError(
-            f"the recording differs from the command by {100 * off:.0f} % in slow motion: --axes "
-            "is wrong, or it is the recording of another run"
+            f"the recording differs from the command by {100 * off:.0f} % in slow motion: "
+            "it is the recording of another run"
         )
     return np.asarray(matrix)
 
