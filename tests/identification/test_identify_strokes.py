@@ -1,4 +1,4 @@
-"""Identification of drawn printers from strokes: linear ones are as good as by their exact model."""
+"""Drawn printers identified from strokes: linear ones are as good as by their exact model."""
 
 from __future__ import annotations
 
