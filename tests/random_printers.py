@@ -12,10 +12,10 @@ from hframe_post.arrays import Array, Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.identification.identify import Identified, MeasurementSettings, Run, identify
-from hframe_post.identification.recordings.known_start import KnownStart
+from hframe_post.identification.recordings.clock import KnownStart
 from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.identification.recordings.strokes import runs
-from hframe_post.identification.verification.motion import motion_of
+from hframe_post.identification.verify import motion_of
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.native.contour import in_motion

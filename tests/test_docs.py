@@ -12,7 +12,7 @@ import click
 import pytest
 
 from hframe_post.cli.main import COMMANDS, main
-from hframe_post.identification.recordings.excitation import command_csv
+from hframe_post.identification.recordings.formats import command_csv
 from hframe_post.identification.recordings.strokes import runs
 from hframe_post.printer.profile import load
 from tests.conftest import ROOT, SAMPLES

@@ -67,7 +67,7 @@ def write_motion(
 
     jobs: the runs of each file of G-code, if they are not all in ``target``.
     """
-    from hframe_post.identification.recordings.excitation import command_csv
+    from hframe_post.identification.recordings.formats import command_csv
     from hframe_post.identification.recordings.runs import gcode
 
     with Outputs(files_read(printer)) as outputs:
@@ -86,7 +86,7 @@ def write_moves(
     target: Path, printer: str, done: Sequence[tuple[PlannedRun, list[str]]]
 ) -> list[PlannedRun]:
     """Write a file of moves for each run, TARGET.RUN.gcode, with its command; return the runs."""
-    from hframe_post.identification.recordings.excitation import command_csv
+    from hframe_post.identification.recordings.formats import command_csv
 
     with Outputs(files_read(printer)) as outputs:
         for run, lines in done:

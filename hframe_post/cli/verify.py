@@ -67,7 +67,7 @@ def verify(
 
 def _write(gcode: Path, printer: str, motion: Path | None, chips: tuple[str, ...]) -> None:
     from hframe_post.gcode.lines import lines_of
-    from hframe_post.identification.verification.motion import runs
+    from hframe_post.identification.verify import runs
 
     profile = load(printer)
     check_identified(profile)
@@ -88,7 +88,7 @@ def _judge(
     from hframe_post.identification.pages import verification_page
     from hframe_post.identification.recordings.folder import VERIFY, files_in
     from hframe_post.identification.recordings.names import recorded_on
-    from hframe_post.identification.verification.verdict import both, compare_runs
+    from hframe_post.identification.verify import both, compare_runs
 
     profile, files = load(printer), files_in(recordings)
     sources = [*files_read(printer), *files]

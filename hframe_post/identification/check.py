@@ -20,7 +20,7 @@ from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation import known_start
 from hframe_post.identification.identified import AXIS, DRIFT, LEAST_CHANGE, MOST_LEFT
 from hframe_post.identification.recordings import strokes
-from hframe_post.identification.recordings.alignment import acceleration
+from hframe_post.identification.recordings.clock import acceleration
 from hframe_post.identification.recordings.folder import CHECK
 from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.identification.responses.frequency_response import (
@@ -28,8 +28,7 @@ from hframe_post.identification.responses.frequency_response import (
     share_left,
     whole_record,
 )
-from hframe_post.identification.responses.measured import Run
-from hframe_post.identification.responses.strokes import by_axis
+from hframe_post.identification.responses.measured import Run, by_axis
 from hframe_post.model.impulse_response import ImpulseResponse, Linear
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer

@@ -18,6 +18,7 @@ from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.recordings import accelerometer
+from hframe_post.identification.recordings.clock import QUIET, known_start, on_command_clock
 from hframe_post.identification.recordings.folder import (
     CHECK,
     STROKES,
@@ -27,7 +28,6 @@ from hframe_post.identification.recordings.folder import (
     contents,
     digest_of,
 )
-from hframe_post.identification.recordings.known_start import QUIET, known_start, on_command_clock
 from hframe_post.identification.recordings.names import parsed
 from hframe_post.identification.recordings.resonance_search import find
 from hframe_post.identification.recordings.resonance_test import (

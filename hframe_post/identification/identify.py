@@ -14,20 +14,21 @@ import numpy as np
 
 from hframe_post.arrays import Flags, X
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.diagnosis.coupling import MeasuredCoupling, find_coupling
-from hframe_post.identification.diagnosis.scatter import ModeShift, find_mode_shift
-from hframe_post.identification.estimation.along_x import (
-    fit_places,
-)
+from hframe_post.identification.coupling import Crossed, MeasuredCoupling, crossed, find_coupling
 from hframe_post.identification.estimation.axes import (
     Fit,
+    Measured,
     fit_known_start,
     fit_unknown_start,
     response_again,
 )
-from hframe_post.identification.identified import AXIS, Identified, Measured, Repetition
-from hframe_post.identification.racking import find_racking
-from hframe_post.identification.responses.crossed import Crossed, crossed
+from hframe_post.identification.identified import AXIS, Identified, Repetition
+from hframe_post.identification.places import (
+    ModeShift,
+    find_mode_shift,
+    find_racking,
+    fit_places,
+)
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     average,
@@ -38,8 +39,8 @@ from hframe_post.identification.responses.measured import (
     MeasurementSettings,
     Run,
     RunGroup,
+    stroke_responses,
 )
-from hframe_post.identification.responses.strokes import stroke_responses
 from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
 from hframe_post.stream.running import one_blas_thread
 

@@ -8,20 +8,18 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Complex
-from hframe_post.identification.diagnosis.scatter import (
-    ModeShift,
-    find_mode_shift,
-    with_noise,
-)
-from hframe_post.identification.estimation.along_x import (
-    at_common_frequencies,
-    factor,
-    fit_places,
-    racking_along_x,
-)
 from hframe_post.identification.estimation.axes import fit_known_start
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identify import MeasurementSettings, identify
+from hframe_post.identification.places import (
+    ModeShift,
+    at_common_frequencies,
+    factor,
+    find_mode_shift,
+    fit_places,
+    racking_along_x,
+    with_noise,
+)
 from hframe_post.identification.report import IdentificationReport
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,

@@ -7,10 +7,10 @@ import pytest
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.alignment import acceleration
-from hframe_post.identification.recordings.clock_sync import (
+from hframe_post.identification.recordings.clock import (
     DISPERSION,
     Resampler,
+    acceleration,
     clock_from_windows,
     energy_band,
     moving_samples,

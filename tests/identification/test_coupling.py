@@ -10,24 +10,23 @@ import pytest
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.diagnosis.coupling import (
+from hframe_post.identification.coupling import (
+    Crossed,
+    DirectedRun,
+    FullResponse,
     MeasuredCoupling,
+    crossed,
     find_coupling,
+    full_response,
+    in_print,
 )
 from hframe_post.identification.estimation import known_start
-from hframe_post.identification.estimation.estimated import Estimated
-from hframe_post.identification.estimation.shared import in_print
-from hframe_post.identification.recordings.alignment import acceleration
-from hframe_post.identification.responses.crossed import Crossed, crossed
+from hframe_post.identification.estimation.regression import Estimated
+from hframe_post.identification.recordings.clock import acceleration
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     advanced,
     estimate,
-)
-from hframe_post.identification.responses.full_response import (
-    DirectedRun,
-    FullResponse,
-    full_response,
 )
 from hframe_post.identification.responses.measured import RunGroup, RunResponse
 from tests.recordings import sweep

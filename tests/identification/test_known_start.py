@@ -15,8 +15,8 @@ from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.gather import Gathered, from_folders, from_pair
 from hframe_post.identification.recordings.accelerometer import Recording
-from hframe_post.identification.recordings.clock_sync import Resampler
-from hframe_post.identification.recordings.excitation import command_csv
+from hframe_post.identification.recordings.clock import Resampler
+from hframe_post.identification.recordings.formats import command_csv
 from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.identification.recordings.strokes import runs
 from hframe_post.printer.profile import load

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Complex
-from hframe_post.identification.estimation.kernel import Mode
 from hframe_post.identification.estimation.modes import Modes, described
+from hframe_post.identification.estimation.regression import Mode
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.model.impulse_response import ImpulseResponse
 from tests.identification.modal_tools import HZ, TWO, continuous

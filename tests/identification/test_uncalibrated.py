@@ -15,12 +15,14 @@ from hframe_post.identification.gather import from_folders
 from hframe_post.identification.identified import Identified
 from hframe_post.identification.identify import MeasurementSettings, Run, identify
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
-from hframe_post.identification.recordings.alignment import acceleration
+from hframe_post.identification.recordings.clock import acceleration, self_aligned
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
-from hframe_post.identification.recordings.self_alignment import self_aligned
-from hframe_post.identification.responses.direction import Direction, direction
 from hframe_post.identification.responses.frequency_response import estimate
-from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
+from hframe_post.identification.responses.uncalibrated import (
+    Direction,
+    direction,
+    uncalibrated_responses,
+)
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.printer.settings import Travel
 from tests.identification.test_coupling import Coupled

@@ -11,10 +11,9 @@ import pytest
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import LimitError
 from hframe_post.identification.recordings.accelerometer import GRAVITY
-from hframe_post.identification.recordings.alignment import acceleration
-from hframe_post.identification.recordings.excitation import read_command
+from hframe_post.identification.recordings.clock import acceleration, self_aligned
+from hframe_post.identification.recordings.formats import read_command
 from hframe_post.identification.recordings.runs import PlannedRun
-from hframe_post.identification.recordings.self_alignment import self_aligned
 from hframe_post.identification.recordings.written_sweep import PAD, played
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer

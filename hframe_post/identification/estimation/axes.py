@@ -15,9 +15,8 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.estimation import known_start, unknown_start
-from hframe_post.identification.estimation.estimated import Estimated
-from hframe_post.identification.estimation.kernel import Mode
 from hframe_post.identification.estimation.modes import Modes, described
+from hframe_post.identification.estimation.regression import Estimated, Mode
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     advanced,
@@ -48,6 +47,39 @@ class Excited:
 
     runs: Sequence[FrequencyResponse]
     resonance_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A transfer function as measured.
+
+    places: the response at each position (mm of x). mean: their average. spread: RMS difference of
+    the positions from the mean, relative; repeated: likewise of runs in one direction.
+    delay_bounds: of the recording, s. excited_hz:
+    lowest and highest frequency that is excited. resonance_hz: the lowest strong resonance, if the
+    recordings are not calibrated. known_start: whether they are of strokes.
+    """
+
+    places: list[tuple[float, FrequencyResponse]]
+    mean: FrequencyResponse
+    spread: float
+    repeated: float
+    delay_bounds: tuple[float, float]
+    excited_hz: tuple[float, float] = (0.0, np.inf)
+    resonance_hz: float | None = None
+    known_start: bool = False
+
+    @property
+    def runs(self) -> list[FrequencyResponse]:
+        return [response for _, response in self.places]
+
+    def excited(self, band_hz: tuple[float, float]) -> Excited | None:
+        """Return what was excited within the band; None if the recordings are calibrated."""
+        if self.resonance_hz is None:
+            return None
+        low, high = self.excited_hz
+        band = max(band_hz[0], low), min(band_hz[1], high)
+        return Excited([run.within(band) for run in self.runs], self.resonance_hz)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,14 +18,15 @@ from scipy.ndimage import uniform_filter1d
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.estimation.estimated import Estimated
-from hframe_post.identification.estimation.kernel import Mode, transfer
 from hframe_post.identification.estimation.regression import (
     LEAST_GAIN,
     Data,
+    Estimated,
+    Mode,
     Posterior,
     Prior,
     regress,
+    transfer,
 )
 from hframe_post.identification.responses.frequency_response import (
     SENSOR,

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from hframe_post.arrays import TS, Array, Complex, Flags
-from hframe_post.identification.estimation.kernel import Mode
+from hframe_post.identification.estimation.regression import Mode
 from hframe_post.identification.responses.frequency_response import FrequencyResponse, weights
 
 DAMPING = (0.004, 0.95)  # bounds of a mode's damping ratio

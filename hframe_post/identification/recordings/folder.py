@@ -19,11 +19,14 @@ import numpy as np
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.identification.recordings.accelerometer import Recording, from_table
-from hframe_post.identification.recordings.clock_sync import MOST_DRIFT
-from hframe_post.identification.recordings.excitation import CSV_HEAD, read_command
-from hframe_post.identification.recordings.formats import read_tables
+from hframe_post.identification.recordings.clock import MOST_DRIFT
+from hframe_post.identification.recordings.formats import (
+    CSV_HEAD,
+    read_command,
+    read_tables,
+    unpacked,
+)
 from hframe_post.identification.recordings.names import ENDINGS, RecordingName, parsed, stem
-from hframe_post.identification.recordings.packed import unpacked
 
 SUFFIXES = (".csv", ".csv.gz", ".csv.xz", ".csv.zst", ".stdata")
 DEPTH, MOST_FILES = 3, 500  # of folders in folders; of files
