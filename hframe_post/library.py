@@ -22,8 +22,9 @@ from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import settling_samples
 from hframe_post.conversion import files
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import prepared, stamp
+from hframe_post.conversion.pipeline import parsed, prepared, stamp
 from hframe_post.conversion.report import Report
+from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.errors import (
     ArgumentError,
     GcodeError,
@@ -31,7 +32,6 @@ from hframe_post.errors import (
     OptionError,
     PrinterError,
 )
-from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.gcode.lines import Input, Source
 from hframe_post.model.nozzle import nozzle
 from hframe_post.model.plant import Plant
@@ -200,6 +200,7 @@ def simulate(
     title: str = "",
     notes: Iterable[str] = (),
     outputs: Outputs | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> SimulationReport:
     """Predict what every strategy would do for a print: in all, by layer and by feature.
 
@@ -207,7 +208,8 @@ def simulate(
     simulated: the printer whose plant is simulated, if not the one compensated for. model_error:
     for each share (0.05: frequencies, damping and racking gain off by up to 5 %) ``draws`` random
     printers are simulated, too; equal seeds give equal printers. steps: round commands to whole
-    motor steps first. page, title, notes, outputs: as in ``convert``. Raises HframeError, OSError.
+    motor steps first. page, title, notes, outputs, progress: as in ``convert``. The source is read
+    twice; one that can be read only once is kept in memory. Raises HframeError, OSError.
     """
     from hframe_post.studies.simulation import simulate as simulation
     from hframe_post.studies.simulation.uncertainty import draws as drawn
@@ -224,10 +226,18 @@ def simulate(
     )
     options = replace(options, strategy="racking", predict=tuple(STRATEGIES))
     given = Input(source)
+    if given.once:
+        given = Input(list(given.lines(progress)))
+
+    def lines() -> Iterable[bytes]:
+        nonlocal progress
+        shown, progress = progress, None
+        return given.lines(shown)
+
     if page is not None:
         options = _pictured(options, given, printer, actual.plant)
     with ExitStack() as opened:
-        report = simulation.simulate(given.lines(), printer, options, study)
+        report = simulation.simulate(lines, printer, options, study)
         if page is not None:
             from hframe_post.page.build import page as print_page
 
@@ -333,11 +343,9 @@ def _watch(source: Path, outputs: Outputs) -> None:
 
 def _pictured(options: Options, source: Input, printer: Printer, plant: Plant) -> Options:
     """Return options that collect a page's picture, with the best input shaper for the print."""
-    from hframe_post.studies.shapers.search import good, paths
-
     predicted = dict.fromkeys(("none", *options.strategies))
-    pieces = paths(islice(source.again(), SHAPED_LINES), printer, options)
-    shaping = good(plant, pieces, firmware_of(printer))
+    items = parsed(islice(source.again(), SHAPED_LINES), printer, options)
+    shaping = SlicedFile.from_items(items, printer).shaping(plant)
     return replace(options, predict=tuple(predicted), picture=True, shaping=shaping)
 
 

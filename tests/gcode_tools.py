@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,3 +123,9 @@ def strokes(seed: int, count: int, lift: float = 0.0, away: float = 40.0) -> lis
         lines += ["G1 Z0.3 F1200"] if lift else []
         lines += ["G1 E1.6 F2400"]
     return lines
+
+
+def one_by_one(*arguments: Any) -> int:
+    """Take no moves, in place of ``native.reading.plain_moves``: the reader takes each line."""
+    arguments[-1][:] = 0
+    return 0

@@ -18,11 +18,11 @@ from hframe_post.identification.recordings.strokes import runs
 from hframe_post.identification.verify import motion_of
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
-from hframe_post.native.contour import in_motion
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
+from tests.native.oracles import in_motion
 from tests.simulator import Axis, Chip, Machine, Mode, Playing
 
 BAND = (3.0, 100.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -46,7 +45,7 @@ def test_the_wheel_converts_the_sample_in_an_empty_environment(wheel: Path, tmp_
     }
     built = {name for name in names | source if "/_kernels." in name}
     assert names - built == source - built
-    assert (names & built) or shutil.which("cc") is None
+    assert names & built
     assert "-cp311-abi3-" in wheel.name
     venv.create(tmp_path / "venv", with_pip=True)
     programs = tmp_path / "venv" / "bin"
@@ -70,7 +69,7 @@ def converts(program: Path, folder: Path) -> None:
     assert (folder / "cube.gcode").read_bytes() == (folder / "here.gcode").read_bytes()
     batch: list[str | Path] = [program, "batch", rectangle, "-q", "-d", folder / "out"]
     subprocess.run(batch, check=True, env=environ, cwd=folder)
-    assert (folder / "out" / rectangle.name).read_bytes().startswith(b"; processed by hframe-post")
+    assert b"; processed by hframe-post" in (folder / "out" / rectangle.name).read_bytes()
 
 
 IMPORTED_AS = {"pybgcode": "pybgcode-jneilliii"}

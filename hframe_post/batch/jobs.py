@@ -75,10 +75,10 @@ class Job:
         if len(found) < 2:
             return ""
         none, ours = found[0], found[-1]
-        text = f"; contour error {ours.get('median', ours['rms']):.1f} µm"
+        text = f"; ringing {none['rms']:.1f} → {ours.get('median', ours['rms']):.1f} µm"
         if "to" in ours:
             text += f" (up to {ours['to']:.1f} as the printer changes)"
-        return f"{text} instead of {none['rms']:.0f}, predicted"
+        return text
 
 
 @dataclass(frozen=True, slots=True)

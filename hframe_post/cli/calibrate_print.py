@@ -17,6 +17,7 @@ from hframe_post.cli.options import (
     quoted,
     say,
     share,
+    write_kernel,
 )
 from hframe_post.cli.sweep import FILE
 from hframe_post.errors import HframeError
@@ -219,3 +220,4 @@ def _save(output: Path, printer: str, text: str) -> None:
     """Write a profile, which may replace the one that was read."""
     with Outputs(files_read(printer)) as outputs:
         outputs.open(output, Path(printer)).write(text.encode())
+        write_kernel(outputs, output, text)

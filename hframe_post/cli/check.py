@@ -15,6 +15,7 @@ from hframe_post.cli.options import (
     old_option,
     printer_option,
     say,
+    write_kernel,
 )
 from hframe_post.cli.sweep import (
     chips_option,
@@ -113,7 +114,10 @@ def _update(
         click.echo(report.as_text(), err=str(json_file) == "-")
         if file is not None:
             measured = day if report.complete else None
-            file.write(with_check(printer, report.moved, report.uncertainty, measured).encode())
+            written = with_check(printer, report.moved, report.uncertainty, measured)
+            file.write(written.encode())
+            assert output is not None
+            write_kernel(profiles, output, written)
 
 
 def _gathered(recordings: tuple[Path, ...], profile: Printer) -> Gathered:

@@ -19,6 +19,7 @@ from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
 from hframe_post.firmware.configuration import Finding
 from hframe_post.firmware.klipper.check import check
+from hframe_post.firmware.klipper.live import check_live
 from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.version import log_of
@@ -256,6 +257,7 @@ def _differences(
         remedy = f"change it there or in {name}"
         again = f"run 'hframe-post klipper-macros -p {quoted(name)} > {FILE}'"
     yield from check(config, profile, remedy, changed_by_hand(text_of(name)))
+    yield from check_live(config, profile)
     yield from firmware(profile).host_findings(config.path, log, profile, again)
 
 

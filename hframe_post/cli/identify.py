@@ -15,6 +15,7 @@ from hframe_post.cli.options import (
     old_option,
     page_option,
     position,
+    write_kernel,
 )
 from hframe_post.cli.sweep import FILE
 from hframe_post.errors import IdentificationError
@@ -139,6 +140,8 @@ def identify(
             day = max(recorded_on(one.path) for one in gathered.used)
             written = with_plant(source, report.plant, windows, report.origin(), error, text, day)
             file.write(written.encode())
+            assert output is not None
+            write_kernel(profiles, output, written)
             if report.plant.Gxtheta is not None and profile.kinematics.type == "corexy":
                 click.echo(
                     "note         it racks, so the profile's kinematics.type is hbot", err=True

@@ -21,7 +21,7 @@ from hframe_post.cli.integrations import program
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.klipper.printer_cfg import HEADING, KlipperConfig
-from hframe_post.hosts import moonraker
+from hframe_post.hosts import klipper, moonraker
 from hframe_post.hosts.moonraker.disk import NAME
 from hframe_post.writers.files import Outputs
 
@@ -38,7 +38,14 @@ COMMAND = re.compile(  # in our section: what is before it, the program, and its
     rf"^(\[{NAME}\]\n(?:(?!\[).*\n)*?command: )((\S+).*?)(?= -p )", re.MULTILINE
 )
 INCLUDE = f"# added by hframe-post setup --moonraker\n[include {FILE}]\n"
-INCLUDED = re.compile(r"(?:\r?\n)?" + re.escape(INCLUDE).replace("\\\n", "\r?\n"))
+LIVE = "hframe_live"
+LIVE_SECTION = (
+    f"# added by hframe-post setup --moonraker: compensation in Klipper\n[{LIVE}]\n"
+    "kernel: printer.kernel\n"
+)
+LIVE_QUESTION = (
+    "Compensate inside Klipper, on files as they are sliced? Otherwise each upload is converted"
+)
 RESTART = (
     "Restart Klipper and Moonraker, while nothing is printed: in the power menu of Mainsail or "
     "Fluidd, or by sudo systemctl restart klipper moonraker"
@@ -74,6 +81,19 @@ class Moonraker:
         if not found:
             raise HframeError(f"Moonraker was not found as {' or '.join(PLACES)} in {Path.home()}")
         self._components = found[0]
+        homes = (Path.home() / name / "klippy" for name in ("klipper", "kalico"))
+        self._klippy = next((home for home in homes if (home / "extras").is_dir()), None)
+        self._live = False
+
+    def choose_live(self) -> None:
+        """Ask, on a terminal, whether Klipper itself compensates; it does where it can."""
+        if self._klippy is None or not Path(klipper.__file__).is_file():
+            return
+        known = "\n".join(_with_includes(self._config))
+        converts = re.search(rf"^\[{NAME}\]", known, re.MULTILINE) is not None
+        self._live = KlipperConfig(self._printer).has(LIVE) or not converts
+        if sys.stdin.isatty():
+            self._live = click.confirm(LIVE_QUESTION, default=self._live)
 
     def connecting(self, profile: Path) -> list[Change]:
         """Return the changes that connect a profile. Raises HframeError."""
@@ -84,7 +104,8 @@ class Moonraker:
         ours = program()
         command = f"{ours} -p {shlex.quote(str(profile.absolute()))}"
         installed = metadata.distribution("hframe-post")
-        wanted = {NAME: f"command: {command}\n", UPDATES: update_lines(installed)}
+        uploads = "uploads: leave\n" if self._live else ""
+        wanted = {NAME: f"command: {command}\n{uploads}", UPDATES: update_lines(installed)}
         text, known = _text(self._config), "\n".join(_with_includes(self._config))
         new, added = text, []
         if (gone := COMMAND.search(text)) and not shutil.which(gone[3]):
@@ -96,10 +117,19 @@ class Moonraker:
                 added.append(f"section [{name}] added")
         changes = [Change(self._config, text, new, ", ".join(added))] if added else []
         here = profile.absolute().parent == self._printer.absolute().parent
-        if here and not KlipperConfig(self._printer).has(f"include {FILE}"):
+        config = KlipperConfig(self._printer)
+        missing = [
+            text
+            for wanted, section, text in (
+                (here and self._live, LIVE, LIVE_SECTION),
+                (here, f"include {FILE}", INCLUDE),
+            )
+            if wanted and not config.has(section)
+        ]
+        if missing:
             old = _text(self._printer)
-            done = f"[include {FILE}] added"
-            changes.append(Change(self._printer, old, _with_macros(old), done))
+            done = " and ".join(re.findall(r"^\[.+\]", "".join(missing), re.MULTILINE)) + " added"
+            changes.append(Change(self._printer, old, _with_sections(old, missing), done))
         return changes
 
     def disconnecting(self) -> list[Change]:
@@ -110,15 +140,46 @@ class Moonraker:
             done = f"section [{NAME}] removed"
             changes.append(Change(self._config, text, SECTIONS.sub("\n", text), done))
         text, macros = _text(self._printer), self._printer.with_name(FILE)
-        if INCLUDED.search(text):
-            done = f"[include {FILE}] removed"
-            changes.append(Change(self._printer, text, INCLUDED.sub("", text, 1), done))
-            if macros.is_file():
+        new, gone = text, list[str]()
+        for section, ours in ((LIVE, LIVE_SECTION), (f"include {FILE}", INCLUDE)):
+            new, count = re.subn(_any_end(ours), "", new, count=1)
+            gone += [f"[{section}]"] * count
+        if gone:
+            changes.append(Change(self._printer, text, new, f"{' and '.join(gone)} removed"))
+            if f"[include {FILE}]" in gone and macros.is_file():
                 changes.append(Change(macros, "", None, "removed"))
         return changes
 
-    def link(self, create: bool) -> str:
-        """Link the component into Moonraker, or remove the link; return what was done."""
+    def link(self, create: bool) -> list[str]:
+        """Link our modules into Moonraker and Klipper, or remove the links; say what was done."""
+        done = [self._link_component(create)]
+        if self._klippy is not None:
+            done += self._link_module(self._klippy, create and self._live)
+        return done
+
+    def _link_module(self, klippy: Path, create: bool) -> list[str]:
+        plugins = klippy / "plugins"  # of Kalico
+        link = (plugins if plugins.is_dir() else klippy / "extras") / LIVE
+        if not create and not link.is_symlink():
+            return []
+        try:
+            link.unlink(missing_ok=True)
+            exclude = klippy.parent / ".git/info/exclude"
+            if create:
+                link.symlink_to(Path(klipper.__file__).parent, target_is_directory=True)
+                name = f"/{link.relative_to(klippy.parent)}\n"
+                # otherwise the update manager calls Klipper dirty
+                if exclude.parent.is_dir() and name not in (
+                    exclude.read_text("utf-8") if exclude.is_file() else ""
+                ):
+                    with exclude.open("a", encoding="utf-8") as file:
+                        file.write(name)
+        except OSError as error:
+            cause = f"{link}: {error.strerror}. Run this as the user who installed Klipper"
+            raise HframeError(cause) from None
+        return [f"{link}: {'linked' if create else 'removed'}"]
+
+    def _link_component(self, create: bool) -> str:
         link, former = self._check_link()
         component = Path(moonraker.__file__)
         if create and not component.is_file():
@@ -176,14 +237,20 @@ def make(changes: Sequence[Change], outputs: Outputs) -> list[str]:
     return [f"{change.path}: {change.done}" for change in changes]
 
 
-def _with_macros(text: str) -> str:
-    """Return printer.cfg with our include as the last line before what SAVE_CONFIG wrote."""
+def _with_sections(text: str, sections: Sequence[str]) -> str:
+    """Return printer.cfg with sections as the last lines before what SAVE_CONFIG wrote."""
     saved = HEADING.search(text)
     at = len(text) if saved is None else saved.start()
     before = text[:at]
     end = "\r\n" if "\r\n" in text else "\n"
     gap = "" if not before or before.endswith("\n") else end
-    return f"{before}{gap}{end}{INCLUDE.replace(chr(10), end)}{text[at:]}"
+    added = "".join(f"{end}{each.replace(chr(10), end)}" for each in sections)
+    return f"{before}{gap}{added}{text[at:]}"
+
+
+def _any_end(lines: str) -> str:
+    """Return the pattern of lines with an empty one before, whatever ends them."""
+    return r"(?:\r?\n)?" + re.escape(lines).replace("\\\n", "\r?\n")
 
 
 def _with_includes(path: Path, within: tuple[str, ...] = ()) -> Iterator[str]:

@@ -22,6 +22,7 @@ from hframe_post.printer.choice import Choice, choose
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
+    from hframe_post.writers.files import Outputs
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 SPECIAL = re.compile(r"[^\w@%+=:,./\\~-]")  # what a shell would not take as it stands
@@ -205,13 +206,13 @@ _VERBOSE = "hframe_post.verbose"  # in a context's meta
 
 
 @contextmanager
-def progress_bar(source: Path, quiet: bool) -> Iterator[Callable[[int], object] | None]:
+def progress_bar(source: Path | None, quiet: bool) -> Iterator[Callable[[int], object] | None]:
     """Show a progress bar on a terminal if the file is large, or log the progress with ``-v``.
 
     Yields the function to call with each number of bytes read; None if nothing is shown.
     """
-    size = source.stat().st_size if source.is_file() else 0
-    if quiet or size < BAR_FROM or not sys.stderr.isatty():
+    size = source.stat().st_size if source is not None and source.is_file() else 0
+    if source is None or quiet or size < BAR_FROM or not sys.stderr.isatty():
         yield _log_progress(size) if size and _is_verbose() else None
         return
     with click.progressbar(
@@ -256,6 +257,18 @@ def log(text: str) -> None:
 
 def _print_log(text: str) -> None:
     click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)
+
+
+def write_kernel(outputs: Outputs, profile: Path, text: str) -> None:
+    """Write the kernel of a profile's text next to it, if Klipper may use one."""
+    from hframe_post.firmware.klipper.live import kernel_file, name_of
+    from hframe_post.printer.profile import parse
+
+    if profile.suffix != ".toml":  # such as /dev/stdout
+        return
+    data = kernel_file(parse(text, profile.stem, str(profile)))
+    if data is not None:
+        outputs.open(name_of(profile)).write(data)
 
 
 def old_option(name: str, instead: str) -> Callable[[Command], Command]:

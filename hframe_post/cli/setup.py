@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from hframe_post.cli.moonraker import RESTART, Moonraker, agreed, find_printer_cfg, make
-from hframe_post.cli.options import files_read, number, quoted
+from hframe_post.cli.options import files_read, number, quoted, write_kernel
 from hframe_post.errors import HframeError
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.klipper.macros import FILE
@@ -79,7 +79,8 @@ def setup(
     follow. Run setup again after a change: what you changed in the profile stays, as does the
     measured model.
 
-    --moonraker is for the printer's computer. It also links a component into Moonraker, adds a
+    --moonraker is for the printer's computer. On a terminal it asks first whether Klipper itself
+    shall compensate, on files as they are sliced. It also links a component into Moonraker, adds a
     section [hframe_post] to moonraker.conf, which must be next to printer.cfg, and includes
     hframe.cfg in printer.cfg. It shows these changes, asks once, and keeps the files as they were.
     --no-moonraker undoes all of that and does nothing else.
@@ -97,6 +98,8 @@ def setup(
         _disconnect(Moonraker(files[0]))
         return
     moonraker = Moonraker(files[0]) if connected else None
+    if moonraker is not None:
+        moonraker.choose_live()
     folder = folder or (files[0].parent if moonraker else Path())
     source = source_of(files)
     if source.alone and (len(files) > 1 or bed is not None):
@@ -120,10 +123,11 @@ def setup(
     with Outputs(files_read(*files)) as outputs:
         if new.text != old:
             outputs.open(target).write(new.text.encode())
+        write_kernel(outputs, target, new.text)
         for name, text in companions.items():
             if not _holds(folder / name, text):
                 outputs.open(folder / name).write(text.encode())
-        done = [*make(changes, outputs), moonraker.link(create=True)] if moonraker else []
+        done = [*make(changes, outputs), *moonraker.link(create=True)] if moonraker else []
     written = f"{target}, {_made_default(target, source.warnings)}"
     if old:
         click.echo("\n".join(_differences(new, old, target)))
@@ -140,7 +144,7 @@ def _disconnect(moonraker: Moonraker) -> None:
         click.echo("nothing was changed")
         return
     with Outputs() as outputs:
-        done = [*make(changes, outputs), moonraker.link(create=False)]
+        done = [*make(changes, outputs), *moonraker.link(create=False)]
     click.echo("\n".join([*done, "", RESTART]))
 
 

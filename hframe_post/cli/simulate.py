@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +12,10 @@ from hframe_post import library
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     chosen_printer,
+    dashed,
     files_read,
-    opened,
     print_options,
+    progress_bar,
     seed_option,
     share,
 )
@@ -78,14 +80,15 @@ def simulate(
     profile = library.load_printer(printer)
     simulated = library.load_printer(plant_file) if plant_file else profile
     with (
-        opened(source, profile, quiet) as lines,
+        progress_bar(source, quiet) as advance,
         Outputs(files_read(source, printer, plant_file)) as outputs,
     ):
         write_json = open_json(outputs, json_file)
+        printed = rectangle(profile) if source is None else dashed(source) or sys.stdin.buffer
         choice = chosen_printer()
         head = [choice.as_text()]
         report = library.simulate(
-            source if source and report_file else lines, profile, options, simulated=simulated,
+            printed, profile, options, simulated=simulated, progress=advance,
             model_error=shares, draws=draws, seed=seed, steps=steps,
             page=report_file, title=source.name if source else "", notes=head, outputs=outputs,
         )  # fmt: skip
@@ -93,8 +96,7 @@ def simulate(
         summary = {**choice.as_json(), **report.as_json()}
         if shapers:
             ours = replace(options, strategy="racking", clamp=True)
-            printed = Input(source or rectangle(profile))
-            found = compare_shapers(printed.again, profile, ours, simulated.plant)
+            found = compare_shapers(Input(printed).again, profile, ours, simulated.plant)
             text += "\n" + comparison_as_text(found)
             summary["against"] = comparison_as_json(found)
         write_json(summary)

@@ -19,18 +19,19 @@ from hframe_post.cli.options import (
     share,
 )
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import parsed
+from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.lines import Input
 from hframe_post.model.plant import Plant
+from hframe_post.prediction.best_shaper import error
 from hframe_post.printer.edit import with_windows
 from hframe_post.printer.schema import LARGEST
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shapers.search import (
     calibrated,
-    error,
-    paths,
     search,
     shapings_as_json,
     shapings_as_text,
@@ -191,7 +192,7 @@ def _recommend_shaper(
     lines: Iterable[bytes], profile: Printer, options: Options,
     write_json: Callable[[dict[str, Any]], None], json_file: Path | None,
 ) -> None:  # fmt: skip
-    pieces = paths(lines, profile, options)
+    pieces = SlicedFile.from_items(parsed(lines, profile, options), profile).paths
     found = search(profile.plant, pieces)
     usual = error(profile.plant, calibrated(profile.plant), pieces)
     write_json(shapings_as_json(found, usual))

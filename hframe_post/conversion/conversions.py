@@ -21,9 +21,10 @@ from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.strategies import Compensator
+from hframe_post.prediction.windows import WHOLE
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
-from hframe_post.writers.stream.print_time import SUMMARY, Output, later
+from hframe_post.writers.stream.print_time import SUMMARY, Output, after_head, later
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
@@ -41,11 +42,13 @@ class GcodeConversion:
         self._motion, self._written = MotionSummary(), GcodeSummary()
 
     def __iter__(self) -> Iterator[Output]:
-        yield first_line(self._printer, self._options)
-        yield SUMMARY
+        stamp = first_line(self._printer, self._options)
+        return after_head(self._pieces(), stamp, SUMMARY)
+
+    def _pieces(self) -> Iterator[Output]:
         writer = SpanWriter(self._printer, self._options, prepared(self._printer))
         for span in writer.written(self._source.spans()):
-            begun = self.duration
+            begun = self._motion.duration
             for piece in span.output:
                 yield later(piece, begun)
             self._motion.join(span.motion)
@@ -53,9 +56,9 @@ class GcodeConversion:
         self._source.check_filament(self._written.filament)
 
     @property
-    def duration(self) -> float:
-        """Return the print time of what was written so far, s."""
-        return self._motion.duration
+    def times(self) -> tuple[float, float]:
+        """Return the duration of the print so far as sliced and as converted, s."""
+        return self._source.sliced_seconds, self._motion.duration
 
     def report(self) -> Report:
         """Return the report; it is complete once the output was used up."""
@@ -95,7 +98,7 @@ class SpanWriter:
         stages = Stages(
             printer, options, compensator, at_stops=self._at_stops,
             printing=replace(start.printing), skip_slow=options.tolerance is not None,
-            advance=start.advance,
+            advance=start.advance, whole=0 if start.place else WHOLE,
         )  # fmt: skip
         own = firmware(printer)
         rules = own.motion(printer, options.tolerance, options.retract == "moving")

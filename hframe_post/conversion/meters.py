@@ -15,20 +15,30 @@ from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
 from hframe_post.model.kinematics import Differences
 from hframe_post.model.plant import Plant
+from hframe_post.model.responses import Plants
+from hframe_post.native.stop import NEAREST
 from hframe_post.planner.bands import OUTER_WALL, MotorBands, TimeInBands
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.line_width import Lines
-from hframe_post.prediction.predict import judge
+from hframe_post.prediction.predict import Judgement, judge, judge_window
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics, Labels
+from hframe_post.prediction.windows import Windows
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.features import Place, kind
 from hframe_post.stream.running import joined
 from hframe_post.stream.types import Dwell, Item, MoveAtRest, Moves, Passthrough, Rest, Samples
+from hframe_post.writers.stream.print_time import duration
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
 
+COSTS = {  # causes of a longer print, for people
+    "limits": "lower limits in the profile",
+    "jerk": "smoother acceleration",
+    "stops": "rests at stops",
+}
+WORTH_SAYING = 2e-3  # of the print's time
 JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
 _RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
 
@@ -92,23 +102,50 @@ class Meter(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PrintTime:
-    """Duration of the print, s: as the firmware plays the sliced file, and as converted."""
+    """Duration of the print, s: as the firmware plays the sliced file, and as converted.
+
+    ramps: of the converted path if nothing limited its jerk; resting: added at stops.
+    """
 
     before: float = 0.0
     after: float = 0.0
+    ramps: float = 0.0
+    resting: float = 0.0
+
+    @property
+    def costs(self) -> dict[str, float]:
+        """Return the seconds that the print takes longer than as sliced, by cause."""
+        return {
+            "limits": self.ramps - self.before,
+            "jerk": self.after - self.resting - self.ramps,
+            "stops": self.resting,
+        }
+
+    def as_text(self) -> str:
+        """Return both times, and what costs the difference."""
+        change = 100.0 * (self.after / self.before - 1.0) if self.before else 0.0
+        text = f"{duration(self.before)} → {duration(self.after)} ({change:+.1f} %)"
+        causes = [
+            f"{s:.0f} s for {COSTS[cause]}"
+            for cause, s in sorted(self.costs.items(), key=lambda each: -each[1])
+            if s >= max(0.5, WORTH_SAYING * self.before)
+        ]
+        return f"{text}: {', '.join(causes)}" if causes and change > 0.0 else text
 
 
 @dataclass(slots=True)
 class MotionSummary:
     """What the stages saw of one span or of several.
 
-    fed: most filament in one stretch, mm. seconds: processor time by stage. picture: if one was
-    asked for. advance: pressure advance. in_bands: outer walls, and what of them a motor spends in
-    a band that it avoids. metered: sums of the options' meters.
+    fed: most filament in one stretch, mm. resting: samples added at stops. seconds: processor time
+    by stage. picture: if one was asked for. advance: pressure advance. in_bands: outer walls, and
+    what of them a motor spends in a band that it avoids. metered: sums of the options' meters.
+    judged: samples whose errors were predicted.
     """
 
     samples: int = 0
     fed: float = 0.0
+    resting: int = 0
     peaks: Peaks = field(default_factory=Peaks)
     clamped: Clamped = field(default_factory=Clamped)
     contour: dict[str, ContourErrors] = field(default_factory=dict)
@@ -118,6 +155,7 @@ class MotionSummary:
     advance: AdvanceSummary = field(default_factory=AdvanceSummary)
     in_bands: TimeInBands = field(default_factory=TimeInBands)
     metered: Any = None
+    judged: int = 0
 
     @property
     def duration(self) -> float:
@@ -126,6 +164,8 @@ class MotionSummary:
 
     def join(self, later: MotionSummary) -> None:
         self.samples += later.samples
+        self.judged += later.judged
+        self.resting += later.resting
         self.fed = max(self.fed, later.fed)
         one, other = self.peaks, later.peaks
         (x, y), (other_x, other_y) = one.axis_acceleration, other.axis_acceleration
@@ -231,28 +271,45 @@ class FilamentMeter:
 class ErrorMeter:
     """Predicts the errors of the nozzle's path and line, by strategy: ``contour`` and ``width``.
 
-    doubts: what is not known of the plant. picture: also collects them, if given.
+    doubts: what is not known of the plant. picture: also collects them, if given. whole: samples
+    from the first one on that are all judged, and a share of those after them; None: judge all.
+    judged: samples that were.
     """
 
     def __init__(
         self, plant: Plant, every: int = JUDGED_EVERY, doubts: Doubts | None = None,
-        picture: Picture | None = None,
+        picture: Picture | None = None, whole: int | None = None,
     ) -> None:  # fmt: skip
         self._plant, self._every, self._doubts = plant, every, doubts
+        self._whole, self.judged = whole, 0
         self.picture, self._lines = picture, Lines()
         self.contour: dict[str, ContourErrors] = {}
         self.width: dict[str, ErrorStatistics] = {}
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
-        for judgement in judge(chunks, self._plant, self._every, self._doubts):
-            for name, errors in judgement.contour.items():
-                contour = self.contour.setdefault(name, ContourErrors())
-                contour.add(errors, judgement.extruding)
-                if name in judgement.products:
-                    extruding = judgement.extruding[judgement.doubtful]
-                    contour.doubt(judgement.products[name], extruding)
-            for name, (_, shares) in self._lines.pieces(judgement).items():
-                self.width.setdefault(name, ErrorStatistics()).add(shares)
-            if self.picture is not None:
-                self.picture.add(judgement)
-            yield judgement.chunk
+        if self._whole is None:
+            for judgement in judge(chunks, self._plant, self._every, self._doubts):
+                self._add(judgement, self._lines)
+                if self.picture is not None:
+                    self.picture.add(judgement)
+                yield judgement.chunk
+            return
+        doubts, plants = self._doubts, Plants([self._plant])
+        before = max(self._plant.memory, doubts.past if doubts is not None else 0, NEAREST)
+        after = self._plant.ahead + NEAREST + 1 + (doubts.ahead if doubts is not None else 0)
+        for chunk, windows in Windows(before, after, self._whole).samples(chunks):
+            for each in windows:
+                judgement = judge_window(each, plants, self._every, doubts)
+                self._add(judgement, Lines(), each.weight)
+            yield chunk
+
+    def _add(self, judgement: Judgement, lines: Lines, weight: int = 1) -> None:
+        self.judged += len(judgement.chunk)
+        for name, errors in judgement.contour.items():
+            contour = self.contour.setdefault(name, ContourErrors())
+            contour.add(errors, judgement.extruding, weight)
+            if name in judgement.products:
+                extruding = judgement.extruding[judgement.doubtful]
+                contour.doubt(judgement.products[name], extruding, weight)
+        for name, (_, shares) in lines.pieces(judgement).items():
+            self.width.setdefault(name, ErrorStatistics()).add(shares, weight)

@@ -227,8 +227,14 @@ class Options:
 
     @property
     def strategies(self) -> tuple[str, ...]:
-        """Return the chosen strategy and those that are predicted, each once."""
-        return tuple(dict.fromkeys((self.strategy, *(self.predict or ()))))
+        """Return the strategies whose commands are computed: the chosen one first.
+
+        What a print is without compensation is judged on the firmware's own motion instead.
+        """
+        others = self.predict or ()
+        if not self.picture:
+            others = tuple(name for name in others if name != "none")
+        return tuple(dict.fromkeys((self.strategy, *others)))
 
     def resolved(self, printer: Printer) -> Options:
         """Return the options with the profile's where nothing was asked.

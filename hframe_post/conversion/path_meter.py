@@ -69,35 +69,16 @@ class PathSummary:
         filament = sum(part.filament for part in self.uncompensated.values())
         return filament / self.filament if self.filament else 0.0
 
-    def as_text(self) -> list[str]:
-        """Return lines on what is not compensated, and on what slows the print."""
-        lines = []
-        if self.uncompensated:
-            causes = [cause for cause, _ in self._largest()]
-            more = f" and {len(causes) - 4} more" if len(causes) > 4 else ""
-            lines.append(
-                f"not compensated  {percent(self.path_share)} of the path, "
-                f"{percent(self.extrusion_share)} of the extrusion "
-                f"(after {', '.join(causes[:4])}{more})"
-            )
-        whose = "for the allowed error" if self.paced else "in the file"
-        limits = [
-            self._limit(f"acceleration {whose}", self.acceleration, "mm/s²"),
-            self._limit(f"speed at corners {whose}", self.corner, "mm/s"),
-            self._limit("speed in the profile", self.speed, "mm/s"),
-        ]
-        if any(limits):
-            lines.append(f"limited by       {'; '.join(filter(None, limits))}")
-        return lines
-
-    def _limit(self, name: str, limited: Limited, unit: str) -> str:
-        """Return where a limit applies and its range; nothing if it applies nowhere."""
-        if not limited.path:
-            return ""
-        low, high = f"{limited.least:.4g}", f"{limited.greatest:.4g}"
-        share = percent(limited.path / self.path)
-        where = "" if share == "100 %" else f" on {share} of the path"
-        return f"{name} ({low if low == high else f'{low} to {high}'} {unit}{where})"
+    def uncompensated_as_text(self) -> str:
+        """Return how much is not compensated, and after which commands."""
+        if not self.uncompensated:
+            return "nothing: the whole path is"
+        causes = [cause for cause, _ in self._largest()]
+        more = f" and {len(causes) - 4} more" if len(causes) > 4 else ""
+        return (
+            f"{percent(self.path_share)} of the path, {percent(self.extrusion_share)} of the "
+            f"extrusion (after {', '.join(causes[:4])}{more})"
+        )
 
     def limits_as_json(self) -> dict[str, Any]:
         """Return where limits apply, and their ranges."""

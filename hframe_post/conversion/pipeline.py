@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from hframe_post.arrays import TS
 from hframe_post.compensation.advance import AdvanceSummary, Advancing
 from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
@@ -35,6 +36,7 @@ from hframe_post.conversion.meters import (
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.path_meter import PathMeter
 from hframe_post.conversion.report import AdvanceReport, BandReport, Plastic, Report
+from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.advance import Advance
@@ -43,19 +45,19 @@ from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
-from hframe_post.planner.bands import MotorBands, TimeInBands, avoid_bands
+from hframe_post.planner.bands import TimeInBands, avoid_bands
 from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import PieceStart, pace
 from hframe_post.planner.sampling import sample
-from hframe_post.planner.sliced import SlicedTime
+from hframe_post.planner.sliced import seconds_of_ramps
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
 from hframe_post.stream.running import StageTimes, joined, prefetch
-from hframe_post.stream.types import Item, Planned, Samples
+from hframe_post.stream.types import Item, Plan, Planned, Samples
 from hframe_post.version import __version__
 
 if TYPE_CHECKING:
@@ -66,8 +68,15 @@ if TYPE_CHECKING:
 
 def parsed(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Item]:
     """Read G-code and set the pace of its moves. Raises HframeError."""
-    reading = ReadOptions.from_printer(printer, options.limits, options.extrusion)
-    items = read(lines, reading)
+    return paced(_read(lines, printer, options), options)
+
+
+def _read(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Item]:
+    return read(lines, ReadOptions.from_printer(printer, options.limits, options.extrusion))
+
+
+def paced(items: Iterator[Item], options: Options) -> Iterator[Item]:
+    """Set the pace of moves, if a speed was asked for."""
     return items if options.paces is None else pace(items, options.paces)
 
 
@@ -120,13 +129,14 @@ class Stages:
     strategies: to compute; the options' by default. at_stops: solvers reused from other stages with
     the same printer and compensator, because solvers cache their solutions. printing: layer and
     feature at the beginning. skip_slow: see ``sampled``. advance: pressure advance at the
-    beginning; the profile's by default.
+    beginning; the profile's by default. whole: see ``ErrorMeter``; a picture shows all.
     """
 
     def __init__(
         self, printer: Printer, options: Options, compensator: Compensator,
         strategies: tuple[str, ...] = (), at_stops: StopSolvers | None = None,
         printing: Place | None = None, skip_slow: bool = False, advance: Advance | None = None,
+        whole: int | None = None,
     ) -> None:  # fmt: skip
         self._skip_slow = skip_slow
         self._printer, self._options, self._compensator = printer, options, compensator
@@ -140,7 +150,9 @@ class Stages:
         own = firmware(printer)
         limits = own.motion(printer, options.tolerance).extruder
         self._advancing = Advancing(advance or own.advance(printer), limits)
-        self._errors = ErrorMeter(printer.plant, doubts=doubts, picture=picture)
+        self._errors = ErrorMeter(
+            printer.plant, doubts=doubts, picture=picture, whole=None if picture else whole
+        )
         self._walls = BandMeter(printer, self._options.strategy, printing or Place())
         self._meter = options.meters.begun(printing or Place()) if options.meters else None
         self.times = StageTimes()
@@ -204,10 +216,10 @@ class Stages:
     def summary(self) -> MotionSummary:
         """Return the summary of all samples that were taken so far."""
         return MotionSummary(
-            self._clock.end, self._clock.fed, self._guard.peaks,
+            self._clock.end, self._clock.fed, self._clock.resting, self._guard.peaks,
             self._clamp.clamped, self._errors.contour, self._errors.width, self.times.seconds,
             self._errors.picture, self._advancing.summary, self._walls.time,
-            self._meter.sums if self._meter is not None else None,
+            self._meter.sums if self._meter is not None else None, self._errors.judged,
         )  # fmt: skip
 
 
@@ -232,17 +244,21 @@ class PlannedFile:
         self._lines, self._printer, self._options = lines, printer, options
         self._input = InputMeter()
         self._path = PathMeter(printer.limits, options.paces is not None)
-        self._firmware, bands = firmware(printer), MotorBands.from_printer(printer)
-        self._sliced = SlicedTime(self._firmware.limits(printer), bands)
-        self._times, self._following = StageTimes(), following(printer)
+        self._firmware, self._sliced = firmware(printer), SlicedFile(printer)
+        self._times, self._following, self._ramps = StageTimes(), following(printer), 0.0
+
+    @property
+    def sliced_seconds(self) -> float:
+        """Return how long the firmware takes for what was read so far, as sliced."""
+        return self._sliced.own.seconds
 
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
-        items = parsed(self._input.lines(self._lines), self._printer, self._options)
+        items = _read(self._input.lines(self._lines), self._printer, self._options)
         items = self._times.timed("read", self._input.items(items))
-        items = self._sliced.items(items)
+        items = paced(self._sliced.items(items), self._options)
         items = self._path.items(items)
-        plans = scheduled(items, self._printer, followed=self._following)
+        plans = self._timed(scheduled(items, self._printer, followed=self._following))
         return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))
 
     def report(self, motion: MotionSummary) -> Report:
@@ -250,17 +266,36 @@ class PlannedFile:
 
         Raises HframeError if the model predicts an error that no working printer has.
         """
-        if "none" in motion.contour:
-            check_prediction(motion.contour["none"].rms)
+        contour, width, shaping = motion.contour, motion.width, None
+        if "none" in (self._options.predict or ()) and self._options.strategy != "none":
+            today = self._sliced.today
+            contour, width = {**contour, **today.contour}, {**width, **today.width}
+            shaping = today.shaping
+        if "none" in contour:
+            check_prediction(contour["none"].rms)
         return Report(
             self._options.strategy, self._input.summary, self._path.summary,
-            PrintTime(self._sliced.seconds, motion.duration), motion.peaks, motion.clamped,
-            motion.contour, motion.width,
+            self._print_time(motion), motion.peaks, motion.clamped,
+            contour, width, shaping=shaping, couples=bool(self._printer.plant.couplings),
             notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
             bands=self._bands(motion.in_bands), metered=motion.metered,
+            predicted=motion.judged / max(motion.samples, 1),
         )  # fmt: skip
+
+    def _timed(self, plans: Iterable[Planned]) -> Iterator[Planned]:
+        """Add up the time of plans if nothing limited their jerk."""
+        for item in plans:
+            if isinstance(item, Plan):
+                self._ramps += seconds_of_ramps(item)
+            yield item
+
+    def _print_time(self, motion: MotionSummary) -> PrintTime:
+        own = self._sliced.own
+        return PrintTime(
+            own.seconds, motion.duration, own.standing + self._ramps, TS * motion.resting
+        )
 
     def advance(self, found: AdvanceSummary) -> AdvanceReport | None:
         """Return what was done about pressure advance, if there is any."""
@@ -273,7 +308,7 @@ class PlannedFile:
 
     def _bands(self, after: TimeInBands) -> BandReport | None:
         bands = self._printer.speed.avoid
-        return BandReport(bands, self._sliced.in_bands, after) if bands else None
+        return BandReport(bands, self._sliced.own.in_bands, after) if bands else None
 
     def _plastic(self, fed: float) -> Plastic | None:
         bed, limits = self._printer.plant.bed, self._printer.limits
@@ -340,9 +375,10 @@ def stamp(printer: Printer, options: Options) -> str:
 
 
 def first_line(printer: Printer, options: Options) -> bytes:
-    """Return the first line of G-code that was converted with these options, ``resolved``.
+    """Return the first line in G-code of a conversion with these options, ``resolved``.
 
-    A file that begins with it was converted by this version with the same profile and settings.
+    A file that has it was converted by this version with the same profile and settings. Only the
+    comments with which the sliced file begins precede it.
     """
     return b"%s %s\n" % (STAMP, stamp(printer, options).encode())
 

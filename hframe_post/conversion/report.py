@@ -11,18 +11,21 @@ from typing import TYPE_CHECKING, Any
 
 from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
+from hframe_post.compensation.shape import SHAPER
 from hframe_post.conversion.meters import InputSummary, PrintTime
 from hframe_post.conversion.path_meter import PathSummary, percent
+from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.bands import TimeInBands
 from hframe_post.prediction.line_width import PIECE
 from hframe_post.prediction.statistics import DECIMALS, ContourErrors, ErrorStatistics
-from hframe_post.writers.stream.print_time import duration
 
 TOOL = re.compile(r"T[1-9]\d*")
 # Share of the lines' distance from the command by which the nozzle is off its path: only what is
 # across the path counts. Simulated Marlin leaves 0.62 to 0.63
 ACROSS = math.sqrt(0.5)
+VISIBLE = 0.012  # mm RMS; ringing below it shows on no wall, whatever the light
+NO_GAIN = 0.9  # share of the best shaper's error from which on compensation is not worth its stream
 OUTRUN = 1.05  # times its limit, the acceleration of an extruder is worth a line
 
 if TYPE_CHECKING:
@@ -153,7 +156,9 @@ class Report:
     errors, if one was asked for. metered: sums of the options' meters. notices: warnings of the
     printer's profile. plastic: of a bed that moves. other_tools: commands after which the plant is
     not that of the tool that prints; None if the profile does not say. advance: pressure advance,
-    if there is any. bands: of motor speed, if the profile avoids any.
+    if there is any. bands: of motor speed, if the profile avoids any. couples: whether a coupling,
+    such as racking, is compensated. shaping: the best input shaper, whose errors stand among
+    the others.
     """
 
     strategy: str
@@ -178,8 +183,11 @@ class Report:
     notices: tuple[str, ...] = ()
     plastic: Plastic | None = None
     other_tools: tuple[str, ...] | None = None
+    shaping: Shaping | None = None
+    couples: bool = True
     advance: AdvanceReport | None = None
     bands: BandReport | None = None
+    predicted: float = 1.0  # share of the print whose errors are predicted; they stand for all
 
     def lines_error(self, name: str) -> float:
         """Return by how much (mm RMS) the written lines, in whole steps, add to a strategy's error.
@@ -201,6 +209,7 @@ class Report:
             "plastic_on_bed": asdict(self.plastic) if self.plastic else None,
             "pressure_advance_s": self.advance.as_json() if self.advance else None,
             "motor_bands": self.bands.as_json() if self.bands else None,
+            "against": self._against() or None,
         }
         return {
             "warnings": self.warnings(),
@@ -211,9 +220,13 @@ class Report:
                 "before": round(self.time.before, 3),
                 "after": round(self.time.after, 3),
             },
+            "time_costs_s": {cause: round(s, 3) for cause, s in self.time.costs.items()},
             "filament_mm": {k: round(mm, 5) for k, mm in filament.items() if mm is not None},
-            "contour_error_um": {n: self._errors_as_json(n) for n in sorted(self.contour)},
-            "line_width_error_percent": {n: self.width[n].percents() for n in sorted(self.width)},
+            "contour_error_um": {n: self._errors_as_json(n) for n in sorted(self.strategies)},
+            "predicted_percent": round(100.0 * self.predicted, 1),
+            "line_width_error_percent": {
+                n: self.width[n].percents() for n in sorted(self.strategies) if n in self.width
+            },
             "peak_belt_speed": round(self.peaks.belt_velocity, 3),
             "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
             "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
@@ -225,6 +238,21 @@ class Report:
             **{name: value for name, value in written.items() if value is not None},
         }
 
+    @property
+    def strategies(self) -> list[str]:
+        """Return the strategies whose errors are predicted."""
+        return [name for name in STRATEGIES if name in self.contour]
+
+    def _against(self) -> list[dict[str, Any]]:
+        """Return the best input shaper, if its error is predicted."""
+        if self.shaping is None or SHAPER not in self.contour:
+            return []
+        return [{
+            "name": self.shaping.x.name, **self.shaping.as_json(),
+            "contour_error_um": self.contour[SHAPER].micrometres(),
+            "line_width_error_percent": self.width[SHAPER].percents(),
+        }]  # fmt: skip
+
     def _errors_as_json(self, name: str) -> dict[str, Any]:
         found, lines = self.contour[name].micrometres(), self.lines_error(name)
         if lines:
@@ -233,30 +261,27 @@ class Report:
         return found
 
     def as_text(self) -> str:
-        """Return a few lines for a person, warnings first."""
+        """Return a few lines for a person."""
         return self.summary(())
 
     def summary(self, head: Iterable[str]) -> str:
-        """Return the text with a head between warnings and figures."""
-        before, after = self.time.before, self.time.after
-        change = 100.0 * (after / before - 1.0) if before else 0.0
+        """Return notices and what an owner asks first, then the head, then all figures."""
         lines = [
-            f"{self.read.moves} moves, {self.read.lines} lines read, {self.lines_written} written",
-            f"print time       {duration(before)} → {duration(after)} ({change:+.1f} %)",
+            *(f"WARNING          {text}" for text in self.notices),
+            *self._result(),
+            f"print time       {self.time.as_text()}",
+            f"not compensated  {self.path.uncompensated_as_text()}",
+            *(f"WARNING          {text}" for text in self.warnings()[len(self.notices) :]),
+            *self._advice(),
+            *head,
+            f"moves            {self.read.moves} in {self.read.lines} lines; "
+            f"{self.lines_written} lines written",
             f"filament         {self.filament_after:.2f} mm, unchanged",
-        ]
-        for name in [name for name in STRATEGIES if name in self.contour]:
-            lines.append(
-                f"predicted        {STRATEGIES[name].label}: contour error "
-                f"{_predicted(self.contour[name], self.lines_error(name))}"
-            )
-        lines += self._width_as_text()
-        if self.advance is not None:
-            lines += self.advance.as_text()
-        lines.append(
+            *self._width_as_text(),
+            *(self.advance.as_text() if self.advance else []),
             f"belts            at most {self.peaks.belt_velocity:.0f} mm/s, "
-            f"{self.peaks.belt_acceleration:.0f} mm/s²"
-        )
+            f"{self.peaks.belt_acceleration:.0f} mm/s²",
+        ]
         if self.approximation:
             lines.append(
                 f"lines            at most {self.busiest_second} in a second, "
@@ -269,14 +294,53 @@ class Report:
                 f"{on.diameter:g} mm, {on.density:g} g/cm³)"
             )
         lines += [self.bands.as_text()] if self.bands else []
-        lines += self.path.as_text()
         if self.steps:
             motors = ", ".join(f"{motor} {n}" for motor, n in self.steps.motors.items())
             lines.append(
                 f"steps            {self.steps.rows} rows, {self.steps.ticks} ticks of "
                 f"{self.steps.clock_hz:g} Hz; {motors}"
             )
-        return "\n".join([*self.warning_lines(), *head, *lines, *self.speed_text.splitlines()])
+        return "\n".join([*lines, *self.speed_text.splitlines()])
+
+    def _result(self) -> list[str]:
+        """Return what the print gains: its error as sliced, compensated, and with a shaper."""
+        if self.strategy == "none":
+            return ["result           nothing is compensated (-c none)"]
+        label = STRATEGIES[self.strategy].label if self.couples else "ringing"
+        if not {"none", self.strategy} <= self.contour.keys():
+            return []
+        lines = self.lines_error(self.strategy)
+        steps = f", of which whole steps leave {1e3 * lines:.1f}" if lines else ""
+        shaper = ""
+        if SHAPER in self.contour:
+            shaper = f"; the best input shaper would leave {1e3 * self.contour[SHAPER].rms:.1f}"
+        ours = range_as_text(self.contour[self.strategy], lines)
+        return [
+            f"result           {label} {1e3 * self.contour['none'].rms:.1f} → {ours}{steps}{shaper}"
+        ]
+
+    def _advice(self) -> list[str]:
+        """Return what else to do where compensation is not worth it."""
+        if self.strategy == "none":
+            text = "to see what compensation brings, compare with the file as sliced instead"
+            return [f"advice           {text}"]
+        if not {"none", self.strategy} <= self.contour.keys():
+            return []
+        before = self.contour["none"].expected
+        ours = math.hypot(self.contour[self.strategy].expected, self.lines_error(self.strategy))
+        shaper = self.contour[SHAPER].rms if SHAPER in self.contour else math.inf
+        if ours >= before:
+            text = "this print is better as sliced"
+        elif before < VISIBLE:
+            text = "hardly worth it: errors as small as these are not seen on a print"
+        elif ours > NO_GAIN * shaper:
+            text = (
+                "the best input shaper does as well: use it instead "
+                "('hframe-post tune --shaper' prints its settings)"
+            )
+        else:
+            return []
+        return [f"advice           {text}"]
 
     def _width_as_text(self) -> list[str]:
         """Return how far the printed line's width is off, if anything is extruded."""
@@ -285,10 +349,6 @@ class Report:
             f"{STRATEGIES[name].label} {100.0 * self.width[name].rms:.1f} %" for name in found
         )
         return [f"line width       off by {shares} RMS, on {PIECE:g} mm of line"] if found else []
-
-    def warning_lines(self) -> list[str]:
-        """Return the warnings as lines of the text."""
-        return [f"WARNING          {text}" for text in self.warnings()]
 
     def warnings(self) -> list[str]:
         """Return a sentence for everything that a person must not overlook."""
@@ -312,7 +372,6 @@ class Report:
                 f"up to {self.busiest_second} lines in a second; the printer takes "
                 f"{self.lines_per_second:.0f} (lines_per_second in the profile), so it may stutter"
             )
-        found += self._too_coarse()
         if (count := self.read.firmware_retractions) > 9:  # more than a few in macros
             found.append(
                 f"estimated duration of {count} G10/G11: less is compensated next to them. Say in "
@@ -320,11 +379,10 @@ class Report:
             )
         if self.clamped.samples:
             found.append(
-                f"clamped {self.clamped.samples} ms of motion "
-                f"({percent(1e-3 * self.clamped.samples / self.time.after)} of the print), first "
-                f"at line {self.clamped.line}, by up to {self.clamped.most:.3f} mm: less is "
-                "compensated there, because [travel] or [motors] of the profile allow no more. The "
-                "predicted error includes it. If the motors can do more, raise "
+                f"less is compensated on {percent(1e-3 * self.clamped.samples / self.time.after)} "
+                f"of the print, first at line {self.clamped.line}, by up to "
+                f"{self.clamped.most:.3f} mm: the bed's edge ([travel] of the profile) or the "
+                "motors ([motors]) allow no more. If the motors can do more, raise "
                 "motors.belt_acceleration"
             )
         return found
@@ -352,36 +410,6 @@ class Report:
     def _is_other_tool(self, cause: str) -> bool:
         names = (name.upper() for name in self.other_tools or ())
         return any(fnmatchcase(cause, name) for name in names)
-
-    def _too_coarse(self) -> list[str]:
-        """Return a warning if the firmware's lines miss by more than compensation gains."""
-        if not self.approximation or self.strategy == "none" or "none" not in self.contour:
-            return []
-        names = "none", self.strategy
-        plain, ours = (1e3 * self.contour[name].expected for name in names)
-        lines = 1e3 * self.lines_error(self.strategy)
-        if math.hypot(ours, lines) <= plain:
-            return []
-        return [
-            f"the firmware's whole steps leave {lines:.1f} µm RMS, and without compensation the "
-            f"nozzle is {plain:.1f} µm off: this print is better as sliced"
-        ]
-
-
-def _predicted(contour: ContourErrors, lines: float = 0.0) -> str:
-    """Return the predicted error: its range, or what it is if the model counts as exact.
-
-    lines: error of the written lines to add, mm RMS.
-    """
-    um = contour.micrometres()
-    if lines:
-        return f"{range_as_text(contour, lines)}, of which whole steps leave {1e3 * lines:.1f}"
-    if contour.range is not None:
-        return range_as_text(contour)
-    return (
-        f"{um['rms']:.1f} µm RMS, {um['p95']:.1f} µm at 95 %, {um['peak']:.0f} µm peak "
-        f"(with travel {um['all']['rms']:.1f} µm RMS)"
-    )
 
 
 def range_as_text(contour: ContourErrors, lines: float = 0.0) -> str:

@@ -102,7 +102,7 @@ def recommend(
     options = Options("racking", tuple(STRATEGIES), clamp=True)
     doubts = Doubts.from_plant(plant, model_error)
     study = Study(plant, {model_error: printers}, name=updated.name, doubts=doubts)
-    predicted = simulate(rectangle(updated), updated, options, study)
+    predicted = simulate(lambda: rectangle(updated), updated, options, study)
     (similar,) = predicted.model_error
     if similar.better("racking", "none") < len(printers):
         return None

@@ -139,6 +139,11 @@ class ImpulseResponse:
         return max(self.lead + 1 - int(moving[0]), 0) if len(moving) else 0
 
     @cached_property
+    def memory(self) -> int:
+        """Return how many samples of the command before a sample its response depends on."""
+        return 2 + max(len(G.deviation) for _, G in self.nodes)
+
+    @cached_property
     def nodes(self) -> tuple[tuple[float, ImpulseResponse], ...]:
         """Return responses that are the same all along x, by ascending x (mm).
 

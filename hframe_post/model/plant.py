@@ -82,6 +82,12 @@ class Plant:
         return max(G.ahead for G in each)
 
     @property
+    def memory(self) -> int:
+        """Return how many samples of a command before a sample the nozzle's place depends on."""
+        each = self.Gxx, self.Gyy, *(coupling.G for coupling in self.couplings)
+        return max(G.memory for G in each)
+
+    @property
     def along_x(self) -> bool:
         """Return whether a response changes along x."""
         return len(self.places) > 1

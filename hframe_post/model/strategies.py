@@ -302,7 +302,7 @@ STRATEGIES = {
     for strategy in (
         Strategy("none", "no compensation", "#888888", _Uncompensated, lambda plant: None),
         Strategy(
-            "fbs", "ringing only (fbs)", "#c05020",
+            "fbs", "ringing only", "#c05020",
             partial(FilteredSplines, False), Plant.decoupled,
         ),
         Strategy("racking", "ringing and racking", "#2060a0", partial(FilteredSplines, True)),

@@ -16,6 +16,7 @@ all its digits.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,6 +29,7 @@ from hframe_post.errors import ArgumentError
 from hframe_post.native.linear import power, product, recursion
 
 REAL_TOLERANCE = 1e-10  # imaginary part up to which a root counts as real
+FORGOTTEN = 1e-8  # share of a pulse
 PAIR_TOLERANCE = 1e-9  # between a root and the conjugate of its partner
 
 
@@ -65,6 +67,12 @@ class TransferFunction:
     def order(self) -> int:
         """Return the number of poles."""
         return len(self.poles)
+
+    @property
+    def memory(self) -> int:
+        """Return after how many samples a pulse of the input no longer shows in the output."""
+        radius = float(np.abs(self.poles).max(initial=0.0))
+        return 2 + (math.ceil(math.log(FORGOTTEN) / math.log(radius)) if radius > 0.0 else 0)
 
     @property
     def dc_gain(self) -> float:

@@ -1,34 +1,27 @@
-"""Loops in C, each next to a function that does the same in numpy.
+"""Loops in C, as functions of Python with their constants.
 
-``NAME.py`` defines the functions that everyone calls, with their constants. They run the loop of
-``NAME.c`` if the extension was built, and numpy otherwise, which gives the same bits and takes
-longer. A loop takes numbers and contiguous arrays as they are. The wrong type or layout raises
-TypeError; a length, a count or an index that does not fit the others raises ValueError. Loops run
-without the global interpreter lock.
+``NAME.py`` defines the functions that everyone calls; they run the loop of ``NAME.c``. A loop takes
+numbers and contiguous arrays as they are. The wrong type or layout raises TypeError; a length, a
+count or an index that does not fit the others raises ValueError. Loops run without the global
+interpreter lock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
 from importlib import import_module
-from types import ModuleType
+from typing import Any
 
-BUILT_FOR = 15  # as in kernels.h: raised whenever a signature changes
+__all__ = ["BUILT_FOR", "kernels"]
 
-Kernel = Callable[..., int]
+BUILT_FOR = 16  # as in kernels.h: raised whenever a signature changes
 
-
-def kernel(name: str) -> Kernel | None:
-    """Return the compiled loop of that name, or None if there is none on this machine."""
-    return getattr(built(), name, None)
-
-
-@cache
-def built() -> ModuleType | None:
-    """Return the compiled module, or None if it is missing or was built from other sources."""
-    try:
-        found = import_module("hframe_post.native._kernels")
-    except ImportError:
-        return None
-    return found if found.BUILT_FOR == BUILT_FOR else None
+kernels: Any
+try:
+    kernels = import_module("hframe_post.native._kernels")
+except ImportError:
+    kernels = None
+if kernels is None or kernels.BUILT_FOR != BUILT_FOR:
+    raise ImportError(
+        "the compiled part of hframe-post is missing or belongs to another version: install it "
+        "again, with 'pipx install --force .' or 'pip install -e .' (docs/install.md)"
+    )

@@ -1,4 +1,4 @@
-"""How long Marlin takes for a block, in C and in numpy, by the generation of its planner.
+"""How long Marlin takes for a block, by the generation of its planner.
 
 Rates are steps per second of the motor that makes most steps in the block, *n* of them; *a* is
 its acceleration, steps/s². A block begins at one rate, runs at its nominal rate and ends at a
@@ -29,9 +29,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.native import kernel
+from hframe_post.native import kernels
 from hframe_post.native.blocks import Blocks
-from hframe_post.native.ramps import ends
 
 SLOWEST = 120.0  # steps/s, before the development branch
 ROUNDS = 3  # of the rates' dependence on their neighbours'
@@ -39,7 +38,6 @@ FASTEST = 3.0  # times a block's mean rate, the most that is asked for to make u
 MOST_LOST = 0.01  # share of time that rounding can lose
 ROUNDING = 0.05  # share of a block's time beyond which lateness is not due to rounding
 AT_BOUND = 0.9  # share of the fastest rate from which on a rate is not free
-FEW = 16  # blocks whose ramps take longer as arrays than one after the other
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,12 +102,9 @@ class Stepper:
 
 def block_times(blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper) -> Array:
     """Return the seconds (k,) of blocks from the rates (k,) at which they begin, run and end."""
-    if (compiled := kernel("marlin_block_times")) is not None:
-        k, taken = len(rate), np.empty(len(rate))
-        compiled(k, blocks.n, blocks.a, begin, rate, end, stepper.row, taken)
-        return taken
-    found = _development_times if stepper.development else _released_times
-    return found(blocks, begin, rate, end, stepper)
+    k, taken = len(rate), np.empty(len(rate))
+    kernels.marlin_block_times(k, blocks.n, blocks.a, begin, rate, end, stepper.row, taken)
+    return taken
 
 
 class _Interrupts(NamedTuple):
@@ -139,7 +134,7 @@ def step_times(blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: S
 
 def _released_times(
     blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper,
-    made: _Interrupts | None = None,
+    made: _Interrupts,
 ) -> Array:  # fmt: skip
     """Return block times of 2.0 and 2.1, and write the ramps' interrupts to ``made``."""
     n, _, a, _ = blocks
@@ -166,7 +161,7 @@ def _released_times(
 
 def _development_times(
     blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper,
-    made: _Interrupts | None = None,
+    made: _Interrupts,
 ) -> Array:  # fmt: skip
     """Return block times of 2.1-dev, whose ramps are ahead by half an interval.
 
@@ -193,12 +188,8 @@ def _development_times(
     return np.asarray(timer.seconds(first) + climb + cruising * timer.seconds(cruise) + drop)
 
 
-def _places(
-    made: _Interrupts | None, first: Array, falling: Array
-) -> tuple[_Interrupts | None, _Interrupts | None]:
+def _places(made: _Interrupts, first: Array, falling: Array) -> tuple[_Interrupts, _Interrupts]:
     """Write the first ticks (k,) of blocks; return where both ramps write theirs."""
-    if made is None:
-        return None, None
     made.ticks[made.first] = first
     return (
         made._replace(first=made.first + 1),
@@ -227,42 +218,22 @@ def _between(x: Array, most: Array) -> Array:
 
 def _ramp(
     start: Array, end: Array, a: Array, interrupts: Array, ahead: Array, shares: Array,
-    stepper: Stepper, made: _Interrupts | None = None,
+    stepper: Stepper, made: _Interrupts,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Return the seconds (k,) of ramps from start to end rates, and the rates that they reach.
 
     interrupts (k,): how many each ramp has; ahead (k,): ticks by which it is ahead; shares (k,):
     interrupts a step.
     """
-    timer, few = stepper.timer, 0 if stepper.s_curve or made else FEW
+    timer = stepper.timer
     taken, t, now, done = np.zeros(len(start)), ahead / timer.hz, start.copy(), 0
-    while np.count_nonzero(ramping := interrupts > done) > few:
+    while (ramping := interrupts > done).any():
         now = np.where(ramping, _rate_at(t, start, end, a, stepper.s_curve), now)
         ticks = timer.ticks(now * shares)
-        if made is not None:
-            made.ticks[made.first[ramping] + done] = ticks[ramping]
+        made.ticks[made.first[ramping] + done] = ticks[ramping]
         taken = np.where(ramping, taken + timer.seconds(ticks), taken)
         t = t + ticks / timer.hz
         done += 1
-    for k in ramping.nonzero()[0].tolist():
-        row = start[k], end[k], a[k], shares[k], t[k], taken[k]
-        rest = int(interrupts[k]) - done
-        taken[k], now[k] = _rest_of_ramp(rest, timer, *(float(x) for x in row))
-    return taken, now
-
-
-def _rest_of_ramp(
-    interrupts: int, timer: Timer, start: float, end: float, a: float, shares: float, t: float,
-    taken: float,
-) -> tuple[float, float]:  # fmt: skip
-    """Return what ``_ramp`` does of a single ramp, from t s on, when it has taken some seconds."""
-    way, up, extra = abs(end - start), 1.0 if end > start else -1.0, float(timer.extra_tick)
-    now = start
-    for _ in range(interrupts):
-        now = start + up * min(float(math.floor(a * t)), way)
-        ticks = math.floor(timer.hz / (now * shares))
-        taken += (ticks + extra) / timer.hz
-        t += ticks / timer.hz
     return taken, now
 
 
@@ -285,14 +256,9 @@ def joined_times(
     corners allow it. The last ends at its own speed.
     """
     n, d, a, corners = blocks
-    if (compiled := kernel("marlin_times")) is not None:
-        k, taken, own = len(v), np.empty(len(v)), (before, free_entry, stepper.row)
-        compiled(k, n, d, a, _at_ends(corners, k), v, rate, *own, taken)
-        return taken
-    v_s, v_e = ends(v, corners, before, least_entry(blocks, free_entry, stepper.development))
-    # releases: of the rate as it is rounded
-    per_mm = n / d if stepper.development else rate / v
-    return block_times(blocks, v_s * per_mm, rate, v_e * per_mm, stepper)
+    k, taken, own = len(v), np.empty(len(v)), (before, free_entry, stepper.row)
+    kernels.marlin_times(k, n, d, a, _at_ends(corners, k), v, rate, *own, taken)
+    return taken
 
 
 def least_entry(blocks: Blocks, free_entry: bool, development: bool) -> Array:
@@ -307,40 +273,12 @@ def feed_rates(
 ) -> Array:
     """Return speeds (k,), mm/s, at which blocks take the time T (k,); see ``joined_times``."""
     n, d, a, corners = blocks
-    if (compiled := kernel("marlin_feed_rates")) is not None:
-        k, v, room = len(T), np.empty(len(T)), np.empty(3 * len(T))
-        own = before, free_entry, stepper.row
-        rules = np.array([FASTEST, MOST_LOST, ROUNDING, AT_BOUND, UNROUNDED.hz])
-        compiled(k, n, d, a, _at_ends(corners, k), T, *own, ROUNDS, rules, room, v)
-        return v
-    mean, lost = n / T, 0.0
-    rate, slowest, fastest = mean, mean / FASTEST, mean * FASTEST
-    for _ in range(ROUNDS):  # rounding makes ramps of its own, which lose time
-        for _ in range(ROUNDS):
-            exact = stepper.unrounded
-            taken = joined_times(blocks, rate * d / n, rate, before, free_entry, exact)
-            rate = rate * (taken / (T * (1.0 - lost)))
-            rate = np.minimum(np.maximum(rate, slowest), fastest)  # ramps may be too long
-        whole = _dithered(rate, stepper.timer)
-        v = (whole - 0.5) * d / n  # Marlin rounds up
-        late = joined_times(blocks, v, whole, before, free_entry, stepper) - T
-        no_rate_fits = (np.abs(late) > ROUNDING * T) | (rate > AT_BOUND * FASTEST * n / T)
-        late[no_rate_fits] = 0.0
-        share = float(np.cumsum(late)[-1] / np.cumsum(T)[-1])  # sums in order
-        lost = min(max(lost + share, -MOST_LOST), MOST_LOST)
-    return np.asarray(v)
+    k, v, room = len(T), np.empty(len(T)), np.empty(3 * len(T))
+    own = before, free_entry, stepper.row
+    rules = np.array([FASTEST, MOST_LOST, ROUNDING, AT_BOUND, UNROUNDED.hz])
+    kernels.marlin_feed_rates(k, n, d, a, _at_ends(corners, k), T, *own, ROUNDS, rules, room, v)
+    return v
 
 
 def _at_ends(corners: Array | float, k: int) -> Array:
     return np.full(k + 1, corners)
-
-
-def _dithered(rate: Array, timer: Timer) -> Array:
-    """Return whole rates (k,) of whole ticks, spread about rates (k,) so that no error adds up."""
-    golden = (5.0**0.5 - 1.0) / 2.0  # its multiples fall evenly between whole numbers
-    threshold = np.modf(golden * np.arange(1, len(rate) + 1))[0]
-    shares = timer.interrupts(rate)
-    ticks = np.floor(timer.hz / (rate * shares) - float(timer.extra_tick) + threshold)
-    slow = rate * rate * shares < timer.hz  # whole rates are finer than whole ticks
-    whole = np.where(slow, rate + threshold, timer.hz / np.maximum(ticks, 1.0) / shares)
-    return np.asarray(np.maximum(np.floor(whole), 1.0))

@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hframe_post.arrays import Array, E, Integers, Z
+from hframe_post.arrays import Array, Integers
 from hframe_post.errors import HframeError
-from hframe_post.native import kernel
+from hframe_post.native import kernels
 
 Bytes = NDArray[np.uint8]
 MINUS, ZERO = b"-0"
@@ -30,26 +30,11 @@ def motion_lines(
     with more than WHOLE_DIGITS before the point, or from 2³² units on.
     """
     n = len(feeds)
-    if (compiled := kernel("motion_lines")) is not None:
-        text, ends = np.empty(n * LINE, np.uint8), np.empty(n, np.int64)
-        size = compiled(at, feeds, n, feed, _row(decimals), _longest(decimals), text, ends)
-        if size < 0:
-            raise HframeError(TOO_LONG)
-        return text[:size].tobytes(), ends
-    shown = np.column_stack([np.diff(at, axis=0), np.diff(feeds, prepend=feed)]) != 0
-    shown[0, :Z] |= feed == 0
-    values = np.column_stack([at[1:, :E], np.diff(at[:, E]), feeds])
-    longest = _longest(decimals)
-    if ((values <= -longest) | (values >= longest)).any():
+    text, ends = np.empty(n * LINE, np.uint8), np.empty(n, np.int64)
+    size = kernels.motion_lines(at, feeds, n, feed, _row(decimals), _longest(decimals), text, ends)
+    if size < 0:
         raise HframeError(TOO_LONG)
-    columns = [column(b"G1", n)]
-    for letter, row, places, seen in zip(b"XYZEF", values.T, decimals, shown.T, strict=True):
-        word = np.concatenate([column(b" %c" % letter, n), number(row, places, trim=True)], axis=1)
-        word[~seen] = 0
-        columns.append(word)
-    table = np.concatenate([*columns, column(b"\n", n)], axis=1)
-    visible = table != 0
-    return table[visible].tobytes(), np.cumsum(visible.sum(axis=1))
+    return text[:size].tobytes(), ends
 
 
 @cache

@@ -1,5 +1,4 @@
-/* Definitions that the compiled loops share. Each loop does what numpy does in the Python file of the
- * same name, by the same operations in the same order, so both give the same bits: no fused
+/* Definitions that the compiled loops share. All give the same bits on every machine: no fused
  * multiply-add, no -ffast-math. The caller allocates all arrays. module.c makes them functions of
  * Python. */
 
@@ -11,7 +10,7 @@
 
 #include "arguments.h"
 
-#define BUILT_FOR 15 /* as in __init__.py: raised whenever a signature changes */
+#define BUILT_FOR 16 /* as in __init__.py: raised whenever a signature changes */
 
 /* WIDE functions are compiled for wider registers, too, with all that is INSIDE them; the processor
  * chooses. Only sums that do not depend on each other share a register: the bits are the same. */

@@ -1,4 +1,4 @@
-"""Linear algebra that gives the same bits on every machine, in C and in numpy.
+"""Linear algebra that gives the same bits on every machine.
 
 BLAS and LAPACK add in an order that depends on the processor. Here every sum starts at zero and
 takes its terms in order, one rounding after each product and each addition.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.native import kernel
+from hframe_post.native import kernels
 
 
 def product(A: Array, B: Array) -> Array:
@@ -26,22 +26,8 @@ def windows_product(x: Array, step: int, B: Array) -> Array:
 
 def _by_rows(x: Array, step: int, m: int, B: Array) -> Array:
     (k, n), B = B.shape, np.ascontiguousarray(B)  # else numpy adds pairs of a column's terms
-    if compiled := kernel("product"):
-        out = np.empty((m, n))
-        compiled(x, step, B, m, k, n, out)
-        return out
-    strides = (step * x.itemsize, x.itemsize)
-    return _product(np.lib.stride_tricks.as_strided(x, (m, k), strides), B)
-
-
-def _product(A: Array, B: Array) -> Array:
-    out = np.zeros((len(A), B.shape[1]))
-    if len(A) < len(B) and B.shape[1] > 1:  # numpy adds in order along any axis but the last
-        for row, total in zip(A, out, strict=True):
-            np.add.reduce(row[:, None] * B, axis=0, out=total, initial=0.0)
-    else:
-        for column, row in zip(A.T, B, strict=True):
-            out += column[:, None] * row
+    out = np.empty((m, n))
+    kernels.product(x, step, B, m, k, n, out)
     return out
 
 
@@ -50,12 +36,7 @@ def recursion(A: Array, W: Array, s: Array) -> Array:
     M, W = np.ascontiguousarray(A.T), np.ascontiguousarray(W)
     states = np.empty((len(W) + 1, len(A)))
     states[0] = s
-    if compiled := kernel("recursion"):
-        compiled(M, W, len(W), len(A), states)
-    else:
-        for k, w in enumerate(W):
-            np.add.reduce(states[k][:, None] * M, axis=0, initial=0.0, out=states[k + 1])
-            states[k + 1] += w
+    kernels.recursion(M, W, len(W), len(A), states)
     return states
 
 

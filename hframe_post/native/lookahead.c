@@ -115,8 +115,7 @@ struct run {
 };
 
 /* Lower speed (r + 1) along the chain of runs to what can be reached from its start, or its end. new
- * (r + 1), all set: from which speeds that must be found. They are taken in rounds as numpy takes
- * them, since rounding may find a slightly higher speed from a lower one. */
+ * (r + 1), all set: from which speeds that must be found. They are taken in rounds, since rounding may find a slightly higher speed from a lower one. */
 static void lower(double *speed, const struct run *runs, int64_t r, double jerk, int from_end,
                   uint8_t *new)
 {

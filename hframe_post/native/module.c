@@ -3,7 +3,11 @@
  * wrong length or range a ValueError. */
 
 #define PY_SSIZE_T_CLEAN
+#if defined(_WIN32) || __has_include(<Python.h>)
 #include <Python.h>
+#else
+#include "stable_abi.h"
+#endif
 #include <string.h>
 
 #include "kernels.h"

@@ -1,4 +1,4 @@
-"""Filters of a plant, in C and in numpy: one, those of couplings, and the nozzle's response.
+"""Filters of a plant: one, those of couplings, and the nozzle's response.
 
 A transfer function is a cascade of second-order sections (k, 6) with a state (k, 2), as for
 ``scipy.signal.sosfilt``. Several are ``Sections``, in one block of memory. A filter waits for its
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array, Integers, X, Y
-from hframe_post.native import kernel
+from hframe_post.native import kernels
 
 LANES = 4  # responses that are computed together; C refuses any other number
 
@@ -51,16 +51,9 @@ class Sections:
 
 def filtered(sections: Array, state: Array, u: Array) -> Array:
     """Return the output (n,) of a transfer function at the next samples of the input u (n,)."""
-    if (compiled := kernel("filtered")) is not None:
-        u, y = np.ascontiguousarray(u), np.empty(len(u))
-        compiled(sections, len(sections), state, u, len(u), y)
-        return y
-    if not len(u):  # scipy takes no empty array
-        return np.zeros(0)
-    from scipy.signal import sosfilt  # here, since it takes 0.7 s
-
-    y, state[:] = sosfilt(sections, u, zi=state)
-    return np.asarray(y)
+    u, y = np.ascontiguousarray(u), np.empty(len(u))
+    kernels.filtered(sections, len(sections), state, u, len(u), y)
+    return y
 
 
 def coupled(
@@ -72,14 +65,10 @@ def coupled(
     filters: those of the couplings. commands: in x and in y, (n,); path (n, 2): tells the lever
     arms. Both are relative to the origin (2,).
     """
-    if (compiled := kernel("coupled")) is not None:
-        added, path = np.zeros(len(path)), np.ascontiguousarray(path)
-        u, v = map(np.ascontiguousarray, commands)
-        compiled(*_arguments(filters, couplings), origin, path, u, v, len(path), added)
-        return added
-    to = couplings.axes[:, 1].tolist()
-    outputs = [filtered(*f, commands[axis]) for f, axis in zip(filters.each(), to, strict=True)]
-    return sum_of(outputs, couplings, path + origin)
+    added, path = np.zeros(len(path)), np.ascontiguousarray(path)
+    u, v = map(np.ascontiguousarray, commands)
+    kernels.coupled(*_arguments(filters, couplings), origin, path, u, v, len(path), added)
+    return added
 
 
 def sum_of(outputs: list[Array], couplings: Couplings, place: Array) -> Array:
@@ -99,14 +88,9 @@ def response(
     the outputs of the first m couplings' filters.
     """
     n, columns = motion.shape
-    if (compiled := kernel("response")) is not None:
-        command = np.ascontiguousarray(command)
-        compiled(*_arguments(filters, couplings), origin, command, n, motion, columns)
-        return motion
-    u = np.subtract(command.T, origin[:, None], order="C")
-    axes = X, Y, *couplings.axes[:, 1].tolist()
-    outputs = [filtered(*f, u[axis]) for f, axis in zip(filters.each(), axes, strict=True)]
-    return nozzle(outputs, couplings, origin, motion)
+    command = np.ascontiguousarray(command)
+    kernels.response(*_arguments(filters, couplings), origin, command, n, motion, columns)
+    return motion
 
 
 def nozzle(outputs: list[Array], couplings: Couplings, origin: Array, motion: Array) -> Array:
@@ -134,18 +118,10 @@ def responses(
     lanes, (given, n, _) = len(which), commands.shape
     motion = np.empty((lanes, n, 2))
     counts, axes = filters.counts, couplings.axes
-    if (compiled := kernel("responses")) is not None:
-        compiled(
-            filters.table, filters.table.shape[1], filters.state, counts, len(counts), axes,
-            couplings.centres, len(axes), origin, commands, given, which, n, lanes, LANES, motion,
-        )  # fmt: skip
-        return motion
-    for lane, command in enumerate(which.tolist()):
-        at = np.s_[lane // LANES, ..., lane % LANES]
-        table, state = (np.ascontiguousarray(each[at]) for each in (filters.table, filters.state))
-        alone = Couplings(axes, couplings.centres[at])
-        response(Sections(table, state, counts), alone, origin, commands[command], motion[lane])
-        filters.state[at] = state
+    kernels.responses(
+        filters.table, filters.table.shape[1], filters.state, counts, len(counts), axes,
+        couplings.centres, len(axes), origin, commands, given, which, n, lanes, LANES, motion,
+    )  # fmt: skip
     return motion
 
 
@@ -160,9 +136,5 @@ def _arguments(
 def sliding_sums(factors: Array, u: Array) -> Array:
     """Return the sum of the factors times as many samples of u, from each sample that has them."""
     sums = np.zeros(len(u) + 1 - len(factors))
-    if (compiled := kernel("sliding_sums")) is not None:
-        compiled(factors, len(factors), u, len(sums), sums)
-        return sums
-    for k, factor in enumerate(factors.tolist()):
-        sums += factor * u[k : k + len(sums)]
+    kernels.sliding_sums(factors, len(factors), u, len(sums), sums)
     return sums

@@ -1,4 +1,4 @@
-"""Times and speeds of segments with ramps inside, as firmware plans them, in numpy; Klipper's in C.
+"""Times and speeds of segments with ramps inside, as firmware plans them.
 
 A segment of length d starts at v_s, runs at its cruise speed v and ends at v_e, with ramps of
 acceleration a between them. v_s and v_e are the lower of two neighbours' cruise speeds, and no
@@ -8,14 +8,10 @@ begins at least.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 import numpy as np
 
-from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
-from hframe_post.native import kernel
-from hframe_post.native.corners import junction_speeds
+from hframe_post.arrays import Array, Flags, Integers
+from hframe_post.native import kernels
 
 ROUNDS = 3  # of the speeds' dependence on their neighbours'
 LATE = 2e-5  # s; a segment that is later than this is made up for by those after it
@@ -73,83 +69,20 @@ def klipper_feeds(
     and acceleration, those in z, those of filament; corner velocity of filament, junction
     deviation. F is whole, in units of which a mm/s has ``per_feed``.
     """
-    if (compiled := kernel("klipper_feeds")) is not None:
-        k = len(T)
-        F, taken, room = np.empty(k, np.int64), np.empty(k), np.empty(12 * k + 2)
-        constants = ROUNDS, LATE, MADE_UP, per_feed
-        compiled(at, k, T, rest, before, after, limits, *constants, room, F, taken)
-        return F, taken
-    ramped = Ramped.from_moves(np.diff(at, axis=0), rest, limits, after)
-    v = ramped.speeds(T, before)
-    late = ramped.durations(v, before) - T
-    if late.max() > LATE:
-        v = ramped.speeds(_made_up(T, np.where(late > LATE, late, 0.0)), before)
-    F = whole_feeds(v, per_feed)
-    return F, ramped.durations(F / per_feed, before)
+    k = len(T)
+    F, taken, room = np.empty(k, np.int64), np.empty(k), np.empty(12 * k + 2)
+    constants = ROUNDS, LATE, MADE_UP, per_feed
+    kernels.klipper_feeds(at, k, T, rest, before, after, limits, *constants, room, F, taken)
+    return F, taken
 
 
 def klipper_durations(
     at: Array, v: Array, rest: Flags, before: float, after: float, limits: Array
 ) -> Array:
     """Return the seconds (k,) that segments take at speeds v (k,); see ``klipper_feeds``."""
-    if (compiled := kernel("klipper_durations")) is not None:
-        k, taken = len(v), np.empty(len(v))
-        compiled(at, k, v, rest, before, after, limits, np.empty(12 * k + 2), taken)
-        return taken
-    return Ramped.from_moves(np.diff(at, axis=0), rest, limits, after).durations(v, before)
-
-
-@dataclass(frozen=True, slots=True)
-class Ramped:
-    """Segments with Klipper's ramps: length, acceleration and greatest speed of each (k,).
-
-    caps (k + 1,): greatest speeds at their ends.
-    """
-
-    d: Array
-    a: Array
-    top: Array
-    caps: Array
-
-    @classmethod
-    def from_moves(
-        cls, delta: Array, rest: Flags, limits: Array, after: float = math.inf
-    ) -> Ramped:
-        """Return the segments of moves delta (k, 4) in x, y, z, e.
-
-        z and retraction lower acceleration and speed. rest (k + 1,): whether Klipper rests at
-        each end; limits (8,): see ``klipper_feeds``; after: greatest speed at the last.
-        """
-        velocity, acceleration, z_velocity, z_acceleration, *of_e = limits.tolist()
-        e_velocity, e_acceleration, e_corner, deviation = of_e
-        d = lengths(delta[:, :E])
-        with np.errstate(divide="ignore"):
-            per_z = d / np.abs(delta[:, Z])
-            per_e = np.where(delta[:, E] < 0.0, d / np.abs(delta[:, E]), math.inf)
-        a = np.minimum(per_z * z_acceleration, per_e * e_acceleration)
-        top = np.minimum(per_z * z_velocity, per_e * e_velocity)
-        a, top = np.minimum(a, acceleration), np.minimum(top, velocity)
-        inner = junction_speeds(delta, d, a, deviation, e_corner)
-        corners = np.concatenate([[math.inf], inner, [after]])
-        return cls(d, a, top, np.where(rest, 0.0, corners))
-
-    def speeds(self, T: Array, before: float) -> Array:
-        """Return the cruise speeds (k,) for the times T (k,); before: of the segment before."""
-        return speeds(self.d, T, self.a, self.caps, before)
-
-    def durations(self, v: Array, before: float) -> Array:
-        return durations(self.d, np.minimum(v, self.top), self.a, self.caps, before)
-
-
-def _made_up(T: Array, late: Array) -> Array:
-    """Return T (k,), shortened after segments that are late by (k,) s at any feed rate.
-
-    Lateness waits in a queue, from which each segment in time takes a share of its T.
-    """
-    taken = np.where(late > 0.0, 0.0, MADE_UP * T)
-    total = np.cumsum(late - taken)
-    waiting = total - np.minimum(np.minimum.accumulate(total), 0.0)
-    return np.asarray(T - (np.append(0.0, waiting[:-1]) + late - waiting))
+    k, taken = len(v), np.empty(len(v))
+    kernels.klipper_durations(at, k, v, rest, before, after, limits, np.empty(12 * k + 2), taken)
+    return taken
 
 
 def whole_feeds(v: Array, per_feed: float) -> Integers:

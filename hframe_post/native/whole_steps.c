@@ -86,7 +86,10 @@ static int64_t chain(const struct steps *s, int64_t apart, const uint8_t *stops,
     return count;
 }
 
-/* Mark in drop (k) which ends (k) to drop, see the function in numpy; return whether there are any.
+/* Mark in drop (k) which ends (k) to drop; return whether there are any. A segment of too few steps
+ * joins the one before. It joins the one after if the one before is too short or at rest, if steps
+ * there and back cancel out with the one after, or if that is too short, too. The last end stays if
+ * motion ends there. Of short segments in a row every other one is handled: call again.
  * steps (k + 1), cancelled (k + 1): room. */
 static int superfluous(const struct steps *s, const int64_t *ends, int64_t k, int last,
                        int64_t *steps, int64_t *cancelled, uint8_t *drop)

@@ -1,11 +1,11 @@
-"""Where segments end, so that Marlin queues each of them and rounds nothing, in C and in numpy."""
+"""Where segments end, so that Marlin queues each of them and rounds nothing."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.native import kernel
+from hframe_post.native import kernels
 
 IDLE = 24  # samples without a step, more of which are a rest
 
@@ -36,21 +36,9 @@ def segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool
     none; last: motion ends at sample n, which must be reached, with fewer steps if it must be.
     """
     n = len(steps)
-    if (compiled := kernel("marlin_segment_ends")) is not None:
-        ends, room = np.empty(n, np.int64), np.empty(6 * (n + 1), np.int64)
-        count = compiled(steps, n, least, apart, IDLE, stall, last, room, ends)
-        return ends[:count]
-    path = np.concatenate([[0], np.cumsum(most_steps(steps))])
-    following = np.searchsorted(path, path + least)
-    following = np.maximum(following, np.arange(n + 1) + apart)
-    places = np.vstack([np.zeros((1, 2), dtype=np.int64), np.cumsum(steps, axis=0)])
-    turns = [_turns(place, least, stall) for place in places.T]
-    stops = np.unique(np.concatenate([_edges_of_rest(path), *turns, [n]]))
-    stop = np.minimum(np.searchsorted(stops, np.arange(n + 1), side="right"), len(stops) - 1)
-    ends = _chain(np.minimum(following, stops[stop]))
-    while len(drop := _superfluous(ends, places, least, last)):
-        ends = np.delete(ends, drop)
-    return ends
+    ends, room = np.empty(n, np.int64), np.empty(6 * (n + 1), np.int64)
+    count = kernels.marlin_segment_ends(steps, n, least, apart, IDLE, stall, last, room, ends)
+    return ends[:count]
 
 
 def with_late_starts(
@@ -127,69 +115,3 @@ def without_reversals(vertices: Integers, off: Array, matrix: Array, least: int)
 def _turns_back(before: list[int], at: list[int], after: list[int]) -> bool:
     x, y, u, v = at[0] - before[0], at[1] - before[1], after[0] - at[0], after[1] - at[1]
     return x * v == y * u and x * u + y * v < 0
-
-
-def _edges_of_rest(path: Integers) -> Integers:
-    changes = np.flatnonzero(np.diff(path)) + 1
-    first, after = np.append(0, changes), np.append(changes, len(path))
-    idle = after - first > IDLE
-    return np.unique(np.stack([first[idle], after[idle] - 1]))
-
-
-def _turns(place: Integers, least: int, stall: int) -> Integers:
-    """Return the samples at which a motor turns with ``least`` steps before and after it.
-
-    place (n + 1,): of the motor, in steps. A segment across a turn would cut it off, or make so
-    few steps that it had to be dropped.
-    """
-    steps = place[1:] - place[:-1]
-    moving = np.flatnonzero(steps)
-    onward = np.sign(steps[moving])
-    turned = np.flatnonzero(onward[1:] != onward[:-1])
-    turns = np.maximum(moving[turned] + 1, moving[turned + 1] - stall)
-    while len(turns):
-        at = place[np.concatenate([[0], turns, [len(place) - 1]])]
-        short = np.abs(at[1:] - at[:-1]) < least
-        short[1:] &= ~short[:-1]
-        j = np.flatnonzero(short)
-        if not len(j):
-            break
-        kept = np.ones(len(turns), dtype=bool)
-        kept[np.maximum(j - 1, 0)] = kept[np.minimum(j, len(turns) - 1)] = False
-        turns = turns[kept]
-    return np.asarray(turns)
-
-
-def _chain(following: Integers) -> Integers:
-    """Return the samples reached from 0, where ``following`` gives the next of each sample.
-
-    The last sample follows itself. Rounds of 1, 2, 4, … links reach all of them.
-    """
-    reached = np.zeros(len(following), dtype=bool)
-    reached[0] = True
-    for _ in range(len(following).bit_length()):
-        reached[following[reached]] = True
-        following = following[following]
-    return np.flatnonzero(reached)[1:]
-
-
-def _superfluous(ends: Integers, places: Integers, least: int, last: bool) -> Integers:
-    """Return which ends to drop so that segments of too few steps join a neighbour.
-
-    They join the segment before, or the one after if the one before is too short or at rest,
-    if less steps there and back cancel out with the one after, or if that is too short, too: else a
-    row of them would all join the one before. The last end stays if motion ends there. Of short
-    segments in a row every other one is handled: call again.
-    """
-    at = places[np.append(0, ends)]
-    steps = most_steps(np.diff(at, axis=0))
-    cancelled = np.append(steps[:-1] + steps[1:] - most_steps(at[2:] - at[:-2]), 0)
-    short = (steps > 0) & (steps < least)
-    row = np.append(short, False)
-    short[1:] &= ~short[:-1]
-    j = np.flatnonzero(short)
-    final = last & (j == len(ends) - 1)
-    onward = cancelled[j - 1] + row[j + 1] <= cancelled[j]
-    joins_before = (j > 0) & (((steps[j - 1] >= least) & onward) | final)
-    drop = np.where(joins_before, j - 1, j)
-    return drop[drop < len(ends) - 1] if last else drop

@@ -21,6 +21,8 @@ from hframe_post.native.sampling import misses, move_at_rest, ramps, samples_unt
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import MoveAtRest, Plan
 
+NO_JERK_LIMIT = 1e12  # mm/s³ from which on profiles are trapezoids, as firmware makes them
+STEP_S = 1e-9  # that acceleration takes to change in a trapezoid
 ALMOST = 0.999  # share of a limit that counts as all of it
 # mm in which Ruckig is asked, again where the first fails. It checks in absolute numbers, which
 # rounding fails at great accelerations in mm: it finds no profile, or one as slow as a ramp. A
@@ -61,6 +63,23 @@ class _Runs(NamedTuple):
         most = np.where(self.v1 < self.v0, self.braking, self.acceleration)
         return np.asarray(one_speed | (acceleration >= ALMOST * most))
 
+    def trapezoids(self) -> Profile:
+        """Return profiles without a limit on jerk: full acceleration, cruise, full braking."""
+        v0, v1, length, cruise, a, b = self
+        reached = (2.0 * length + v0 * v0 / a + v1 * v1 / b) / (1.0 / a + 1.0 / b)
+        top = np.minimum(cruise, np.sqrt(reached))
+        up, down = np.maximum(top - v0, 0.0) / a, np.maximum(top - v1, 0.0) / b
+        ramped = (top + v0) / 2.0 * up + (top + v1) / 2.0 * down
+        step_up, step_down = np.minimum(STEP_S, up / 2.0), np.minimum(STEP_S, down / 2.0)
+        cruised = np.maximum(length - ramped, 0.0) / np.maximum(top, 1e-12)
+        t = np.stack([
+            step_up, up - step_up, step_up, cruised, step_down, down - step_down, step_down,
+        ], axis=1)  # fmt: skip
+        j = np.zeros_like(t)
+        for phase, way in ((0, a), (2, -a), (4, -b), (6, b)):
+            j[:, phase] = way / np.maximum(t[:, phase], 1e-30)
+        return t, j
+
     def missed_by(self, t: Array, j: Array) -> Flags:
         return misses(t, j, self.v0, self.length)
 
@@ -84,6 +103,11 @@ class Profiler:
         if not plans:
             return []
         runs = _Runs.from_plans(plans, self._deceleration)
+        ends = np.cumsum([len(plan.cruise) for plan in plans]).tolist()
+        cuts = [slice(*cut) for cut in pairwise([0, *ends])]
+        if self._jerk >= NO_JERK_LIMIT:
+            t, j = runs.trapezoids()
+            return [(t[cut], j[cut]) for cut in cuts]
         ramp_t, ramp_j, acceleration = ramps(runs.v0, runs.v1, runs.length, self._jerk)
         t, j = ramp_t.copy(), ramp_j.copy()
         self._search(runs, np.flatnonzero(~runs.without_choice(acceleration)), t, j)
@@ -95,8 +119,6 @@ class Profiler:
             lines = np.concatenate([plan.line[plan.ends[:-1]] for plan in plans])
             line = lines[int(np.argmax(wrong))]
             raise HframeError(f"line {line}: no jerk-limited profile fits this move's limits")
-        ends = np.cumsum([len(plan.cruise) for plan in plans]).tolist()
-        cuts = [slice(*cut) for cut in pairwise([0, *ends])]
         return [(t[cut], j[cut]) for cut in cuts]
 
     def _search(self, runs: _Runs, chosen: Integers, t: Array, j: Array) -> None:

@@ -1,6 +1,7 @@
-"""How long the firmware itself takes for a file as it was sliced, without this tool.
+"""The motion that the firmware itself makes of a file as it was sliced, and how long it takes.
 
 It accelerates at once (no limit on jerk), and has corners, accelerations and speeds of its own.
+What a print has today is judged on this motion, and every print time is compared with it.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -15,47 +17,69 @@ from hframe_post.arrays import Array, E, Flags, Z, lengths
 from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.planner.bands import MotorBands, OuterWalls, TimeInBands
 from hframe_post.planner.lookahead import Lookahead
-from hframe_post.stream.types import Handling, Item, MoveAtRest, Moves, Passthrough, Plan
+from hframe_post.planner.sampling import sample
+from hframe_post.stream.types import (
+    Handling,
+    Item,
+    MoveAtRest,
+    Moves,
+    Passthrough,
+    Plan,
+    Planned,
+    Samples,
+    StopRules,
+)
 
 
-class SlicedTime:
-    """Adds up the time of items that pass. ``seconds``: of all, once all have passed.
+class AsSliced:
+    """The firmware's own plan of a file. ``seconds``: of all items that were planned.
 
+    standing: what of them x and y rest.
     in_bands: the outer walls' time, and what of it a motor spends in these bands.
     """
 
     def __init__(self, rules: FirmwareLimits, bands: MotorBands | None = None) -> None:
         self._rules, self._queue = rules, Lookahead(rules.limits)
-        self.seconds = 0.0
+        self.seconds = self.standing = 0.0
         self._bands, self._walls, self.in_bands = bands, OuterWalls(), TimeInBands()
         self._outer = list[Flags]()  # which of the queued moves are outer walls
 
-    def items(self, items: Iterable[Item]) -> Iterator[Item]:
-        for item in items:
-            self._add(item)
-            yield item
-        self._stop()
+    def samples(self, items: Iterable[Item]) -> Iterator[Samples]:
+        """Yield the motion for all items, which is its own command."""
+        planned = (each for item in chain(items, [None]) for each in self.planned(item))
+        return self.sampled(planned)
 
-    def _add(self, item: Item) -> None:
+    def sampled(self, planned: Iterable[Planned], size: int | None = None) -> Iterator[Samples]:
+        """Yield the motion for what was planned, which is its own command."""
+        for chunk in sample(planned, self._rules.limits, StopRules(), size, skip_slow=True):
+            yield replace(chunk, commands={"none": chunk.xyze[:, :Z]})
+
+    def planned(self, item: Item | None) -> Iterator[Planned]:
+        """Take the next item, or None at the end; yield what is final."""
         if self._bands is not None:
             if isinstance(item, Moves):
                 self._outer.append(self._walls.among(item))
-            else:
+            elif item is not None:
                 self._walls.pass_by(item)
         if isinstance(item, Moves):
             self._queue.append(self._limited(item))
             while (plan := self._queue.take_final()) is not None:
-                self.seconds += self._duration(plan)
-        elif isinstance(item, MoveAtRest):
-            self._stop()
-            self.seconds += self._at_rest(item)
-        elif isinstance(item, Passthrough):
-            if item.handling is not Handling.CARRY:
-                self._stop()
-            self.seconds += item.seconds
+                yield self._timed(plan)
+            return
+        if isinstance(item, Passthrough) and item.handling is Handling.CARRY:
+            if self._queue.count:
+                self._queue.mark(item.text)
+                self._stand(item.seconds)
+                return
+        else:
+            yield from map(self._timed, self._queue.stop())
+        if item is not None:
+            self._stand(item.seconds if isinstance(item, Passthrough) else self._at_rest(item))
+            yield item
 
-    def _stop(self) -> None:
-        self.seconds += sum(map(self._duration, self._queue.stop()))
+    def _stand(self, seconds: float) -> None:
+        self.seconds += seconds
+        self.standing += seconds
 
     def _limited(self, moves: Moves) -> Moves:
         """Return the moves with the firmware's accelerations where the file sets none."""
@@ -71,9 +95,10 @@ class SlicedTime:
         # a board with junction deviation knows no other rule, whatever the file says
         knows = math.isinf(self._rules.limits.junction_deviation)
         corner = moves.corner if knows else np.full_like(moves.corner, math.inf)
-        return replace(moves, acceleration=own, corner=corner, marks=())
+        return replace(moves, acceleration=own, corner=corner)
 
-    def _duration(self, plan: Plan) -> float:
+    def _timed(self, plan: Plan) -> Plan:
+        """Add the time of a plan; return it with the speeds that it reaches."""
         d, v = np.diff(plan.s[plan.ends]), plan.speed
         v_s, v_e, cruise, a = v[:-1], v[1:], plan.cruise, plan.acceleration
         ramped = (1.0 - self._rules.cruise_ratio) * a * d
@@ -83,10 +108,12 @@ class SlicedTime:
             self._add_in_bands(plan, top, self._bands)
         durations, belts = self._rules.durations, self._rules.belts
         if durations is None or belts is None:
-            return float(_seconds(d, v_s, v_e, top, a).sum())
-        lead = np.abs(np.diff(plan.points[:, :Z], axis=0) @ belts.T).max(axis=1)
-        lead = np.add.reduceat(lead, plan.ends[:-1])
-        return float(durations(lead, d, v_s, v_e, cruise, a).sum())
+            self.seconds += float(_seconds(d, v_s, v_e, top, a).sum())
+        else:
+            lead = np.abs(np.diff(plan.points[:, :Z], axis=0) @ belts.T).max(axis=1)
+            lead = np.add.reduceat(lead, plan.ends[:-1])
+            self.seconds += float(durations(lead, d, v_s, v_e, cruise, a).sum())
+        return replace(plan, cruise=top)
 
     def _add_in_bands(self, plan: Plan, top: Array, bands: MotorBands) -> None:
         """Add a plan's outer walls to the time in bands. top: greatest speed of each run."""
@@ -129,6 +156,14 @@ class SlicedTime:
             return 0.0
         top = min(move.speed, v, math.sqrt(a * d))
         return float(d / top + top / a)
+
+
+def seconds_of_ramps(plan: Plan) -> float:
+    """Return how long a plan takes if nothing limits its jerk."""
+    d, v, a = np.diff(plan.s[plan.ends]), plan.speed, plan.acceleration
+    v_s, v_e = v[:-1], v[1:]
+    reached = np.sqrt(np.maximum(a * d + (v_s**2 + v_e**2) / 2.0, np.maximum(v_s, v_e) ** 2))
+    return float(_seconds(d, v_s, v_e, np.minimum(plan.cruise, reached), a).sum())
 
 
 def _seconds(d: Array, v_s: Array, v_e: Array, top: Array, a: Array) -> Array:

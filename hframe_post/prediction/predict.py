@@ -21,8 +21,9 @@ from hframe_post.model.responses import Plants, Responses
 from hframe_post.native.contour import count_turns, deviation, moving, square
 from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.doubts import Doubts, JudgedDoubts
+from hframe_post.prediction.windows import Window
 from hframe_post.printer.settings import Steps
-from hframe_post.stream.chunks import neighbours, stretches, with_neighbours
+from hframe_post.stream.chunks import neighbours, part, stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen
 
 _Predicted: TypeAlias = tuple[Samples, list[dict[str, Array]]]  # a chunk, and each plant's nozzle
@@ -34,14 +35,16 @@ def predict(chunks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, 
         yield chunk, motion
 
 
-def _predict(chunks: Iterable[Samples], plants: Plants) -> Iterator[_Predicted]:
+def _predict(
+    chunks: Iterable[Samples], plants: Plants, filament: float | None = None
+) -> Iterator[_Predicted]:
     """Yield each chunk with the motion of each plant's nozzle, as ``predict`` gives it for one."""
     for stretch in stretches(chunks):
         nozzles: _Nozzles | None = None
         for chunk in stretch:
             if nozzles is None and len(chunk) and chunk.commands:
-                origin, filament = chunk.xyze[0, :Z], float(chunk.xyze[0, E])
-                nozzles = _Nozzles(plants.at_rest(origin, len(chunk.commands), filament))
+                origin, fed = chunk.xyze[0, :Z], chunk.xyze[0, E] if filament is None else filament
+                nozzles = _Nozzles(plants.at_rest(origin, len(chunk.commands), float(fed)))
             if nozzles is not None:
                 yield from nozzles.feed(chunk)
             else:
@@ -110,6 +113,19 @@ class Judgement:
     doubtful: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
     products: dict[str, Array] = field(default_factory=dict)
 
+    def between(self, start: int, stop: int) -> Judgement:
+        """Return the judgement of the chunk's samples start … stop − 1."""
+        kept = (self.at >= start) & (self.at < stop)
+        looked_at = kept[self.doubtful]
+        return Judgement(
+            part(self.chunk, start, stop), self.at[kept] - start, self.extruding[kept],
+            {name: each[kept] for name, each in self.contour.items()},
+            {name: each[kept] for name, each in self.off.items()},
+            {name: each[start:stop] for name, each in self.motion.items()},
+            (np.cumsum(kept) - 1)[self.doubtful[looked_at]],
+            {name: each[looked_at] for name, each in self.products.items()},
+        )  # fmt: skip
+
     def tracking(self, strategy: str) -> Array:
         """Return the deviation from the desired place at the same time, (k, 2), mm."""
         return np.asarray(self.motion[strategy][self.at] - self.chunk.xyze[self.at, :Z])
@@ -126,19 +142,30 @@ def judge(
         yield judgement
 
 
+def judge_window(
+    window: Window, plants: Plants, every: int = 1, doubts: Doubts | None = None
+) -> Judgement:
+    """Return the judgement of a window, as ``judge`` gives it for one plant."""
+    piece = [replace(window.piece, ends_stretch=True)]
+    ((whole,),) = judge_each(piece, plants, every, doubts, window.filament)
+    return whole.between(window.start, window.stop)
+
+
 def judge_each(
-    chunks: Iterable[Samples], plants: Plants, every: int = 1, doubts: Doubts | None = None
-) -> Iterator[list[Judgement]]:
+    chunks: Iterable[Samples], plants: Plants, every: int = 1, doubts: Doubts | None = None,
+    filament: float | None = None,
+) -> Iterator[list[Judgement]]:  # fmt: skip
     """Yield the judgements of each chunk, one per plant, as ``judge`` gives them for one.
 
-    doubts: of the first plant.
+    doubts: of the first plant. filament: mm on the bed; that of each stretch's first sample by
+    default.
     """
     following = max(NEAREST + 1, doubts.ahead if doubts is not None else 0)
     for stretch in stretches(chunks):
         waiting: deque[list[dict[str, Array]]] = deque()
         doubted = None if doubts is None else JudgedDoubts(doubts)
         for before, chunk, after in neighbours(
-            _noted(_predict(stretch, plants), waiting), NEAREST, following
+            _noted(_predict(stretch, plants, filament), waiting), NEAREST, following
         ):
             motions, start = waiting.popleft(), sum(map(len, before))
             xyze = np.concatenate([each.xyze for each in (*before, chunk, *after)])

@@ -98,15 +98,15 @@ class ErrorStatistics:
     histogram: NDArray[np.int32] = field(default_factory=lambda: np.zeros(BINS, np.int32))
     doubts: Array = field(default_factory=lambda: np.zeros(SUMS))
 
-    def add(self, errors: Array) -> None:
-        """Add the next errors, (n,), none negative."""
+    def add(self, errors: Array, weight: int = 1) -> None:
+        """Add the next errors, (n,), none negative, each ``weight`` times."""
         if len(errors):
             bins = (np.maximum(errors, SMALLEST).view(np.int64) >> BIN_BITS) - _FIRST
             np.minimum(bins, BINS - 1, out=bins)
-            self.count += len(errors)
-            self.squares += float(np.square(errors).sum())
+            self.count += weight * len(errors)
+            self.squares += weight * float(np.square(errors).sum())
             self.peak = max(self.peak, float(errors.max()))
-            self.histogram += np.bincount(bins, minlength=BINS).astype(np.int32)
+            self.histogram += weight * np.bincount(bins, minlength=BINS).astype(np.int32)
 
     def join(self, other: ErrorStatistics) -> None:
         self.count += other.count
@@ -165,13 +165,17 @@ class ContourErrors:
     extruding: ErrorStatistics = field(default_factory=ErrorStatistics)
     all: ErrorStatistics = field(default_factory=ErrorStatistics)
 
-    def add(self, errors: Array, extruding: Flags) -> None:
-        """Add the next errors of motion, (n,), and whether each was made while extruding, (n,)."""
-        self.extruding.add(errors[extruding])
-        self.all.add(errors)
+    def add(self, errors: Array, extruding: Flags, weight: int = 1) -> None:
+        """Add the next errors of motion, (n,), and whether each was made while extruding, (n,).
 
-    def doubt(self, products: Array, extruding: Flags) -> None:
-        """Add what is not known of some errors, (n, SUMS)."""
+        weight: how many times each counts.
+        """
+        self.extruding.add(errors[extruding], weight)
+        self.all.add(errors, weight)
+
+    def doubt(self, products: Array, extruding: Flags, weight: int = 1) -> None:
+        """Add what is not known of some errors, (n, SUMS), each ``weight`` times."""
+        products = weight * products
         self.extruding.doubts = self.extruding.doubts + products[extruding].sum(axis=0)
         self.all.doubts = self.all.doubts + products.sum(axis=0)
 

@@ -320,18 +320,13 @@ class Printer:
         return max(self.uncertainty or 0.0, drifted)
 
     def warnings(self) -> list[str]:
-        """Return what must be known before a print that is compensated with this plant."""
-        if self.invented:
-            return [
-                "NOT YOUR PLANT: it was not measured on your printer, so its figures do not hold "
-                "there and the result must not be printed. Begin with 'hframe-post setup'"
-            ]
-        if self.verified is None:
-            how = "'hframe-post verify' shows whether this helps"
-            if not self.firmware.kind.records:
-                how = "print the part with and without compensation (-c none), and compare"
-            return [f"NOT VERIFIED on a machine: {how}"]
-        return []
+        """Return what must be known before a print that is compensated with this model."""
+        if not self.invented:
+            return []
+        return [
+            "not your printer: its resonances were not measured, so its figures do not hold there "
+            "and the result must not be printed. Begin with 'hframe-post setup'"
+        ]
 
     @property
     def fastest_path(self) -> tuple[float, float]:

@@ -224,7 +224,7 @@ def test_a_marlin_owner_is_told_of_no_printer_cfg(tmp_path: Path) -> None:
         assert printed.returncode == 1
         assert b"measure again: 'hframe-post sweep'" in printed.stderr
     converted = run("sample_gcode/rectangle.gcode", "-n", "-p", own)
-    assert b"NOT VERIFIED on a machine: print the part with and without" in converted.stderr
+    assert b"next             print it, and the file as sliced, and compare\n" in converted.stderr
 
 
 def test_doctor_without_a_profile_checks_the_installation(tmp_path: Path) -> None:

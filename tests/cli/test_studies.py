@@ -1,4 +1,4 @@
-"""simulate, tune and paper as their users meet them: processes, files, exit statuses."""
+"""simulate and tune as their users meet them: processes, files, exit statuses."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_simulate_tells_what_a_conversion_does_and_by_layer_and_feature(simulati
     assert simulation.keys() - conversion.keys() == {
         "simulated_plant", "quantised", "strategies", "features", "layers", "model_error",
     }  # fmt: skip
-    unwritten = {"lines_written", "busiest_second_lines"}
+    unwritten = {"lines_written", "busiest_second_lines", "against"}
     assert conversion.keys() - simulation.keys() == unwritten
     assert simulation["filament_mm"] == {"before": conversion["filament_mm"]["before"]}
     for key in conversion.keys() - unwritten - {"filament_mm", "command"}:
@@ -252,7 +252,6 @@ USAGE = [
     (["tune", "--effort", "nan"], "'nan' is not a number"),
     (["tune", "--figure", "a.pdf"], "--figure must end in"),
     (["tune", "--seed", "-1"], "--seed"),
-    (["paper", "extra"], "unexpected extra argument"),
 ]
 
 
@@ -286,8 +285,8 @@ def test_a_share_without_its_percent_sign_is_answered_with_it() -> None:
 def test_simulate_says_that_a_plant_is_invented(tmp_path: Path) -> None:
     profile = tmp_path / "my.toml"
     profile.write_text('extends = "paper"\n[plant]\ninvented = true\n')
-    assert b"NOT YOUR PLANT" in run("simulate", "-p", profile).stdout
-    assert b"NOT YOUR PLANT" not in run("simulate").stdout
+    assert b"not your printer" in run("simulate", "-p", profile).stdout
+    assert b"not your printer" not in run("simulate").stdout
 
 
 @pytest.mark.parametrize("text", ["", "heavy", "-1", "-0.1", "nan", "inf", "1e15"])
@@ -336,23 +335,3 @@ def test_tune_changes_its_own_profile_however_it_is_laid_out(tmp_path: Path) -> 
     )
     assert load(str(mine)).compensation.L == 10
     assert list(tmp_path.iterdir()) == [mine]
-
-
-# ---------------------------------------------------------------------- paper
-
-
-@pytest.mark.paper
-@pytest.mark.slow
-def test_paper_prints_its_tables() -> None:
-    # another default profile is not the paper's printer
-    done = run("paper", HFRAME_PRINTER="example-cartesian")
-    assert (done.returncode, done.stderr) == (0, b"")
-    titles = [line for line in done.stdout.decode().splitlines() if line and line[0] != "|"]
-    starts = ["Tables I, II", "Fig. 8", "Fig. 9", "Appendix C"]
-    for title, start in zip(titles, starts, strict=True):
-        assert title.startswith(start)
-
-
-def test_paper_tells_at_once_what_it_lacks(tmp_path: Path) -> None:
-    refused(run("paper", "--prism", tmp_path / "no.gcode"), 1, "no.gcode: No such file")
-    refused(run("paper", "-p", "example-cartesian"), 1, "does not rack")

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hframe_post import native
 from hframe_post.arrays import Array, Flags, X, Y
 from hframe_post.compensation.compensate import compensate, settling_samples
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops
@@ -89,10 +88,6 @@ def commanded(plant: Plant, cuts: Sequence[int] = (), strategy: str = "racking")
     return np.concatenate([*map(state.feed, np.split(strokes(), cuts)), state.finish()])
 
 
-def in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(native, "built", lambda: None)
-
-
 # ---------------------------------------------------------------------- filters
 
 
@@ -109,7 +104,7 @@ def by_definition(G: ImpulseResponse, u: Array) -> Array:
 @pytest.mark.parametrize(("late", "lag"), [(33, 0.0), (40, 0.0), (33, 1.7), (300, -2.4)])
 @pytest.mark.parametrize("rest", [1.0, 0.0])
 def test_a_filter_is_the_definition_wherever_its_input_is_cut(
-    monkeypatch: pytest.MonkeyPatch, rest: float, late: int, lag: float
+    rest: float, late: int, lag: float
 ) -> None:
     rng = np.random.default_rng(2)
     G = ImpulseResponse(rng.normal(size=150), 32, rest, lag)
@@ -125,8 +120,6 @@ def test_a_filter_is_the_definition_wherever_its_input_is_cut(
     assert np.abs(off).max() < 1e-11  # mm
     assert np.array_equal(run(np.split(u, cuts)), whole)
     assert np.array_equal(run(np.split(u, np.arange(1, len(u)))), whole)
-    in_numpy(monkeypatch)
-    assert np.array_equal(run(np.split(u, cuts)), whole)
 
 
 @pytest.mark.parametrize("late", [0, 7])
@@ -178,13 +171,6 @@ def test_a_lagging_response_ends_where_it_has_settled(m: int, same: float) -> No
     assert np.abs(one - other).max() < same
     predicted = [stream_filter(each, 0).run(x_d - x_d[0]) for each in (G, finite)]
     assert np.abs(predicted[0] - predicted[1]).max() < same
-
-
-def test_the_solver_gives_the_same_bits_in_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
-    x_d = strokes()[:, X]
-    command = Lpfbs(two_sided(40.0, 0.05), WINDOW).command(x_d)
-    in_numpy(monkeypatch)
-    assert np.array_equal(Lpfbs(two_sided(40.0, 0.05), WINDOW).command(x_d), command)
 
 
 def test_zeros_before_a_response_change_nothing() -> None:
@@ -289,15 +275,11 @@ def test_doubts_take_no_time_while_it_runs() -> None:
     assert sizes[0] == sizes[1]
 
 
-def test_doubtful_commands_do_not_depend_on_how_the_path_is_cut(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_doubtful_commands_do_not_depend_on_how_the_path_is_cut() -> None:
     plant = replace(early(), Gxx=replace(unsure(0.03, 0.2), lag=1.5))
     whole = commanded(plant)
     assert np.array_equal(commanded(plant, (1, 10, 500, 1500)), whole)
     assert not np.array_equal(commanded(early()), whole)
-    in_numpy(monkeypatch)
-    assert np.array_equal(commanded(plant, (300,)), whole)
 
 
 # ---------------------------------------------------------------------- whole plants
@@ -340,13 +322,11 @@ def test_a_two_sided_plant_is_inverted(strategy: str) -> None:
     assert np.sqrt(np.square(off).mean()) < 1e-3  # mm
 
 
-def test_commands_do_not_depend_on_how_the_path_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_do_not_depend_on_how_the_path_is_cut() -> None:
     plant = early()
     whole = commanded(plant)
     for cuts in ((1,), (10, 20, 21, 500, 1500), tuple(range(0, 2000, 37))):
         assert np.array_equal(commanded(plant, cuts), whole)
-    in_numpy(monkeypatch)
-    assert np.array_equal(commanded(plant, (300,)), whole)
 
 
 def samples_of(command: Array) -> Samples:

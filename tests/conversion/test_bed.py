@@ -22,12 +22,12 @@ from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.lpfbs import Lpfbs
 from hframe_post.model.plant import Bed, heavier
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.native.contour import in_motion
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load, model_digest, parse
 from hframe_post.printer.settings import Printer
 from tests.gcode_tools import converted
+from tests.native.oracles import in_motion
 from tests.quantities import below
 
 FBS = Options("fbs", limits="printer")

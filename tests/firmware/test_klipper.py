@@ -18,11 +18,11 @@ from hframe_post.firmware.klipper.code import KlipperCode
 from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.native.ramps import Ramped
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Extruder, Limits, Motors, Printer
 from hframe_post.stream.types import ModalState
 from tests.gcode_tools import converted
+from tests.native.oracles import Ramped
 from tests.quantities import below
 
 STREAM = StreamLimits(

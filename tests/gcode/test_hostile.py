@@ -7,7 +7,6 @@ from itertools import repeat
 
 import pytest
 
-from hframe_post import native
 from hframe_post.errors import GcodeError, LimitError
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode import batching, lines
@@ -16,6 +15,7 @@ from hframe_post.gcode.state import Extrusion, ReadOptions
 from hframe_post.printer.settings import Travel
 from hframe_post.stream.types import Handling, Item, MoveAtRest, Moves, Passthrough
 from tests.gcode.reading import HOME, carried, items, moves
+from tests.gcode_tools import one_by_one
 
 KLIPPER = FIRMWARES["klipper"].dialect
 
@@ -56,7 +56,7 @@ def test_filament_without_a_path_is_extruded_at_rest(
 ) -> None:
     """Along a path that is long enough to be written, so much filament is an error."""
     if not compiled:
-        monkeypatch.setattr(native, "built", lambda: None)
+        monkeypatch.setattr(batching, "plain_moves", one_by_one)
     text = ("M83", *HOME, "G1 X1 Y1 Z1", "G1 X5 E0.3", "G1 X5.0004 E6", "G1 X9 E0.3")
     found = [i for i in items(*text) if isinstance(i, Moves | MoveAtRest)]
     assert [type(i).__name__ for i in found] == ["Moves", "MoveAtRest", "Moves"]
@@ -74,7 +74,7 @@ def test_filament_without_a_path_is_extruded_at_rest(
 @pytest.mark.parametrize("compiled", [True, False])
 def test_a_move_without_a_path_is_ignored(monkeypatch: pytest.MonkeyPatch, compiled: bool) -> None:
     if not compiled:
-        monkeypatch.setattr(native, "built", lambda: None)
+        monkeypatch.setattr(batching, "plain_moves", one_by_one)
     text = (*HOME, "M83", "G1 X1", "G1 X1 Y0." + "0" * 170 + "1", "G5", "G1 X2", "G5 I0", "G1 X3")
     found = moves(*text, firmware="marlin")
     assert [block.points[:, 0].tolist() for block in found] == [[0.0, 1.0, 2.0, 3.0]]

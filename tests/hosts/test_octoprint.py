@@ -109,7 +109,7 @@ def test_the_settings_page_and_the_list_of_files(octoprint: Server, tmp_path: Pa
         browser.value("void $('#login-button').click()")
         until(lambda: browser.value("document.querySelectorAll('.hframe-post').length == 1"))
         line = browser.value("document.querySelector('.hframe-post').textContent")
-        assert re.match(r"Compensated: ringing.*: contour error [\d.]+ µm RMS; 1 warning$", line)
+        assert re.match(r"Compensated: ringing.* [\d.]+ → [\d.]+ µm RMS$", line)
         browser.value("void $('#navbar_show_settings').click()")
         until(lambda: browser.value("$('#settings_dialog').is(':visible')"))
         browser.value("void $('#settings_plugin_hframe_post_link a').click()")
@@ -151,8 +151,8 @@ def test_an_upload_is_converted_or_fails_with_the_reason(octoprint: Server, tmp_
     assert (tmp_path / "uploads/marked.gcode").read_bytes().endswith(PART)
     shown = logged(tmp_path)
     for text in (
-        "INFO - part.gcode: predicted        ringing",
-        "WARNING - part.gcode: WARNING          NOT VERIFIED",
+        "INFO - part.gcode: result           ringing",
+        "INFO - part.gcode: next             print it",
         "WARNING - part.gcode: WARNING          not converted: line ",
         "INFO - marked.gcode: the file says",
     ):

@@ -117,6 +117,7 @@ def dictionary() -> dict[str, Any]:
 
 KLIPPER = os.environ.get("KLIPPER", "")
 """Folder of Klipper's source; without one, Kalico plays."""
+LIVE = Path(__file__).resolve().parents[2] / "hframe_post/hosts/klipper"
 PIECE = 16_384  # bytes
 SHAPER_WINDOW = re.compile(r"(input_shaper_get_step_generation_window)\([^)]*\)")
 
@@ -274,6 +275,27 @@ def klippy_module(name: str) -> Any:
     return importlib.import_module(f"klippy.{name}")
 
 
+def offer_live(folder: Path) -> None:
+    """Let klippy find our extras module as ``setup --moonraker`` links it."""
+    link = folder / "live" / "hframe_live"
+    if KLIPPER:
+        link = Path(KLIPPER) / "klippy" / "extras" / link.name
+    link.parent.mkdir(exist_ok=True)
+    if not link.is_symlink():
+        link.symlink_to(LIVE, target_is_directory=True)
+    if not KLIPPER:
+        printer = klippy_module("printer").Printer
+        original = printer._iter_modules
+
+        def iter_modules(prefix: str, path: Path) -> Any:
+            yield from original(prefix, path)
+            if path.name == "plugins":
+                klippy_module("plugins").__path__.append(str(link.parent))
+                yield from original(prefix, link.parent)
+
+        printer._iter_modules = staticmethod(iter_modules)
+
+
 def klippy_main() -> None:
     """Run klippy with the arguments of this process."""
     klippy_module("klippy" if KLIPPER else "printer").main()
@@ -301,6 +323,7 @@ def main() -> None:
     compile_helper()
     toolhead = klippy_module("toolhead")
     by_timer = hasattr(toolhead.ToolHead, "_handle_step_flush")
+    offer_live(folder)
     klippy_module("gcode").os = PiecewiseOs(PIECE if by_timer else None)
     if by_timer:
         flush_without_stops(klippy_module("extras.motion_queuing"), toolhead)

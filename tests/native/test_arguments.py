@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 import threading
@@ -80,10 +81,14 @@ def test_another_thread_runs_during_a_loop(library: ModuleType) -> None:
 
 
 @pytest.mark.parametrize("name", ["missing", "another version"])
-def test_numpy_is_used_where_the_module_is(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    if name == "missing":
-        monkeypatch.setitem(sys.modules, "hframe_post.native._kernels", None)
-    else:
-        monkeypatch.setattr(native, "BUILT_FOR", native.BUILT_FOR + 1)
-    monkeypatch.setattr(native, "built", native.built.__wrapped__)
-    assert native.kernel("follow") is None
+def test_an_installation_without_its_loops_says_what_to_do(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = None if name == "missing" else ModuleType("_kernels")
+    if found:
+        found.BUILT_FOR = native.BUILT_FOR - 1  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "hframe_post.native._kernels", found)
+    with pytest.raises(ImportError, match="pip install -e"):
+        importlib.reload(native)
+    monkeypatch.undo()
+    importlib.reload(native)

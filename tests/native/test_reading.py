@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -11,13 +10,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hframe_post import native
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import FIRMWARES
+from hframe_post.gcode import batching
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.settings import Printer
 from tests.conftest import ROOT, SAMPLES
+from tests.gcode_tools import one_by_one
 
 START = [b"G28\n", b"G1 X10 Y10 Z0.2 F3000\n", b"M82\n"]
 PLACES = ["0", "1", "-0", "10.", ".5", "+3", "199.999", "250", "-1", "100.12345678901", "7" * 16,
@@ -64,28 +64,26 @@ def items(lines: list[bytes], options: ReadOptions) -> list[Any]:
     st.lists(st.one_of(ordered, ordered, ordered, ordered, move, other), max_size=30),
     st.sampled_from(sorted(FIRMWARES)), st.sampled_from(["\n", "\r\n", ""]), st.booleans(),
 )  # fmt: skip
-def test_any_lines(
-    paper: Printer, library: ModuleType, texts: list[str], firmware: str, end: str, bed: bool
-) -> None:
+def test_any_lines(paper: Printer, texts: list[str], firmware: str, end: str, bed: bool) -> None:
     options = ReadOptions(FIRMWARES[firmware].dialect, travel=paper.travel if bed else None)
     lines = START + [(text + end).encode() for text in texts]
-    same_either_way(lines, options, library)
+    same_either_way(lines, options)
 
 
 @pytest.mark.parametrize("name", ["cube.gcode", "prism.gcode"])
-def test_a_slice(library: ModuleType, name: str) -> None:
+def test_a_slice(name: str) -> None:
     lines = (SAMPLES / name).read_bytes().splitlines(keepends=True)
-    same_either_way(lines, ReadOptions(FIRMWARES["klipper"].dialect), library)
+    same_either_way(lines, ReadOptions(FIRMWARES["klipper"].dialect))
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "tests" / "quirks").glob("*.gcode")), ids=str)
-def test_quirks(library: ModuleType, path: Any) -> None:
+def test_quirks(path: Any) -> None:
     lines = path.read_bytes().splitlines(keepends=True)
     for firmware in FIRMWARES.values():
-        same_either_way(lines, ReadOptions(firmware.dialect), library)
+        same_either_way(lines, ReadOptions(firmware.dialect))
 
 
-def test_an_error_of_the_source_comes_in_its_turn(library: ModuleType) -> None:
+def test_an_error_of_the_source_comes_in_its_turn() -> None:
     """The lines before it are read, and their errors come first."""
 
     def source(wrong: bytes) -> Any:
@@ -93,18 +91,14 @@ def test_an_error_of_the_source_comes_in_its_turn(library: ModuleType) -> None:
         yield wrong
         raise OSError("gone")
 
+    with pytest.raises(OSError, match="gone"):
+        list(read(source(b"G1 X20\n"), ReadOptions(FIRMWARES["klipper"].dialect)))
+    with pytest.raises(HframeError, match="F"):
+        list(read(source(b"G1 X20 F-3\n"), ReadOptions(FIRMWARES["klipper"].dialect)))
+
+
+def same_either_way(lines: list[bytes], options: ReadOptions) -> None:
+    together = items(lines, options)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(native, "built", lambda: library)
-        with pytest.raises(OSError, match="gone"):
-            list(read(source(b"G1 X20\n"), ReadOptions(FIRMWARES["klipper"].dialect)))
-        with pytest.raises(HframeError, match="F"):
-            list(read(source(b"G1 X20 F-3\n"), ReadOptions(FIRMWARES["klipper"].dialect)))
-
-
-def same_either_way(lines: list[bytes], options: ReadOptions, library: ModuleType) -> None:
-    found = []
-    for loops in (None, library):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(native, "built", lambda loops=loops: loops)
-            found.append(items(lines, options))
-    assert found[0] == found[1]
+        patch.setattr(batching, "plain_moves", one_by_one)
+        assert items(lines, options) == together

@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, E
-from hframe_post.native.lookahead import greatest_speeds, reachable_speed
+from hframe_post.native.lookahead import greatest_speeds
 from hframe_post.planner.lookahead import BATCH, plan
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
@@ -26,6 +26,7 @@ from hframe_post.stream.types import (
     Passthrough,
     Plan,
 )
+from tests.native.oracles import reachable_speed
 from tests.planner.planning import (
     INF,
     LIMITS,

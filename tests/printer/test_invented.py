@@ -43,7 +43,7 @@ def test_the_papers_printer_is_shown_where_it_is_asked_for_by_name_and_never_in_
     part.write_bytes(RECTANGLE.read_bytes())
     asked = run(part, "-o", out, "-p", "paper")
     assert asked.returncode == 0
-    warning = "WARNING          NOT YOUR PLANT"
+    warning = "WARNING          not your printer"
     assert asked.stderr.decode().startswith(warning)
     summary = [line for line in out.read_text().splitlines() if line.startswith("; hframe-post: ")]
     assert summary[0].startswith(f"; hframe-post: {warning}")

@@ -36,7 +36,7 @@ def simulated(
 ) -> SimulationReport:
     paper = profile.load("paper")
     options = Options("racking", strategies)
-    return simulate(iter(lines), paper, options, study or Study(paper.plant))
+    return simulate(lambda: lines, paper, options, study or Study(paper.plant))
 
 
 def rms(group: Group) -> list[float]:

@@ -117,8 +117,7 @@ def test_no_layer_is_too_short_and_what_limits_the_speed_is_reported(
     assert loose.trial.limited.sum() == pytest.approx(loose.trial.seconds, rel=1e-9)
     assert loose.trial.limited_by["file"] > 0.0
     printed = speed_as_text(loose)
-    assert re.search(r"faster .*\(-\d+ %\), outer-wall within \d+ µm \(at 95 %\)", printed)
-    assert re.search(r"\d+ µm without hframe-post", printed)
+    assert re.search(r"permitted; \d+ without hframe-post", printed)
 
 
 @pytest.mark.slow
@@ -236,7 +235,8 @@ def test_batch_and_library_follow_the_profile_and_batch_resumes(tmp_path: Path) 
     fast = convert(part, tmp_path / "same.gcode", printer)
     assert (tmp_path / "same.gcode").read_bytes() == made
     plain = convert(list(cube()), tmp_path / "plain.gcode", printer, Options(max_error={}))
-    assert plain.time.before > fast.time.before + 1.0
+    assert plain.time.before == fast.time.before  # the firmware's own, whatever was asked
+    assert plain.time.after > fast.time.after + 1.0
     with pytest.raises(HframeError, match="a list of lines"):
         convert(iter(cube()), tmp_path / "once.gcode", printer)
 

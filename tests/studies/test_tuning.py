@@ -96,7 +96,9 @@ def test_every_candidate_is_tried_on_every_printer(trials: list[Trial]) -> None:
 
 def test_a_trial_is_what_a_simulation_tells(profiled: Printer) -> None:
     (trial,) = tune(rectangle(profiled), profiled, [profiled.compensation.windows], [])
-    report = simulate(rectangle(profiled), profiled, Options("racking"), Study(profiled.plant))
+    report = simulate(
+        lambda: rectangle(profiled), profiled, Options("racking"), Study(profiled.plant)
+    )
     figures = report.parts.whole["racking"]
     assert trial.contour.rms == pytest.approx(figures.contour.rms, rel=1e-9)
     assert trial.contour.all.count == figures.contour.all.count

@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 from hframe_post.firmware.configuration import Finding
+from hframe_post.firmware.klipper.live import klipper_name
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import corner_in, extruder
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
@@ -64,7 +65,7 @@ def check(
 
 def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDifference]:
     has = config.text("printer", "kinematics")
-    needs = {"hbot": "corexy"}.get(kind := printer.kinematics.type, kind.replace("-", "_"))
+    needs = klipper_name(kind := printer.kinematics.type)
     if has != needs:
         text = f'kinematics: {has}; a profile with kinematics.type = "{kind}" needs {needs}'
         yield ConfigDifference(True, "printer", "kinematics", text, "kinematics.type")

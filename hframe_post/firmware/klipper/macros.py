@@ -46,7 +46,7 @@ _LIMITS = f"""
 [gcode_macro {BEGIN}]
 description: Set the limits of a converted file and turn input shaping off
 gcode:
-    {{% if "input_shaper" in printer.configfile.settings %}}
+    {{% if "input_shaper" in printer.configfile.settings or "hframe_live" in printer %}}
     @shaper_off
     {{% endif %}}
     @limits
@@ -63,6 +63,9 @@ MINIMUM_CRUISE_RATIO={{own.printer.minimum_cruise_ratio|default(0.5)}}
     SET_INPUT_SHAPER SHAPER_FREQ_X={{own.input_shaper.shaper_freq_x}} \
 SHAPER_FREQ_Y={{own.input_shaper.shaper_freq_y}} \
 SHAPER_FREQ_Z={{own.input_shaper.shaper_freq_z|default(0)}}
+    {{% endif %}}
+    {{% if "hframe_live" in printer %}}
+    SET_HFRAME_LIVE ENABLE={{printer.hframe_live.enabled|int}}
     {{% endif %}}
 @own_averaging
 
@@ -93,6 +96,12 @@ description: Convert the files of an older model again, or FILENAME; CANCEL=1 en
 gcode:
     {{action_call_remote_method("hframe_convert", filename=params.FILENAME|default(""), \
 cancel=params.CANCEL|default(""))}}
+
+[gcode_macro HFRAME_TOWER]
+description: Before a print: 5 mm compensated in Klipper, 5 mm bare, 5 mm with the input shaper
+gcode:
+    {{% set height = params.HEIGHT|default(5) %}}
+    TUNING_TOWER COMMAND=SET_HFRAME_LIVE PARAMETER=TOWER STEP_DELTA=1 STEP_HEIGHT={{height}}
 
 [gcode_macro _HFRAME_RECORD]
 description: Home if needed, ask the accelerometers for a reading, and print FILENAME

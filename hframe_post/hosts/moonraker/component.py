@@ -25,6 +25,7 @@ from .settings import Settings
 PROGRAM = str(Path(__file__).resolve().parent)
 CONVERT, CANCEL, STATUS = (f"/server/{NAME}/{word}" for word in ("convert", "cancel", "status"))
 TIMEOUT = 4 * 3600.0  # s, for a process
+UPLOADS = ("convert", "leave")
 METADATA = 60.0  # s, in which Moonraker reads those of a file
 MEGABYTE = 1_000_000
 TIDY_AFTER = 5.0  # s after the start, and after files are deleted
@@ -57,6 +58,8 @@ class HframePost:
             config.getchoice("fresh", {name: name for name in FRESH}, FRESH[0]),
         )
         self._storage = self._files.get_metadata_storage()
+        uploads = {name: name for name in UPLOADS}
+        self._converts = config.getchoice("uploads", uploads, UPLOADS[0]) == UPLOADS[0]
         self._connect()
 
     def _connect(self) -> None:
@@ -67,7 +70,8 @@ class HframePost:
             "timeout": TIMEOUT,
             "ident": {"regex": f"^{STAMP}", "location": "header"},
         }
-        self._storage.register_gcode_processor(NAME, processor)
+        if self._converts:  # otherwise Klipper compensates
+            self._storage.register_gcode_processor(NAME, processor)
         self._delete_file, self._files.delete_file = self._files.delete_file, self._stop_and_delete
         Answering(self._files, self._gcodes, self.say)
         klippy, server = self.server.lookup_component("klippy_apis"), self.server

@@ -1,6 +1,7 @@
 """Comparison of a print with input shapers to one without compensation and to this tool's.
 
-    plan ──► commands ──► with those of shapers ──► nozzle ──► contour error of each
+    firmware's own motion ──► with those of shapers ─┐
+    our plan ──► commands of the strategies ─────────┴─► nozzle ──► contour error of each
 
 Each shaper appears twice: with the frequencies and damping that are most accurate on pieces of the
 print, and with the frequencies that Klipper's calibration would choose.
@@ -10,21 +11,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 from hframe_post.arrays import TS
 from hframe_post.compensation.shape import shape
 from hframe_post.conversion.meters import ErrorMeter
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.conversion.pipeline import SampleStream, parsed
+from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
+from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
+from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
-from hframe_post.studies.shapers.search import calibrated_with, paths, search
+from hframe_post.studies.shapers.search import calibrated_with, search
 from hframe_post.writers.stream.print_time import duration
 
 CALIBRATED = " as calibrated"  # appended to the name of a shaper with Klipper's frequencies
@@ -54,17 +59,17 @@ def compare_shapers(
     lines: opens the file and yields its lines, at each call again. plant: on which all are judged;
     they are made for the printer's. Raises HframeError.
     """
-    searched = search(printer.plant, paths(lines(), printer, options))
-    shapings = {found.x.name: found for found in searched}
+    pieces = SlicedFile.from_items(parsed(lines(), printer, options), printer).paths
+    shapings = {found.x.name: found for found in search(printer.plant, pieces)}
     shapings |= {name + CALIBRATED: calibrated_with(printer.plant, name) for name in KLIPPER}
-    source = SampleStream(lines(), printer, options, tuple(STRATEGIES))
-    meter = ErrorMeter(plant)
-    for _ in meter.samples(shape(source, shapings)):
+    sliced, meter = AsSliced(firmware(printer).limits(printer)), ErrorMeter(plant)
+    today = shape(sliced.samples(parsed(lines(), printer, options)), shapings)
+    ours = SampleStream(lines(), printer, options, tuple(STRATEGIES)[1:])
+    for _ in chain(meter.samples(today), meter.samples(ours)):
         pass
-    time = source.report().time
-    durations = {name: time.before if name == "none" else time.after for name in STRATEGIES}
+    durations = dict.fromkeys(STRATEGIES, ours.report().time.after) | {"none": sliced.seconds}
     durations |= {
-        name: time.before + TS * max(s.x.shaper.reach, s.y.shaper.reach)
+        name: sliced.seconds + TS * max(s.x.shaper.reach, s.y.shaper.reach)
         for name, s in shapings.items()
     }
     compared = (

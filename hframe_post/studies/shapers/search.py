@@ -7,20 +7,16 @@ so a comparison with it is fair. Its section for printer.cfg is an alternative t
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from operator import attrgetter
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, X, Y, Z
-from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import parsed, sampled
+from hframe_post.arrays import TS
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.model.impulse_response import Linear
-from hframe_post.model.nozzle import nozzle
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import (
     WITH_PARAMETERS,
@@ -30,16 +26,8 @@ from hframe_post.model.shapers import (
     compared,
     shaper,
 )
-from hframe_post.planner.lookahead import plan
-from hframe_post.prediction.predict import contour_error
-from hframe_post.printer.settings import Printer
-from hframe_post.stream.chunks import stretches
-from hframe_post.stream.running import one_blas_thread
-from hframe_post.stream.types import Samples
-from hframe_post.studies.inputs import excerpt
-from hframe_post.studies.shapers.guess import Paths, guess, quadratic_form
+from hframe_post.prediction.best_shaper import Paths, ranked
 
-PIECES = 5  # of a print, of some seconds each, on which settings are compared
 WORTH = 0.95  # of the error of a shaper, with which one that needs a newer Klipper is shown
 
 # Klipper's calibration, as of November 2025 (klippy/extras/shaper_calibrate.py)
@@ -52,44 +40,8 @@ KLIPPER_LEAST = {"zv": 21.0, "mzv": 23.0, "ei": 29.0, "2hump_ei": 39.0, "3hump_e
 KLIPPER_MOST, KLIPPER_STEP = 150.0, 0.2  # Hz
 
 
-def paths(lines: Iterable[bytes], printer: Printer, options: Options) -> Paths:
-    """Return pieces of motion from all over a print; none if nothing is extruded.
-
-    The first layer is left out where there are more: it is so slow that all shapers are alike.
-    """
-    pieces = excerpt(parsed(lines, printer, options), first_layers=0)
-    pieces = [piece for piece in pieces if piece.start.place.layer > 1] or pieces
-    chosen = np.linspace(0, len(pieces) - 1, min(PIECES, len(pieces))).astype(int).tolist()
-    options = Options("none", tolerance=None)  # the path without rests at stops
-    plans = (plan(pieces[k].items, printer.limits) for k in chosen)
-    samples = (sampled(items, printer, options, skip_slow=True) for items in plans)
-    found = [_path(stretch) for chunks in samples for stretch in stretches(chunks)]
-    return [(path, counted) for path, counted in found if counted.any()]
-
-
-def _path(chunks: Iterable[Samples]) -> tuple[Array, Flags]:
-    xyze = np.concatenate([chunk.xyze for chunk in chunks])
-    return xyze[:, :Z], np.diff(xyze[:, E], prepend=xyze[0, E]) > 0.0
-
-
-def error(plant: Plant, shaping: Shaping, paths: Paths) -> Shaping:
-    """Return the shaping with its RMS contour error (mm) on the extruding samples of paths."""
-    off, x, y = list[Array](), shaping.x.shaper, shaping.y.shaper
-    for path, counted in paths:
-        command = np.column_stack([x.run(path[:, X]), y.run(path[:, Y])])
-        at = np.flatnonzero(counted)
-        off.append(contour_error(path, nozzle(plant, path[0], command), at))
-    return replace(shaping, rms=float(np.sqrt(np.square(np.concatenate(off)).mean())))
-
-
-def good(plant: Plant, paths: Paths, firmware: Firmware) -> Shaping | None:
-    """Return the most accurate of the firmware's shapers; None if there are no paths."""
-    return search(plant, paths, firmware.shapers)[0] if paths else None
-
-
-@one_blas_thread()
-def search(plant: Plant, paths: Paths, names: Iterable[str] | None = None) -> list[Shaping]:
-    """Return shapers (default: all) with good settings for these paths, the most accurate first.
+def search(plant: Plant, paths: Paths) -> list[Shaping]:
+    """Return all shapers with good settings for these paths, the most accurate first.
 
     A search by the true contour error takes 60 times as long for settings with 1 to 5 % less of it
     (``zvdd`` and ``zvddd``: 8 and 10 %). Raises HframeError if there are no paths.
@@ -99,9 +51,7 @@ def search(plant: Plant, paths: Paths, names: Iterable[str] | None = None) -> li
             "there is no path to shape: nothing is extruded at a known place after the label of a "
             "layer, such as ;LAYER:0"
         )
-    Q = quadratic_form(plant, paths)
-    found = (error(plant, guess(Q, name), paths) for name in names or compared())
-    return sorted(found, key=attrgetter("rms"))
+    return ranked(plant, paths, compared())
 
 
 def calibrated(plant: Plant) -> Shaping:

@@ -6,23 +6,26 @@ commands → (whole steps) → judged on the plant, and on printers that are not
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from statistics import median
 from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import Integers
+from hframe_post.arrays import Integers, Z
 from hframe_post.compensation.guard import check_prediction
 from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.conversion.meters import JUDGED_EVERY, ErrorMeter
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.conversion.pipeline import SampleStream, parsed
 from hframe_post.conversion.report import Report, range_as_text
-from hframe_post.model.kinematics import Differences, Kinematics
+from hframe_post.firmware.registry import firmware
+from hframe_post.model.kinematics import Differences
 from hframe_post.model.plant import Plant
+from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
+from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.line_width import Lines
 from hframe_post.prediction.picture import Picture
@@ -86,11 +89,6 @@ class SimulationReport(Report):
     parts: Parts = field(default_factory=Parts)
     model_error: tuple[Uncertainty, ...] = ()
 
-    @property
-    def strategies(self) -> list[str]:
-        """Return the simulated strategies, from no compensation to full."""
-        return [name for name in STRATEGIES if name in self.parts.whole]
-
     def print_time(self, strategy: str) -> float:
         """Return the print time (s); without compensation no stop needs any rest."""
         return self.time.before if strategy == "none" else self.time.after
@@ -140,7 +138,8 @@ class SimulationReport(Report):
             layers = layers[:LAYERS_SHOWN]
         lines += self._table(title, layers)
         lines += self._trust()
-        return "\n".join(self.warning_lines() + lines)
+        warnings = [f"WARNING          {text}" for text in self.warnings()]
+        return "\n".join([*warnings, *lines])
 
     def _ranges(self) -> list[str]:
         """Return the ranges of the errors of the whole print, which the table does not hold."""
@@ -240,52 +239,117 @@ class Study:
 
 
 def simulate(
-    lines: Iterable[bytes], printer: Printer, options: Options, study: Study
+    lines: Callable[[], Iterable[bytes]], printer: Printer, options: Options, study: Study
 ) -> SimulationReport:
     """Simulate the options' strategies; memory does not grow with the print.
 
-    Raises HframeError, also if the model predicts an error that no working printer has.
+    lines: opens the file and yields its lines, at each call again. Without compensation the
+    firmware moves as the file asks; with it, as this tool plans. Raises HframeError, also if the
+    model predicts an error that no working printer has.
     """
-    source = SampleStream(lines, printer, replace(options, predict=()), options.strategies)
-    parts, uncertainties = Parts(), list[Uncertainty]()
-    commands = _rated(source, printer.kinematics, parts)
-    picture = Picture(Labels()) if options.picture else None
-    if options.shaping is not None:
-        commands = shape(commands, {SHAPER: options.shaping})
-    if study.steps is not None:
-        commands = quantise(commands, printer.kinematics, study.steps)
-    count = 1 + sum(map(len, study.drawn.values()))
-    streams = iter(branches(commands, count))
-    judged = judge(next(streams), study.plant, JUDGED_EVERY, study.doubts)
-    drawn: list[Iterator[Samples]] = []
-    for share, plants in study.drawn.items():
-        meters = [ErrorMeter(plant, DRAWS_JUDGED_EVERY) for plant in plants]
-        uncertainties.append(Uncertainty(share, [meter.contour for meter in meters]))
-        drawn += [meter.samples(next(streams)) for meter in meters]
-    labels, drawing = Labels(), Lines()
-    for judgement, *_ in zip(judged, *drawn, strict=True):  # chunk by chunk, to hold but one
-        layer, feature = labels.number(judgement.chunk)
-        _add_errors(judgement, _groups(layer[judgement.at], feature[judgement.at], labels, parts))
-        for name, (at, shares) in drawing.pieces(judgement).items():
-            for group, which in _groups(layer[at], feature[at], labels, parts):
-                group.setdefault(name, Figures()).width.add(shares[which])
-        if picture is not None:
-            picture.add(judgement)
+    shapings = {} if options.shaping is None else {SHAPER: options.shaping}
+    sliced = AsSliced(firmware(printer).limits(printer))
+    motion = sliced.samples(parsed(lines(), printer, options))
+    today = _Judged(shape(motion, shapings), printer, study)
+    strategies = tuple(name for name in options.strategies if name != "none")
+    ours = SampleStream(lines(), printer, replace(options, predict=()), strategies)
+    parts, picture = Parts(), Picture(Labels()) if options.picture else None
+    if "none" in (options.predict or ()):
+        today.run(parts)
+    judged = _Judged(ours, printer, study)
+    judged.run(parts, picture, shapings)
+    off = {
+        share: [{**own, **before} for own, before in zip(judged.off[share], found, strict=True)]
+        for share, found in today.off.items()
+    }
     contour = {name: figures.contour for name, figures in parts.whole.items()}
     if "none" in contour:
         check_prediction(contour["none"].rms)
     width = {name: figures.width for name, figures in parts.whole.items()}
-    report = replace(source.report(), contour=contour, width=width, picture=picture)
+    report = replace(ours.report(), contour=contour, width=width, picture=picture)
     return SimulationReport(
         **{field.name: getattr(report, field.name) for field in fields(Report)}, plant=study.name,
-        quantised=study.steps is not None, parts=parts, model_error=tuple(uncertainties),
+        quantised=study.steps is not None, parts=parts,
+        model_error=tuple(Uncertainty(*each) for each in off.items()),
     )  # fmt: skip
 
 
-def _add_errors(judgement: Judgement, groups: Iterable[tuple[Group, Integers]]) -> None:
+class _Judged:
+    """A motion of the print, judged on the simulated printer and on those that differ from it.
+
+    off: by share of model error, the contour errors of each of these.
+    """
+
+    def __init__(self, source: Iterable[Samples], printer: Printer, study: Study) -> None:
+        self._source, self._kinematics, self._study = source, printer.kinematics, study
+        self._names = set[str]()  # strategies of its own
+        self._meters = {
+            share: [ErrorMeter(plant, DRAWS_JUDGED_EVERY) for plant in plants]
+            for share, plants in study.drawn.items()
+        }
+        self.off = {
+            share: [meter.contour for meter in meters] for share, meters in self._meters.items()
+        }
+
+    def run(
+        self, parts: Parts, picture: Picture | None = None,
+        shapings: dict[str, Shaping] | None = None,
+    ) -> None:  # fmt: skip
+        """Add the errors to parts, and those of this path without compensation to the picture."""
+        study, commands = self._study, self._rated(parts)
+        if picture is not None:
+            commands = shape(map(_with_path, commands), shapings or {})
+        if study.steps is not None:
+            commands = quantise(commands, self._kinematics, study.steps)
+        meters = [meter for each in self._meters.values() for meter in each]
+        judged, *others = branches(commands, 1 + len(meters))
+        drawn = (meter.samples(each) for meter, each in zip(meters, others, strict=True))
+        labels, drawing = Labels(), Lines()
+        for judgement, *_ in zip(  # chunk by chunk, to hold but one
+            judge(judged, study.plant, JUDGED_EVERY, study.doubts), *drawn, strict=True
+        ):
+            if picture is not None:
+                picture.add(judgement)
+            layer, feature = labels.number(judgement.chunk)
+            groups = _groups(layer[judgement.at], feature[judgement.at], labels, parts)
+            _add_errors(judgement, groups, self._names)
+            for name, (at, shares) in drawing.pieces(judgement).items():
+                if name in self._names:
+                    for group, which in _groups(layer[at], feature[at], labels, parts):
+                        group.setdefault(name, Figures()).width.add(shares[which])
+
+    def _rated(self, parts: Parts) -> Iterator[Samples]:
+        """Note how fast the belts move; yield the chunks unchanged."""
+        labels, differences = Labels(), dict[str, Differences]()
+        for chunk in self._source:
+            layer, feature = labels.number(chunk)
+            for name, command in chunk.commands.items():
+                self._names.add(name)
+                if len(command):
+                    rates = differences.setdefault(name, Differences(self._kinematics))
+                    found = rates.rates(command)
+                    velocity = np.abs(found.belt_velocity).max(axis=0)
+                    acceleration = np.abs(found.belt_acceleration).max(axis=0)
+                    for group, which in _groups(layer, feature, labels, parts):
+                        figures = group.setdefault(name, Figures())
+                        figures.add_rates(velocity[which], acceleration[which])
+            if chunk.ends_stretch:
+                differences = {}
+            yield chunk
+
+
+def _with_path(chunk: Samples) -> Samples:
+    return replace(chunk, commands={"none": chunk.xyze[:, :Z], **chunk.commands})
+
+
+def _add_errors(
+    judgement: Judgement, groups: Iterable[tuple[Group, Integers]], names: set[str]
+) -> None:
     """Add a chunk's contour errors to the parts of the print that it belongs to."""
     for group, which in groups:
         for name, errors in judgement.contour.items():
+            if name not in names:  # drawn in the picture only
+                continue
             off = judgement.tracking(name)[which]
             figures = group.setdefault(name, Figures())
             figures.add_errors(errors[which], off, judgement.extruding[which])
@@ -295,24 +359,6 @@ def _add_errors(judgement: Judgement, groups: Iterable[tuple[Group, Integers]]) 
                 some = inside[judgement.doubtful]
                 extruding = judgement.extruding[judgement.doubtful[some]]
                 figures.contour.doubt(judgement.products[name][some], extruding)
-
-
-def _rated(chunks: Iterable[Samples], kinematics: Kinematics, parts: Parts) -> Iterator[Samples]:
-    """Note how fast the belts move; yield the chunks unchanged."""
-    labels, differences = Labels(), dict[str, Differences]()
-    for chunk in chunks:
-        layer, feature = labels.number(chunk)
-        for name, command in chunk.commands.items():
-            if len(command):
-                rates = differences.setdefault(name, Differences(kinematics)).rates(command)
-                velocity = np.abs(rates.belt_velocity).max(axis=0)
-                acceleration = np.abs(rates.belt_acceleration).max(axis=0)
-                for group, which in _groups(layer, feature, labels, parts):
-                    figures = group.setdefault(name, Figures())
-                    figures.add_rates(velocity[which], acceleration[which])
-        if chunk.ends_stretch:
-            differences = {}
-        yield chunk
 
 
 def _groups(

@@ -15,12 +15,12 @@ from typing import cast
 import numpy as np
 
 from hframe_post.conversion.options import MAX_SPEED_UP, Options
+from hframe_post.conversion.pipeline import parsed
+from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.errors import HframeError
-from hframe_post.firmware.registry import firmware
 from hframe_post.model.shapers import Shaping
 from hframe_post.printer.settings import Limits, Printer
 from hframe_post.stream.running import one_blas_thread, release_memory
-from hframe_post.studies.shapers.search import good, paths
 from hframe_post.studies.speed.cooling import LayerTimes
 from hframe_post.studies.speed.drive import Drive, Original, Source
 from hframe_post.studies.speed.excerpt import ExcerptSearch
@@ -81,7 +81,8 @@ def _traced(lines: Source, printer: Printer, options: Options) -> Curve:
     freedom = freedom_of(speed, printer)
     kept = Drive(lines, printer, options, measure, replace(freedom, speed_up=1.0), width < math.inf)
     original, pieces = kept.original(), kept.excerpt()
-    shaping = good(printer.plant, paths(lines(), printer, options), firmware(printer))
+    sliced = SlicedFile.from_items(parsed(lines(), printer, options), printer)
+    shaping = sliced.shaping(printer.plant)
     errors = ExcerptErrors(pieces, printer.plant, options.strategy, shaping, measure)
     own = Point(kept.own_seconds(), 0.0, errors.at(kept, None))
     today = max(original.errors.values(), default=0.0)

@@ -11,12 +11,11 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from hframe_post.arrays import TS, Z
+from hframe_post.arrays import TS
 from hframe_post.compensation.stops import StopSolvers
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import (
     Stages,
-    continued,
     following,
     parsed,
     prepared,
@@ -24,18 +23,16 @@ from hframe_post.conversion.pipeline import (
     scheduled,
 )
 from hframe_post.conversion.report import Report
-from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
-from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import CORNER, FIRST_LAYERS, Pace, Paces, PieceStart, pace
-from hframe_post.planner.sliced import SlicedTime
+from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
-from hframe_post.stream.types import Item, Moves, Planned, Samples
+from hframe_post.stream.types import Item, Moves, Samples
 from hframe_post.studies.inputs import SECONDS, Piece, Section, excerpt, sections, useful_feeds
 from hframe_post.studies.speed.trial import (
     JUDGED_EVERY,
@@ -254,18 +251,11 @@ class Drive:
 
     def original(self) -> Original:
         """Return what the file is without this tool, at its own speeds."""
-        printer, options = self._printer, replace(self._options, strategy="none")
-        sliced = SlicedTime(firmware(printer).limits(printer))
-
-        def uncompensated(items: Iterable[Planned]) -> Iterator[Samples]:
-            for chunk in sampled(items, printer, options):
-                yield replace(chunk, commands={"none": chunk.xyze[:, :Z]})
-
-        spans = Spans(plan(sliced.items(self._items()), printer.limits))
-        commands = continued(spans, uncompensated, printer)
+        sliced = AsSliced(firmware(self._printer).limits(self._printer))
+        commands = sliced.samples(self._items())
         labels, layers = Labels(by_name=False), dict[int, float]()
         statistics: dict[str, ErrorStatistics] = {}
-        for judgement in judge(commands, printer.plant, JUDGED_EVERY):
+        for judgement in judge(commands, self._printer.plant, JUDGED_EVERY):
             layer, feature = labels.number(judgement.chunk)
             add_layer_times(layers, layer)
             for name, here in judged(judgement.at, layer, feature, labels):

@@ -8,7 +8,6 @@ from typing import Any
 
 from hframe_post.conversion.report import Report
 from hframe_post.studies.speed.search import Fastest
-from hframe_post.writers.stream.print_time import duration
 
 MEASURES = {"rms": "RMS", "p95": "at 95 %", "peak": "at most"}
 CAUSES = {
@@ -21,7 +20,6 @@ CAUSES = {
     "motors": "motors",
     "error": "permitted error",
 }
-VISIBLE = ("outer-wall", "inner-wall", "skin", "infill", "support", "other")  # the most first
 
 
 def with_speed(found: Fastest) -> Report:
@@ -61,12 +59,7 @@ def speed_as_json(found: Fastest) -> dict[str, Any]:
 
 def speed_as_text(found: Fastest) -> str:
     trial, original = found.trial, found.original
-    change = 100.0 * (trial.seconds / original.seconds - 1.0) if original.seconds else 0.0
-    measure = MEASURES[found.bound.measure]
-    lines = [
-        f"faster           {duration(trial.seconds)} instead of {duration(original.seconds)} "
-        f"({change:+.0f} %){_error_of_most_visible(found, measure)}"
-    ]
+    measure, lines = MEASURES[found.bound.measure], list[str]()
     for name, errors in sorted(trial.errors.items()):
         if errors[0] < 1e-5:  # straight lines at one speed, such as those that prime
             continue
@@ -104,16 +97,3 @@ def _percent(shares: list[float] | None) -> float | None:
     """Return the greatest share in percent; None if nothing is measured or limited."""
     most = max(shares or [math.inf])
     return round(100.0 * most, 3) if math.isfinite(most) else None
-
-
-def _error_of_most_visible(found: Fastest, measure: str) -> str:
-    """Return the error of the most visible feature, with and without compensation."""
-    name = next((name for name in VISIBLE if found.trial.errors.get(name)), None)
-    if name is None:
-        return ""
-    worse = max(found.trial.errors[name]) * 1e3
-    before = found.original.errors.get(name, 0.0) * 1e3
-    return (
-        f", {name} within {worse:.0f} µm ({measure}), model uncertainty included; "
-        f"{before:.0f} µm without hframe-post"
-    )

@@ -11,12 +11,19 @@ Q is computed once for a path; every setting then costs a small product.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
+
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Flags, X, Y
+from hframe_post.arrays import TS, Array, E, Flags, X, Y, Z
 from hframe_post.model.nozzle import motion, nozzle
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import AxisShaping, Shaper, Shaping, most_damping
+from hframe_post.prediction.predict import contour_error
+from hframe_post.stream.chunks import stretches
+from hframe_post.stream.running import one_blas_thread
+from hframe_post.stream.types import Samples
 
 Paths = list[tuple[Array, Flags]]  # each (n, 2), mm, and which samples extrude, (n,)
 Candidates = tuple[list[AxisShaping], Array]
@@ -28,6 +35,33 @@ HZ = np.geomspace(10.0, 120.0, 16)
 DAMPING = np.array([0.0, 0.1, 0.25, 0.5])
 MOST_DAMPING = 0.6
 REFINED = ((1.08, 0.08), (1.04, 0.04), (1.02, 0.02))  # factors on Hz, and steps of damping
+
+
+def paths(chunks: Iterable[Samples]) -> Paths:
+    """Return the stretches of a stream in which anything is extruded."""
+    found = Paths()
+    for stretch in stretches(chunks):
+        xyze = np.concatenate([chunk.xyze for chunk in stretch])
+        counted = np.diff(xyze[:, E], prepend=xyze[:1, E]) > 0.0
+        found += [(xyze[:, :Z], counted)] if counted.any() else []
+    return found
+
+
+@one_blas_thread()
+def ranked(plant: Plant, paths: Paths, names: Iterable[str]) -> list[Shaping]:
+    """Return shapers with good settings for these paths, the most accurate first."""
+    Q = quadratic_form(plant, paths)
+    return sorted((error(plant, guess(Q, name), paths) for name in names), key=lambda s: s.rms)
+
+
+def error(plant: Plant, shaping: Shaping, paths: Paths) -> Shaping:
+    """Return the shaping with its RMS contour error (mm) on the extruding samples of paths."""
+    off, x, y = list[Array](), shaping.x.shaper, shaping.y.shaper
+    for path, counted in paths:
+        command = np.column_stack([x.run(path[:, X]), y.run(path[:, Y])])
+        at = np.flatnonzero(counted)
+        off.append(contour_error(path, nozzle(plant, path[0], command), at))
+    return replace(shaping, rms=float(np.sqrt(np.square(np.concatenate(off)).mean())))
 
 
 def quadratic_form(plant: Plant, paths: Paths) -> Array:

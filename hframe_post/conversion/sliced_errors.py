@@ -1,0 +1,127 @@
+"""What a print has today: the errors of the firmware's own motion of the file as sliced.
+
+They are predicted without compensation and with the firmware's best input shaper, on pieces from
+all over the print: a print of any length needs three minutes of motion at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+from hframe_post.arrays import TS, E
+from hframe_post.compensation.shape import SHAPER, shape
+from hframe_post.conversion.meters import ErrorMeter
+from hframe_post.firmware.registry import firmware
+from hframe_post.model.plant import Plant
+from hframe_post.model.shapers import Shaping
+from hframe_post.planner.bands import MotorBands
+from hframe_post.planner.sliced import AsSliced
+from hframe_post.prediction.best_shaper import Paths, paths, ranked
+from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.chunks import ended, successive
+from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Planned, Samples
+
+PIECE_S = 3.0  # of a piece, which begins and ends at rest; 4 times as long at most
+LEAST_S = 80.0  # to keep of a print; at most twice as much is kept
+SHAPED = 4  # pieces on which the shaper is chosen: its error is within 5 % of that on all
+
+Piece = tuple[float, tuple[Planned, ...]]  # its seconds, and what it consists of
+
+
+@dataclass(frozen=True, slots=True)
+class Today:
+    """Predicted print as sliced. shaping: of the best input shaper; None if nothing is extruded.
+
+    contour, width: without compensation (none) and with the shaper.
+    """
+
+    shaping: Shaping | None
+    contour: dict[str, ContourErrors]
+    width: dict[str, ErrorStatistics]
+
+
+class SlicedFile:
+    """The firmware's own motion of the items that pass: their time, and pieces of the motion."""
+
+    def __init__(self, printer: Printer) -> None:
+        rules = firmware(printer).limits(printer)
+        self._printer, self.own = printer, AsSliced(rules, MotorBands.from_printer(printer))
+        self._pieces, self._every, self._count = list[Piece](), 1, 0
+        self._piece, self._begun_at = list[Planned](), 0.0  # s of the print
+
+    @classmethod
+    def from_items(cls, items: Iterable[Item], printer: Printer) -> SlicedFile:
+        """Return what was kept of all items."""
+        sliced = cls(printer)
+        for _ in sliced.items(items):
+            pass
+        return sliced
+
+    def items(self, items: Iterable[Item]) -> Iterator[Item]:
+        for item in items:
+            self._keep(self.own.planned(item))
+            yield item
+        self._keep(self.own.planned(None))
+        self._end()
+
+    @cached_property
+    def paths(self) -> Paths:
+        """Return the motion of a few pieces, once all items have passed."""
+        return paths(self._samples(self._pieces[:: max(len(self._pieces) // SHAPED, 1)]))
+
+    @cached_property
+    def today(self) -> Today:
+        """Return the errors of the pieces, once all items have passed."""
+        shaping = self.shaping(self._printer.plant)
+        meter, samples = ErrorMeter(self._printer.plant), self._samples(self._pieces)
+        for _ in meter.samples(shape(samples, {} if shaping is None else {SHAPER: shaping})):
+            pass
+        return Today(shaping, meter.contour, meter.width)
+
+    def shaping(self, plant: Plant) -> Shaping | None:
+        """Return about the best input shaper of the firmware; None if nothing is extruded."""
+        if not self.paths:
+            return None
+        return ranked(plant, self.paths, firmware(self._printer).shapers)[0]
+
+    def _samples(self, pieces: Iterable[Piece]) -> Iterator[Samples]:
+        return successive(ended(self._motion(piece)) for _, piece in pieces)
+
+    def _motion(self, piece: tuple[Planned, ...]) -> Iterator[Samples]:
+        """Yield a piece's samples, not many more than it may have."""
+        most = round(4.0 * PIECE_S / TS)
+        for chunk in self.own.sampled(piece, most // 4):
+            yield chunk
+            if (most := most - len(chunk)) <= 0:
+                return
+
+    def _keep(self, planned: Iterable[Planned]) -> None:
+        for item in planned:
+            if isinstance(item, Passthrough) and item.handling is not Handling.REST:
+                if item.handling is Handling.RELEASE:
+                    self._end()
+                continue
+            leaves, arrives = item.speed[[0, -1]] if isinstance(item, Plan) else (1.0, 0.0)
+            if not self._piece and leaves:
+                self._begun_at = self.own.seconds
+                continue
+            self._piece.append(item)
+            seconds = self.own.seconds - self._begun_at
+            if seconds >= PIECE_S and (not arrives or seconds >= 4.0 * PIECE_S):
+                self._end()
+
+    def _end(self) -> None:
+        """End the piece; keep every n-th in which anything is extruded."""
+        piece, seconds = tuple(self._piece), self.own.seconds - self._begun_at
+        self._piece, self._begun_at = [], self.own.seconds
+        plans = (item.points[:, E] for item in piece if isinstance(item, Plan))
+        if not any((e[1:] > e[:-1]).any() for e in plans):
+            return
+        if self._count % self._every == 0:
+            self._pieces.append((seconds, piece))
+        self._count += 1
+        while sum(seconds for seconds, _ in self._pieces) > 2.0 * LEAST_S and len(self._pieces) > 1:
+            self._pieces, self._every = self._pieces[::2], 2 * self._every

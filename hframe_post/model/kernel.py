@@ -1,0 +1,284 @@
+"""A plant's inverse as taps, for compensation inside the firmware's host ("live").
+
+The host convolves the path of its own planner with the taps once a millisecond and plays the
+results c as control points of a uniform cubic B-spline (Appendix B, degree 3, L = 1), which has
+continuous acceleration and never leaves the hull of its control points.
+
+==========  ==============================================================  ==============
+symbol      meaning                                                         source
+==========  ==============================================================  ==============
+``G, D``    response of an axis, and what taps through it shall be          eq. 1, 2
+``h``       taps h[k], k = −ahead … past: path (k < 0: ahead) → c
+``B``       (2 + cos ω)/3, what the spline makes of its control points      eq. 37
+``W``       spectrum of a print's path: 1/f⁴, flat below ``CORNER_HZ``
+``λ``       effort: weight of the acceleration of c                         eq. 12, lpfbs
+``A, m``    constraints A·h = m: Σ h = D(0), Σ k·h = lag_D − D(0)·lag_G
+==========  ==============================================================  ==============
+
+h minimises Σ W·(|G·B·h − D|² + λ·|ω²·B·h|²), so H·h = r + Aᵀμ with a Toeplitz matrix H, subject to
+A·h = m: rest and constant speed are exact. An axis has D = 1. What a command of axis j adds to
+another axis (eq. 13, 19) is removed from that axis' target by taps with G = Gjj and D the coupling:
+their product is the coupling's answer to the finished command. Common poles of both cancel, so
+that these taps are short where those of the coupling itself are long.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, Complex, X, Y
+from hframe_post.errors import ArgumentError
+from hframe_post.hosts.klipper.kernel_file import signed
+from hframe_post.model.constant_acceleration import Trapezoid
+from hframe_post.model.impulse_response import Linear
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.model.nozzle import nozzle
+from hframe_post.model.plant import Coupling, Plant
+
+OMEGA = np.linspace(0.0, np.pi, 4097)  # rad/sample, of the least squares; 0.12 Hz apart
+CORNER_HZ = 4.0  # moves of a print last about 1/4 s; from 2 to 8 Hz the error changes by 2 %
+WINDOWS = ((100, 400), (80, 400), (60, 400), (60, 300), (60, 250), (60, 200), (40, 200), (40, 150))
+LOST = 1.1  # factor on the error of the longest window that a shorter one may leave
+NEGLIGIBLE_MM = 1e-3  # an error of which nothing shows
+EFFORTS = tuple(10.0 ** (k / 4.0) for k in range(17))  # λ = 1 … 10⁴
+STROKES = 100  # of the test path: 6 s, lengths of 0.2 to 60 mm
+
+
+@dataclass(frozen=True, slots=True)
+class Taps:
+    """h (n,), the first of which belongs to the path ``ahead`` samples later."""
+
+    h: Array
+    ahead: int
+
+    @property
+    def past(self) -> int:
+        return len(self.h) - 1 - self.ahead
+
+    def run(self, path: Array) -> Array:
+        """Return the result (n,) for a path (n,) that rests before its begin and after its end."""
+        padded = np.pad(path, (self.past, self.ahead), mode="edge")
+        return np.convolve(padded, self.h, mode="valid")
+
+    def __str__(self) -> str:
+        return " ".join([str(self.ahead), *(f"{h:.17g}" for h in self.h.tolist())])
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What the test path shows. leaves, without: RMS error (mm) with and without compensation.
+
+    without: less the plant's lag, which shows in no print. deviation: the most that a command
+    leaves the path in x or y, mm. belt_velocity, belt_acceleration: greatest of the command.
+    """
+
+    leaves: float
+    without: float
+    deviation: float
+    belt_velocity: float
+    belt_acceleration: float
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """Limits of the path (mm/s, mm/s², corner mm/s) and of the belts, and a place on the bed."""
+
+    velocity: float
+    acceleration: float
+    corner: float
+    belt_velocity: float
+    belt_acceleration: float
+    place: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Kernel:
+    """Taps of x and y, and of what couplings add; ``figures`` of the test path.
+
+    couplings: each with the taps that act on the path of its command.
+    """
+
+    axes: tuple[Taps, Taps]
+    couplings: tuple[tuple[Coupling, Taps], ...]
+    figures: Figures
+
+    def command(self, path: Array) -> Array:
+        """Return the control points (n, 2) for a path (n, 2), mm, at rest at both ends."""
+        return _command(self.axes, self.couplings, path)
+
+    def as_text(self, names: dict[str, str], bounds: Bounds) -> bytes:
+        """Return the file that Klipper's host reads; names: see ``hosts/klipper/kernel_file``."""
+        figures = {name: getattr(self.figures, name) for name in Figures.__dataclass_fields__}
+        figures |= {"velocity": bounds.velocity, "acceleration": bounds.acceleration}
+        rows = [*names.items(), *((name, f"{value:.6g}") for name, value in figures.items())]
+        rows += [(name, str(its)) for name, its in zip("xy", self.axes, strict=True)]
+        for coupling, its in self.couplings:
+            axes = (coupling.answer, coupling.command)
+            along = "-" if coupling.along is None else "xy"[coupling.along]
+            where = " ".join([*("xy"[axis] for axis in axes), along, f"{coupling.centre:.17g}"])
+            rows.append(("coupling", f"{where} {its}"))
+        return signed("".join(f"{key} = {value}\n" for key, value in rows))
+
+
+def played(c: Array) -> Array:
+    """Return where the spline of control points (n, 2) is at its samples, (n, 2)."""
+    padded = np.pad(c, ((1, 1), (0, 0)), mode="edge")
+    return np.asarray((padded[:-2] + 4.0 * padded[1:-1] + padded[2:]) / 6.0)
+
+
+def kernel(plant: Plant, kinematics: Kinematics, bounds: Bounds) -> Kernel:
+    """Return the kernel of a plant, as mild as the belts need and as short as its error allows.
+
+    Of a plant that changes along x it is that at ``bounds.place``. Raises ArgumentError if the
+    command outruns the belts at any effort.
+    """
+    plant, path = plant.at(bounds.place[X]), strokes(bounds)
+    limits = bounds.belt_velocity, bounds.belt_acceleration
+    each = plant.Gxx, plant.Gyy, *(coupling.G for coupling in plant.couplings)
+    spectra = tuple(map(Spectrum.of, each))
+    for effort in EFFORTS:
+        longest = _Try.of(plant, spectra, path, effort, WINDOWS[0], WINDOWS[0])
+        rates = _rates(kinematics, longest.command)
+        if all(rate <= limit for rate, limit in zip(rates, limits, strict=True)):
+            break
+    else:
+        raise ArgumentError(
+            f"the command would need {rates[0]:.0f} mm/s and {rates[1]:.0f} mm/s² of the belts, "
+            f"whose limits are {limits[0]:g} and {limits[1]:g}: lower velocity or acceleration "
+            "under [limits]"
+        )
+    most = max(LOST * longest.leaves, NEGLIGIBLE_MM)
+    chosen = longest
+    for window in WINDOWS[1:]:
+        tried = _Try.of(plant, spectra, path, effort, window, window)
+        if tried.leaves <= most:
+            chosen = tried
+    for window in WINDOWS[1:] if chosen.couplings else ():
+        tried = _Try.of(plant, spectra, path, effort, chosen.window, window)
+        if tried.leaves <= most:
+            chosen = tried
+    n = np.arange(len(path), dtype=float)
+    late = np.column_stack([np.interp(n - spectra[a].lag, n, path[:, a]) for a in (X, Y)])
+    figures = Figures(
+        chosen.leaves,
+        _rms(nozzle(plant, path[0], path) - late),
+        float(np.abs(chosen.command - path).max()),
+        *_rates(kinematics, chosen.command),
+    )
+    return Kernel(chosen.axes, chosen.couplings, figures)
+
+
+@dataclass(frozen=True, slots=True)
+class _Try:
+    """A kernel with windows (ahead, past) of axes and couplings, and the test path with it."""
+
+    axes: tuple[Taps, Taps]
+    couplings: tuple[tuple[Coupling, Taps], ...]
+    window: tuple[int, int]
+    command: Array
+    leaves: float
+
+    @classmethod
+    def of(
+        cls, plant: Plant, G: tuple[Spectrum, ...], path: Array, effort: float,
+        window: tuple[int, int], coupling: tuple[int, int],
+    ) -> _Try:  # fmt: skip
+        """Return the kernel; G: spectra of x, y and the couplings."""
+        axes = taps(G[X], None, *window, effort), taps(G[Y], None, *window, effort)
+        couplings = tuple(
+            (each, taps(G[each.command], D, *coupling, effort))
+            for each, D in zip(plant.couplings, G[2:], strict=True)
+        )
+        command = _command(axes, couplings, path)
+        leaves = _rms(nozzle(plant, path[0], played(command)) - path)
+        return cls(axes, couplings, window, command, leaves)
+
+
+def _rates(kinematics: Kinematics, command: Array) -> tuple[float, float]:
+    """Return the greatest speed and acceleration of the belts."""
+    v, a = (kinematics.belts(*np.diff(command.T, n=k)) / TS**k for k in (1, 2))
+    return float(np.abs(v).max()), float(np.abs(a).max())
+
+
+def _command(
+    axes: tuple[Taps, Taps], couplings: tuple[tuple[Coupling, Taps], ...], path: Array
+) -> Array:
+    target = path.copy()
+    for coupling, its in couplings:
+        added = coupling.lever(path) * its.run(path[:, coupling.command])
+        target[:, coupling.answer] -= added
+    return np.column_stack(
+        [its.run(target[:, axis]) for axis, its in zip((X, Y), axes, strict=True)]
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """A response at ``OMEGA``, at rest and at low speed."""
+
+    at: Complex
+    rest: float
+    lag: float
+
+    @classmethod
+    def of(cls, G: Linear) -> Spectrum:
+        slow = 1e-5  # rad/sample
+        lag = -G.response(np.array([slow])).imag[0] / slow
+        return cls(G.response(np.maximum(OMEGA, 1e-9)), G.dc_gain, float(lag))
+
+
+def taps(G: Spectrum, D: Spectrum | None, ahead: int, past: int, effort: float) -> Taps:
+    """Return the taps that make of G what D is, or 1 without D."""
+    from scipy.linalg import solve_toeplitz  # takes a second to import
+
+    hz = OMEGA / (2.0 * np.pi * TS)
+    W = 1.0 / (hz**4 + CORNER_HZ**4)
+    W /= W.mean()
+    B = (2.0 + np.cos(OMEGA)) / 3.0
+    GB = G.at * B
+    wanted, rest, lag = (1.0, 1.0, 0.0) if D is None else (D.at, D.rest, D.lag)
+    n, k = ahead + past + 1, np.arange(-ahead, past + 1)
+    acceleration = (2.0 - 2.0 * np.cos(OMEGA)) * B
+    H = np.fft.irfft(W * (np.abs(GB) ** 2 + effort * acceleration**2))[:n]
+    r = np.fft.irfft(W * np.conj(GB) * wanted)[k]
+    A = np.stack([np.ones(n), k / past])
+    m = np.array([rest, (lag - rest * G.lag) / past])
+    solved = solve_toeplitz(H, np.column_stack([r, A.T]))
+    free, by_A = solved[:, 0], solved[:, 1:]
+    h = free + by_A @ np.linalg.solve(A @ by_A, m - A @ free)
+    h[ahead] += rest - h.sum()  # to the last digit: a printer at rest stands at its path
+    return Taps(h, ahead)
+
+
+def strokes(bounds: Bounds) -> Array:
+    """Return the test path (n, 2): strokes of all lengths and directions at the path's limits."""
+    rng = np.random.default_rng(1)
+    lengths = np.geomspace(0.2, 60.0, STROKES)
+    rng.shuffle(lengths)
+    turns = rng.choice(np.arange(8) * np.pi / 4.0, STROKES)
+    away = np.column_stack([np.cos(turns), np.sin(turns)])
+    away[1::2] = -away[::2]  # there and back: about the same place
+    at, pieces, carry = np.array(bounds.place), [np.tile(bounds.place, (500, 1))], 0.0
+    straight = (away[1:] * away[:-1]).sum(axis=1) >= -1e-9  # at most a square corner
+    corners = [0.0, *np.where(straight, bounds.corner, 0.0).tolist(), 0.0]
+    for length, way, (v_s, v_e) in zip(lengths, away, pairwise(corners), strict=True):
+        reached = min(float(np.sqrt(length * bounds.acceleration)), bounds.velocity)
+        move = Trapezoid(
+            float(length),
+            bounds.velocity,
+            bounds.acceleration,
+            min(v_s, reached),
+            min(v_e, reached),
+        )
+        t = np.arange(carry, move.seconds, TS)
+        pieces.append(at + np.outer(move.distance(t), way))
+        carry = (carry - move.seconds) % TS
+        at = at + length * way
+    return np.concatenate([*pieces, np.tile(at, (1000, 1))])
+
+
+def _rms(error: Array) -> float:
+    return float(np.sqrt((error**2).sum(axis=1).mean()))

@@ -1,0 +1,54 @@
+"""A share of a print stands for all of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hframe_post.conversion.meters import ErrorMeter
+from hframe_post.prediction.windows import EVERY, WINDOW, Windows
+from hframe_post.printer.settings import Printer
+from hframe_post.stream.chunks import smaller
+from hframe_post.stream.types import Samples
+from tests.random_paths import walk
+
+WHOLE = 2 * WINDOW
+
+
+def moving(n: int) -> Samples:
+    """Return a walk that is commanded as it stands."""
+    path = walk(np.random.default_rng(3), n)
+    xyze = np.column_stack([path + 100.0, np.zeros(n), 0.01 * np.arange(n)])
+    commands = {"none": xyze[:, :2]}
+    return Samples(0, xyze, np.zeros(n, np.int64), commands=commands, ends_stretch=True)
+
+
+@pytest.mark.parametrize("n", [WINDOW // 2, 21 * WINDOW + 100])
+def test_errors_of_windows_are_those_of_the_whole_print(paper: Printer, n: int) -> None:
+    """What is judged has the same errors as in the whole print, wherever that is cut."""
+    whole = moving(n)
+    found = []
+    for chunks in ([whole], smaller([whole], 777), smaller([whole], 5000)):
+        meter = ErrorMeter(paper.plant, whole=WHOLE)
+        assert sum(map(len, meter.samples(chunks))) == n
+        found.append((meter.judged, meter.contour["none"].micrometres()))
+    assert found[0] == found[1] == found[2]
+    expected = ErrorMeter(paper.plant)
+    for _ in expected.samples([whole]):
+        pass
+    judged, errors = found[0]
+    one, other = (each.contour["none"] for each in (expected, meter))
+    assert judged == min(n, WHOLE + 3 * WINDOW)
+    assert other.all.count == pytest.approx(one.all.count, rel=0.1)
+    assert errors["rms"] == pytest.approx(one.micrometres()["rms"], rel=0.05)
+    if judged == n:
+        assert errors == one.micrometres()
+
+
+def test_a_window_is_one_of_so_many() -> None:
+    chunks = smaller([moving(40 * WINDOW)], 3000)
+    windows = [each for _, found in Windows(1000, 60, WHOLE).samples(chunks) for each in found]
+    starts = [each.piece.first + each.start for each in windows]
+    assert starts == [0, WINDOW, *range(EVERY // 2 * WINDOW, 40 * WINDOW, EVERY * WINDOW)]
+    assert [each.weight for each in windows[:3]] == [1, 1, EVERY]
+    assert {each.stop - each.start for each in windows} == {WINDOW}
