@@ -75,7 +75,9 @@ def check(
         planned = runs(profile)
         jobs = {}
         if moves_sensor(profile, planned, chips):
-            jobs = {gcode.with_name(f"{gcode.stem}.{run.name}.gcode"): [run] for run in planned}
+            jobs = {
+                gcode.with_name(f"{gcode.stem}-{'xy'[run.axis]}.gcode"): [run] for run in planned
+            }
         write_motion(gcode, printer, profile, planned, chips, jobs)
         say(next_steps("check", gcode, printer, planned, list(jobs)))
     elif recordings:

@@ -41,6 +41,7 @@ BAND_HZ = (3.0, 100.0)
 JUDGED_HZ = (6.0, 100.0)
 PEAK_HZ = np.arange(15.0, 120.0, 0.05)  # in which the main resonance is
 FARTHEST = 0.1  # relative, by which it drifts
+SAME_DELAY = 0.3  # samples: damping of a mode that drifts makes up to 0.2
 CHANGED = 0.02  # share of the response, from which it has changed: motor steps make up to 0.01
 
 
@@ -58,12 +59,14 @@ class Drift:
     """An axis as it is now.
 
     left: share of the unseen part that the old and the new response leave. apart: share of the new
-    one's motion there that the old one leaves. hz, height: of the main resonance, before and now.
+    one's motion there that the old one leaves. later: samples by which it is later. hz, height: of
+    the main resonance, before and now.
     """
 
     G: ImpulseResponse
     left: tuple[float, float]
     apart: float
+    later: float
     hz: tuple[float, float]
     height: tuple[float, float]
 
@@ -129,7 +132,8 @@ def drift(old: Linear, response: FrequencyResponse, unseen: tuple[Array, Array])
         by = before[0] / now[0]
         there = tuple(replace(one, G=one.G.stretched(by)) for one in old.elsewhere)
         G = replace(G, x=old.x, elsewhere=there)
-    return Drift(G, (left[0], left[1]), apart, (before[0], now[0]), (before[1], now[1]))
+    hz, height = zip(before, now, strict=True)
+    return Drift(G, (left[0], left[1]), apart, G.lag - old.lag, hz, height)
 
 
 def _split(run: Run) -> dict[int, tuple[FrequencyResponse, tuple[Array, Array]]]:
@@ -183,8 +187,12 @@ class CheckReport:
 
     @property
     def moved(self) -> dict[str, ImpulseResponse]:
-        """Return the new response of each axis, if one drifted and both were recorded."""
-        if not self.complete or not any(one.certain for one in self.found.values()):
+        """Return the new response of each axis if one drifted.
+
+        One alone changes only if the profile's delay is that of a recording with a known start.
+        """
+        alike = self.complete or all(abs(one.later) < SAME_DELAY for one in self.found.values())
+        if not alike or not any(one.certain for one in self.found.values()):
             return {}
         return {name: one.G for name, one in self.found.items()}
 
@@ -197,8 +205,11 @@ class CheckReport:
     def as_text(self) -> str:
         rows = [(AXIS[name], one.as_text()) for name, one in self.found.items()]
         if not self.moved:
-            rows.append(("note", "nothing drifted: the model stays" if self.complete else
-                         "only one axis was recorded: the model and its date stay"))  # fmt: skip
+            drifted = any(one.certain for one in self.found.values())
+            rows.append(("note", "its delay is not the profile's, so one axis alone cannot change"
+                         if drifted else "nothing drifted: the model stays"))  # fmt: skip
+        if not self.complete:
+            rows.append(("note", "the other axis was not recorded: the date stays"))
         before = 100 * (self.profile.uncertainty or 0.0)
         rows.append(("uncertainty", f"±{100 * self.uncertainty:.1f} % ({before:.1f} % before)"))
         return "\n".join(f"{label:13s}{text}" for label, text in rows)

@@ -320,13 +320,13 @@ def test_one_sensor_is_moved_to_the_bed_between_two_jobs(
 ) -> None:
     calls, said = with_moving_bed(tmp_path, sensors, *more)
     assert calls == {
-        f"check.check-{axis}-at-110.gcode": [
+        f"check-{axis}.gcode": [
             f"ACCELEROMETER_MEASURE CHIP={chip}",
             f"ACCELEROMETER_MEASURE CHIP={chip} NAME=check-{axis}-at-110",
         ]
         for axis in "xy"
     }
-    assert "move the sensor to the bed, print check.check-y-at-110.gcode" in said
+    assert "move the sensor to the bed, print check-y.gcode" in said
     assert {path.name for path in tmp_path.glob("*.csv")} == {
         "check.check-x-at-110.csv", "check.check-y-at-110.csv"
     }  # fmt: skip
