@@ -27,9 +27,8 @@ from hframe_post.firmware.registry import firmware
 from hframe_post.hosts.moonraker.history import events
 from hframe_post.page.history import OLD, history_page
 from hframe_post.printer.choice import VARIABLE, Choice, choose, config_file, presets
-from hframe_post.printer.profile import load, shipped, text_of
+from hframe_post.printer.profile import load, shipped
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.update import changed_by_hand
 from hframe_post.version import __version__
 from hframe_post.writers.files import Outputs
 
@@ -206,6 +205,8 @@ def _check_profile(
         return profile
     _check_age(findings, Path(printer), profile)
     _check_hooks(findings, printer)
+    if stopped := own.code(profile).when_stopped:
+        findings.note(f"after a print that was stopped midway, send {stopped}")
     if config is None:
         findings.note(own.unchecked)
     else:
@@ -249,14 +250,16 @@ def _differences(
     config: KlipperConfig, log: Path | None, profile: Printer, name: str
 ) -> Iterator[Finding]:
     path = Path(name)
+    remedy = f"change it there or in {name}"
+    again = f"run 'hframe-post klipper-macros -p {quoted(name)} > {FILE}'"
     if path.name == PROFILE:
         here = path.absolute().parent == Path.cwd()
         folder = "" if here else f" -o {quoted(path.parent)}"
-        remedy = again = f"run 'hframe-post setup {quoted(config.path)}{folder}' again"
-    else:
-        remedy = f"change it there or in {name}"
-        again = f"run 'hframe-post klipper-macros -p {quoted(name)} > {FILE}'"
-    yield from check(config, profile, remedy, changed_by_hand(text_of(name)))
+        again = f"run 'hframe-post setup {quoted(config.path)}{folder}' again"
+        remedy += (
+            f", or let 'hframe-post setup {quoted(config.path)}{folder} --reset' write that anew"
+        )
+    yield from check(config, profile, remedy)
     yield from check_live(config, profile)
     yield from firmware(profile).host_findings(config.path, log, profile, again)
 

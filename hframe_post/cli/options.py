@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
@@ -42,8 +43,7 @@ def chosen_printer() -> Choice:
 
 printer_option = click.option(
     "-p", "--printer", metavar="NAME|FILE", callback=_choose_printer,
-    help="Printer profile: the name of a shipped one, or a TOML file. Default: the variable "
-    "HFRAME_PRINTER, then the profile that 'hframe-post setup' or 'use' made the default.",
+    help="Printer profile: a file, or a shipped one's name. Default: the one of 'setup' or 'use'.",
 )  # fmt: skip
 
 
@@ -88,7 +88,23 @@ def _click_option(name: str, shown: Shown) -> Callable[[Command], Command]:
         settings = {"type": typed(shown.read)}
     elif shown.least is not None:
         settings = {"type": click.IntRange(shown.least), "default": shown.unset}
-    return click.option(*shown.flags, name, help=shown.help, metavar=shown.metavar, **settings)
+    settings |= {"help": shown.help, "metavar": shown.metavar, "hidden": shown.rare}
+    return click.option(*shown.flags, name, **settings)
+
+
+def _show_all(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    if asked:
+        for each in context.command.params:
+            if isinstance(each, click.Option):
+                each.hidden = False
+        click.echo(context.get_help())
+        context.exit()
+
+
+help_all_option = click.option(
+    "--help-all", is_flag=True, is_eager=True, expose_value=False, callback=_show_all,
+    help="Show rare options, too.",
+)  # fmt: skip
 
 
 def typed(read: Callable[[str], Any]) -> Callable[[str], Any]:
@@ -101,16 +117,6 @@ def typed(read: Callable[[str], Any]) -> Callable[[str], Any]:
             raise click.BadParameter(str(error)) from None
 
     return convert
-
-
-def former_option(*names: str, instead: str) -> Callable[[Command], Command]:
-    """Return a decorator for an option that is gone: who gives it is told what replaced it."""
-
-    def refuse(context: click.Context, _: click.Parameter, given: str | None) -> None:
-        if given is not None:
-            raise click.UsageError(f"there is no {names[0]} now: {instead}", context)
-
-    return click.option(*names, expose_value=False, hidden=True, callback=refuse)
 
 
 seed_option = click.option(
@@ -182,7 +188,7 @@ def print_options(*names: str) -> Callable[[Command], Command]:
     )  # fmt: skip
 
     def add(command: Command) -> Command:
-        return source(printer_option(conversion_options(*names)(command)))
+        return source(printer_option(conversion_options(*names)(help_all_option(command))))
 
     return add
 
@@ -223,6 +229,29 @@ def progress_bar(source: Path | None, quiet: bool) -> Iterator[Callable[[int], o
         bar.render_progress()
 
 
+@contextmanager
+def shown_working(quiet: bool = False) -> Iterator[None]:
+    """Show on a terminal for how long a command has been working, from its third second on."""
+    if quiet or not sys.stderr.isatty():
+        yield
+        return
+    done, start = Event(), time.monotonic()
+
+    def tick() -> None:
+        while not done.wait(1.0):
+            if (seconds := time.monotonic() - start) > 2.0:
+                click.echo(f"\rworking, {seconds:.0f} s ", err=True, nl=False)
+
+    ticking = Thread(target=tick, daemon=True)
+    ticking.start()
+    try:
+        yield
+    finally:
+        done.set()
+        ticking.join()
+        click.echo("\r\x1b[K", err=True, nl=False)
+
+
 def _log_progress(size: int) -> Callable[[int], None]:
     done = 0
 
@@ -259,14 +288,11 @@ def _print_log(text: str) -> None:
     click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)
 
 
-def write_kernel(outputs: Outputs, profile: Path, text: str) -> None:
-    """Write the kernel of a profile's text next to it, if Klipper may use one."""
+def write_kernel(outputs: Outputs, profile: Path, printer: Printer) -> None:
+    """Write the kernel of a printer next to its profile, if Klipper may use one."""
     from hframe_post.firmware.klipper.live import kernel_file, name_of
-    from hframe_post.printer.profile import parse
 
-    if profile.suffix != ".toml":  # such as /dev/stdout
-        return
-    data = kernel_file(parse(text, profile.stem, str(profile)))
+    data = kernel_file(printer)
     if data is not None:
         outputs.open(name_of(profile)).write(data)
 

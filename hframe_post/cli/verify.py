@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from hframe_post.cli.json_summary import json_option, open_json
+from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import files_read, old_option, page_option, printer_option, say
 from hframe_post.cli.sweep import (
     FILE,
@@ -16,8 +18,8 @@ from hframe_post.cli.sweep import (
     write_motion,
 )
 from hframe_post.errors import IdentificationError
-from hframe_post.printer.edit import with_verification
 from hframe_post.printer.profile import check_identified, load
+from hframe_post.printer.settings import Verified
 from hframe_post.writers.files import Outputs
 
 
@@ -93,7 +95,7 @@ def _judge(
     profile, files = load(printer), files_in(recordings)
     sources = [*files_read(printer), *files]
     with Outputs(sources) as profiles:
-        file = profiles.open(output, Path(printer)) if output is not None else None
+        file = ModelOutput(profiles, output, printer) if output is not None else None
         with Outputs([*sources, *([output] if output else [])]) as reports:
             write_json = open_json(reports, json_file)
             html = reports.open(report_file) if report_file is not None else None
@@ -114,4 +116,7 @@ def _judge(
         if file is not None:
             labels = {label: path for path, label in files.items()}
             day = max(recorded_on(labels[run.name]) for run in runs).isoformat()
-            file.write(with_verification(printer, day, verdict.reduction).encode())
+            mark = Verified(
+                day, round(verdict.reduction, 4), profile.firmware.dialect, profile.model
+            )
+            file.write(replace(profile, verified=mark))

@@ -20,6 +20,7 @@ from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware
+from hframe_post.gcode.motors import with_motors
 from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.windows import WHOLE
 from hframe_post.printer.settings import Printer
@@ -35,6 +36,7 @@ class GcodeConversion:
     """A print as G-code for the printer's firmware."""
 
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+        lines, printer = with_motors(lines, printer, options.limits)
         self._printer, self._options = printer, options
         own = firmware(printer)
         self._rules, self._code = own.motion(printer, options.tolerance), own.code(printer)
@@ -69,7 +71,7 @@ class GcodeConversion:
             filament_after=written.filament, busiest_second=written.busiest_second,
             lines_per_second=self._rules.lines_per_second, approximation=written.off,
             advance=self._source.advance(self._motion.advance),
-            notices=(*report.notices, *self._code.notices),
+            notices=(*report.notices, *self._code.notices), when_stopped=self._code.when_stopped,
         )  # fmt: skip
         of_summary = len(report.as_text().splitlines())
         return replace(report, lines_written=written.lines + 1 + of_summary)

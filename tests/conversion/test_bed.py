@@ -23,11 +23,11 @@ from hframe_post.model.lpfbs import Lpfbs
 from hframe_post.model.plant import Bed, heavier
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.prediction.predict import contour_error
-from hframe_post.printer.edit import with_plant
-from hframe_post.printer.profile import load, model_digest, parse
+from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
 from tests.gcode_tools import converted
 from tests.native.oracles import in_motion
+from tests.profiles import with_plant
 from tests.quantities import below
 
 FBS = Options("fbs", limits="printer")
@@ -156,7 +156,7 @@ def test_the_last_layers_are_as_good_as_the_first(slinger: Printer, fixed: Print
     exact, _ = errors(fixed, 0.0)
     first, last = errors(slinger, filament)
     assert last < 1.3 * first < 2.5 * exact
-    assert errors(fixed, filament)[1] > 8.0 * last  # what the first layer's model leaves
+    assert errors(fixed, filament)[1] > 7.0 * last  # what the first layer's model leaves
 
 
 def test_commands_stand_still_where_the_model_changes(slinger: Printer) -> None:
@@ -233,7 +233,8 @@ def test_a_profile_knows_its_bed() -> None:
     assert plant.bed is not None
     assert plant.bed.mass == 0.8
     assert plant.bed.filament == pytest.approx(1.27e-6 * math.pi * 1.75**2 / 4.0)
-    assert model_digest(MINE) == model_digest(MINE.replace("moving_mass = 0.8\n", ""))
+    heavier = MINE.replace("moving_mass = 0.8\n", "")
+    assert parse(heavier, "mine").model == parse(MINE, "mine").model
 
 
 def test_a_bed_that_does_not_move_has_no_moving_mass() -> None:

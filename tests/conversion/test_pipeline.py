@@ -275,6 +275,7 @@ def test_skipped_objects_are_caught_up_on_with_the_users_limits(paper: Printer) 
     lines = [
         b"G1 X100 Y100 Z1 F6000\n", b"EXCLUDE_OBJECT_START NAME=a\n", b"G1 X120\n", b"G1 X140\n",
         b"EXCLUDE_OBJECT_END NAME=a\n", b"G1 X160\n", b"G1 X180 Y120\n", b"G1 X190\n",
+        b"EXCLUDE_OBJECT_START NAME=b\n",
     ]  # fmt: skip
     text = converted(lines, paper)[0].splitlines()
     after = text[text.index(b"EXCLUDE_OBJECT_END NAME=a") + 1 :]

@@ -68,7 +68,7 @@ def test_uncompensated_extrusion_is_a_warning(paper: Printer) -> None:
     list(conversion)
     report = conversion.report()
     assert report.path.extrusion_share == pytest.approx(1 / 3)
-    _, warning = report.warnings()
+    *_, warning = report.warnings()
     assert "mostly after PARK" in warning
     assert "[firmware]" in warning
 

