@@ -133,116 +133,18 @@ def test_what_the_printer_has_no_more_goes(config: Path) -> None:
     assert "no changes" in set_up(config)
 
 
-OWNERS = {
-    "a Voron 2.4 with parts and Mainsail": {
-        "printer.cfg": """\
-# Voron 2.4
-[include mainsail.cfg]
-[include conf/*.cfg]
-#[include old.cfg]
-[printer]
-kinematics: corexy
-max_velocity: 300
-max_accel: 3000             #Max 4000
-max_z_velocity: 15
-[stepper_x]
-dir_pin: !PF12 ; inverted
-rotation_distance: 40
-microsteps: 32
-full_steps_per_rotation:200
-position_max: 350
-[stepper_y]
-rotation_distance: 40
-microsteps: 32
-position_max: 350
-[stepper_z]
-rotation_distance: 40
-gear_ratio: 80:16
-microsteps: 32
-position_max: 340
-[quad_gantry_level]
-points:
-   50,25
-   50,275
-[include hframe.cfg]
-
-#*# <---------------------- SAVE_CONFIG ---------------------->
-#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated.
-#*#
-#*# [input_shaper]
-#*# #shaper_freq_x = 40
-#*# shaper_freq_x = 62.4
-#*# [bed_mesh default]
-#*# points =
-#*# 	  -0.02, 0.01
-""",
-        "conf/extruder.cfg": """\
-[extruder]
-rotation_distance: 22.6789511
-gear_ratio: 50:17
-microsteps: 16
-[adxl345]
-cs_pin: EBBCan:PB12
-#*# an owner's own comment
-""",
-        "mainsail.cfg": """\
-[pause_resume]
-[gcode_macro CANCEL_PRINT]
-rename_existing: CANCEL_PRINT_BASE
-gcode:
-  {% set park = printer['gcode_macro _CLIENT_VARIABLE'].park|default(false)|lower == 'true' %}
-  CANCEL_PRINT_BASE
-""",
-    },
-    "a bed-slinger with two sensors and a block that is commented out": {
-        "printer.cfg": """\
-[printer]
-kinematics: cartesian
-max_velocity = 300
-max_accel = 5000
-[stepper_x]
-microsteps: 16
-rotation_distance: 40
-position_max: 235
-[stepper_y]
-microsteps: 16
-rotation_distance: 40
-position_min: -6
-position_max: 235
-[stepper_z]
-microsteps: 16
-rotation_distance: 8
-position_max: 250
-[extruder]
-microsteps: 16
-rotation_distance: 34.406
-[adxl345 hotend]
-cs_pin: rpi:None
-axes_map: -x, -y, z
-[adxl345 bed]
-cs_pin: bed:gpio1
-[input_shaper]
-#shaper_freq_x: 60
-[include hframe.cfg]
-# #*# <---------------------- SAVE_CONFIG ---------------------->
-# #*# [input_shaper]
-# #*# shaper_freq_x = 40
-""",
-    },
-}
+# a Voron 2.4 with parts and Mainsail; a bed-slinger with two sensors and a block commented out
+OWNERS = Path(__file__).with_name("owners")
 
 
 @pytest.mark.parametrize(
     ("owner", "kind", "sensors", "hz"),
-    [(owner, *row) for owner, row in zip(
-        OWNERS, (("corexy", "adxl345", 62.4), ("cartesian", "hotend, bed", 0.0)), strict=True)],
-)  # fmt: skip
+    [("voron", "corexy", "adxl345", 62.4), ("bedslinger", "cartesian", "hotend, bed", 0.0)],
+)
 def test_setup_and_doctor_read_owners_files(
     tmp_path: Path, owner: str, kind: str, sensors: str, hz: float
 ) -> None:
-    for name, text in OWNERS[owner].items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
+    shutil.copytree(OWNERS / owner, tmp_path, dirs_exist_ok=True)
     config, own = tmp_path / "printer.cfg", tmp_path / "printer.toml"
     printed = set_up(config)
     assert "WARNING" not in printed
