@@ -9,14 +9,15 @@ import unicodedata
 from pathlib import Path
 
 import click
-import numpy as np
 import pytest
 
 from hframe_post.cli.main import COMMANDS, main
-from hframe_post.identification.recordings import excitation
+from hframe_post.identification.recordings.formats import command_csv
+from hframe_post.identification.recordings.strokes import runs
+from hframe_post.printer.profile import load
 from tests.conftest import ROOT, SAMPLES
-from tests.recordings import Sensor, moved, sweep, write_klipper
-from tests.simulator import Axis, Machine, Mode
+from tests.recordings import write_klipper
+from tests.simulator import Axis, Chip, Machine, Mode
 
 PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
@@ -41,21 +42,18 @@ SNIPPETS = {
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Make the files that snippets read: a print, and sweeps of a printer with recordings."""
+    """Make the files that snippets read: a print, and strokes of a printer with recordings."""
     folder = tmp_path_factory.mktemp("snippets")
     shutil.copy(SAMPLES / "rectangle.gcode", folder / "in.gcode")
     (folder / "sample_gcode").symlink_to(SAMPLES)
     axes = Axis((Mode(30.0, 0.05),), 1e-3), Axis((Mode(40.0, 0.08),), 1e-3)
-    plant, swept = Machine(*axes, racking=2e-8).exact(), sweep(rate=8.0)
-    for seed, (axis, place) in enumerate((("x", 80), ("x", 140), ("x", 200), ("y", 140))):
-        xy = np.zeros((len(swept), 2))
-        xy[:, "xy".index(axis)] = swept
-        xy += (place, 150.0)
-        name = f"{axis}-at-{place}"
-        command = b"".join(excitation.command_csv(xy))
-        (folder / f"sweep.{name}.csv").write_bytes(command)
-        recording = Sensor(noise=0.0).record(moved(plant, xy), (len(xy) - 1) * 1e-3, seed)
-        write_klipper(folder / f"adxl345-{name}.csv", recording)
+    machine, chip = Machine(*axes, racking=2e-8), Chip(noise=0.1)
+    held = folder / "recordings"
+    held.mkdir()
+    for seed, run in enumerate(runs(load("paper"), seconds=15.0)):
+        (held / f"m.{run.name}.csv").write_bytes(b"".join(command_csv(run.command)))
+        recording = chip.record(machine, run.command, seed)
+        write_klipper(held / f"adxl345-{run.name}.csv", recording)
     return folder
 
 
@@ -223,7 +221,8 @@ def test_commands_shown_are_those_of_the_tool(page: Path) -> None:
         assert chosen is not None
         if isinstance(chosen, click.Group):
             continue
-        known = {option for parameter in chosen.params for option in parameter.opts}
+        options = [(*each.opts, *each.secondary_opts) for each in chosen.params]
+        known = {option for names in options for option in names}
         for word in words:
             if word.startswith("-") and word not in ("-", "--help", "-h", "--version"):
                 assert word in known, f"{page.name}: {line}"

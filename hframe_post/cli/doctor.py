@@ -14,7 +14,6 @@ from pathlib import Path
 import click
 
 from hframe_post.cli.options import files_read, quoted
-from hframe_post.cli.setup import PROFILE
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
 from hframe_post.firmware.configuration import Finding
@@ -26,7 +25,7 @@ from hframe_post.firmware.klipper.version import log_of
 from hframe_post.firmware.registry import firmware
 from hframe_post.hosts.moonraker.history import events
 from hframe_post.page.history import OLD, history_page
-from hframe_post.printer.choice import VARIABLE, Choice, choose, config_file, presets
+from hframe_post.printer.choice import PROFILE, VARIABLE, Choice, choose, config_file, presets
 from hframe_post.printer.profile import load, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__

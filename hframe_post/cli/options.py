@@ -19,7 +19,7 @@ import click
 
 from hframe_post.conversion.options import SHOWN, Options, Shown
 from hframe_post.errors import ArgumentError, OptionError
-from hframe_post.printer.choice import Choice, choose
+from hframe_post.printer.choice import CHOICE, Choice, choose
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
@@ -27,17 +27,16 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 SPECIAL = re.compile(r"[^\w@%+=:,./\\~-]")  # what a shell would not take as it stands
-_CHOICE = "hframe_post.choice"  # in a context's meta
 
 
 def _choose_printer(context: click.Context, _: click.Parameter, requested: str | None) -> str:
     choice = choose(requested, os.environ)
-    context.meta[_CHOICE] = choice
+    context.meta[CHOICE] = choice
     return choice.profile
 
 
 def chosen_printer() -> Choice:
-    choice: Choice = click.get_current_context().meta[_CHOICE]
+    choice: Choice = click.get_current_context().meta[CHOICE]
     return choice
 
 

@@ -19,14 +19,13 @@ from hframe_post.errors import HframeError
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.registry import source_of
-from hframe_post.printer.choice import VARIABLE, set_default
+from hframe_post.printer.choice import PROFILE, VARIABLE, set_default
 from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.profile import parse, text_of
 from hframe_post.printer.settings import Printer
 from hframe_post.printer.setup import Known, Tables, profile_text
 from hframe_post.writers.files import Outputs
 
-PROFILE = "printer.toml"
 CALIBRATE = (
     "Then mount the accelerometer, clear the bed, heat as for a print, and type on the console of "
     "Mainsail or Fluidd: HFRAME_CALIBRATE"

@@ -291,6 +291,7 @@ class Report:
             f"moves            {self.read.moves} in {self.read.lines} lines; "
             f"{self.lines_written} lines written",
             f"filament         {self.filament_after:.2f} mm, unchanged",
+            *self._predicted(),
             *self._width_as_text(),
             *(self.advance.as_text() if self.advance else []),
             f"belts            at most {self.peaks.belt_velocity:.0f} mm/s, "
@@ -333,6 +334,13 @@ class Report:
         before = f"{self.label(self.strategy)} {1e3 * self.contour['none'].rms:.1f}"
         ours = range_as_text(self.contour[self.strategy], lines)
         return [f"result           {before} → {ours}{steps}{shaper}"]
+
+    def _predicted(self) -> list[str]:
+        """Return on how much of the print the errors are predicted, if not on all."""
+        if self.predicted > 0.995 or not self.contour:
+            return []
+        whole = "'hframe-post simulate' takes all of it"
+        return [f"predicted        on {percent(self.predicted)} of the print; {whole}"]
 
     def _advice(self) -> list[str]:
         """Return what else to do where compensation is not worth it."""

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from hframe_post.identification.recordings.accelerometer import oriented, read
-from hframe_post.identification.recordings.alignment import acceleration, aligned
+from hframe_post.identification.recordings.accelerometer import read
 from tests.benchmarks.timing import fastest
 from tests.recordings import Sensor, spline, sweep, write_klipper
 
@@ -37,12 +36,3 @@ def test_reading_against_numpy(benchmark: BenchmarkFixture, tmp_path: Path) -> N
     path = written(tmp_path)
     benchmark.pedantic(read, args=(path,), rounds=3)  # type: ignore[no-untyped-call]
     assert fastest(benchmark) < 3.0 * numpy_seconds(path)
-
-
-def test_alignment_against_reading(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
-    path = written(tmp_path)
-    recording, command = oriented(read(path)), acceleration(sweep(rate=1.0))
-    benchmark.pedantic(  # type: ignore[no-untyped-call]
-        aligned, args=(command, recording, 1), rounds=3
-    )
-    assert fastest(benchmark) < 5.0 * numpy_seconds(path)

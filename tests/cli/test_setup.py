@@ -16,6 +16,7 @@ import pytest
 
 from hframe_post.cli.integrations import program
 from hframe_post.cli.moonraker import SECTIONS, update_lines
+from hframe_post.hosts.klipper.kernel_file import read
 from hframe_post.model.impulse_response import transfer_function
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import JERK, Extruder, Motors
@@ -523,6 +524,44 @@ def test_moonraker_is_connected_and_disconnected_without_a_trace(
     assert not link.is_symlink()
     set_up(config, "--no-moonraker")
     assert conf.read_text() == before + "\n[timelapse]\n"
+
+
+def test_klipper_itself_compensates_where_it_is_found(config: Path, moonraker: Path) -> None:
+    klipper, conf = config.parent / "klipper", config.with_name("moonraker.conf")
+    (klipper / "klippy/extras").mkdir(parents=True)
+    (klipper / ".git/info").mkdir(parents=True)
+    before = config.read_text(), conf.read_text()
+    for _ in range(2):
+        set_up(config, "--moonraker")
+        link = klipper / "klippy/extras/hframe_live"
+        assert link.resolve() == ROOT / "hframe_post/hosts/klipper"
+        assert (klipper / ".git/info/exclude").read_text() == "/klippy/extras/hframe_live\n"
+        assert config.read_text().count("\n[hframe_live]\nkernel: printer.kernel\n") == 1
+        assert conf.read_text().count("[hframe_post]\nuploads: leave\n") == 1
+    assert read(config.with_name("printer.kernel").read_bytes()).names["kinematics"] == "corexy"
+    said = run(
+        "doctor", "-p", config.with_name("printer.toml"), "--printer-cfg", config
+    ).stdout.decode()
+    assert "printer.kernel: hframe-post" in said
+    set_up(config, "--no-moonraker")
+    assert (config.read_text(), conf.read_text()) == before
+    assert not link.is_symlink()
+
+
+def test_who_converts_uploads_goes_on_to_until_he_says_otherwise(
+    config: Path, moonraker: Path
+) -> None:
+    conf = config.with_name("moonraker.conf")
+    set_up(config, "--moonraker")
+    (config.parent / "kalico/klippy/extras").mkdir(parents=True)
+    (config.parent / "kalico/klippy/plugins").mkdir()
+    set_up(config, "--moonraker")
+    assert "hframe_live" not in config.read_text()
+    at_a_terminal(b"y\ny\n", "setup", str(config), "--moonraker")
+    assert (config.parent / "kalico/klippy/plugins/hframe_live").is_symlink()
+    assert "uploads: leave" in conf.read_text()
+    at_a_terminal(b"n\ny\n", "setup", str(config), "--moonraker")
+    assert "uploads: leave" not in conf.read_text()
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hframe_post.identification.recordings.excitation import read_command
+from hframe_post.identification.recordings.formats import read_command
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT
 from tests.firmware.stub import installed

@@ -10,13 +10,13 @@ import pytest
 
 from hframe_post.arrays import TS, Array
 from hframe_post.firmware.klipper.macros import macros
-from hframe_post.identification.bands import run as bands
-from hframe_post.identification.bands.shaking import shaking
+from hframe_post.identification import bands
+from hframe_post.identification.bands import shaking
 from hframe_post.identification.recordings import accelerometer
-from hframe_post.identification.recordings.known_start import KnownStart, known_start
+from hframe_post.identification.recordings.clock import KnownStart, known_start
 from hframe_post.identification.recordings.names import parsed
+from hframe_post.identification.recordings.runs import gcode
 from hframe_post.identification.recordings.strokes import runs
-from hframe_post.identification.recordings.sweep import gcode
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.print_time import DeferredLine

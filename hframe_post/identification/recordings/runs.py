@@ -1,4 +1,4 @@
-"""Runs of a sweep as G-code for Klipper, which records its accelerometers during each run.
+"""Runs as G-code for Klipper, which records its accelerometers during each run.
 
 Klipper stamps both calls of ACCELEROMETER_MEASURE with the print time at which the motion
 before them ends, and keeps the samples between the two stamps. As long as Klipper's queue does
@@ -11,7 +11,7 @@ begins with the first row of its command and ends with the last, if
 With several accelerometers the first one's second call waits for the end of the motion, so the
 other recordings are longer.
 
-A start that is known to a sample is not known exactly. A timed run is therefore ended by the macro
+A start that is known to a sample is not known exactly. A run is therefore ended by the macro
 RECORDED of hframe.cfg: after M400, print time is that at which the motion has ended, and the macro
 puts it into the recording's name. G-code cannot tell whether the macro is installed. So the plain
 call follows. Where the macro has ended the recording, that begins another one, which the macro
@@ -21,7 +21,7 @@ Klipper plays straight lines between the samples: the motion is the command time
 2 % less at 80 Hz, as in a print of every sample.
 
 Between the samples the speed changes in a part of each millisecond, so Klipper must allow a
-multiple of the sweep's acceleration while a run lasts. A cancelled file leaves that in force.
+multiple of the run's acceleration while a run lasts. A cancelled file leaves that in force.
 """
 
 from __future__ import annotations
@@ -41,10 +41,8 @@ from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.firmware.motion import VELOCITY_HEADROOM
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import STAMP
-from hframe_post.identification.recordings.accelerometer import FULL_SCALE
-from hframe_post.identification.recordings.excitation import peaks, trajectory
 from hframe_post.printer.firmware_tables import RECORDED, USUAL_CHIP
-from hframe_post.printer.settings import Printer, Sweep
+from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import (
     Dwell,
     Handling,
@@ -60,12 +58,12 @@ from hframe_post.writers.stream.print_time import Output, duration
 
 OUTER = 60.0  # mm from the middle of x to the outer places: the paper's longest arm (its Fig. 4)
 NEAREST = 10.0  # mm; racking cannot be told from places that are closer
+EDGE = 7.0  # mm from an outer place to the edge of the travel, at least
 MULTIPLE = 3.5  # of a run's acceleration, allowed to Klipper: with 3 it is late by 0.03 ms
-TEST_RESONANCES = (130.0, 8100.0)  # s for an axis and mm/s² at its end, by Klipper's defaults
 APPROACH = 100.0  # mm/s, to the place of a run
 LIFT = 5.0  # mm/s
 SETTLED = 2000  # samples of rest before a recording, in which the sensors are set up
-STATE = "hframe_post_sweep"
+STATE = "hframe_post_measure"
 HEAD = """\
 ; accelerometer runs for printer {printer}, {version}: {runs}, {total}
 ; Before printing this file: home (G28), clear the bed, bring hotend and bed to the temperature
@@ -78,19 +76,18 @@ SAVE_GCODE_STATE NAME={state}
 
 
 @dataclass(frozen=True, slots=True)
-class SweepRun:
-    """One recording of a sweep.
+class PlannedRun:
+    """One recording.
 
-    position: the x and y around which the axis moves, mm. command (n, 2): x and y every 1 ms,
-    the first row at the first call of ACCELEROMETER_MEASURE, the last at the second. timed: whether
-    the name of the recording tells the time of the end; each repetition then has its own name.
+    position: the x and y where it begins and ends, mm. axis: that moves, X if both do. command
+    (n, 2): x and y every 1 ms, the first row at the first call of ACCELEROMETER_MEASURE, the last
+    at the second. The recording's name ends with ``name`` and the time of the end.
     """
 
     name: str
     axis: int
     position: tuple[float, float]
     command: Array
-    timed: bool = False
 
     @property
     def seconds(self) -> float:
@@ -100,12 +97,12 @@ class SweepRun:
 def positions(printer: Printer, axis: int) -> list[tuple[float, float]]:
     """Return the default places (x, y) in mm for runs of an axis (0: x, 1: y).
 
-    It is the middle of the travel. Where the printer can rack, x is swept on both sides of it, too:
+    It is the middle of the travel. Where the printer can rack, x moves on both sides of it, too:
     the lever arms of racking differ there, and x_c is unknown before the measurement.
     """
     (low, high), y = printer.travel.x, round(sum(printer.travel.y) / 2.0, 3)
     middle = (low + high) / 2.0
-    away = min(OUTER, (high - low) / 2.0 - printer.sweep.stroke - printer.sweep.sway)
+    away = min(OUTER, (high - low) / 2.0 - EDGE)
     if axis != X or not printer.kinematics.racks or away < NEAREST:
         return [(round(middle, 3), y)]
     return [(round(middle + offset, 3), y) for offset in (-away, 0.0, away)]
@@ -123,27 +120,6 @@ def allowed(printer: Printer, share: float, multiple: float) -> tuple[float, flo
     acceleration = min(limits.acceleration, stream.acceleration / multiple)
     most = firmware(printer).most(printer)
     return min(velocity, most[0]), min(acceleration, most[1])
-
-
-def within_limits(printer: Printer) -> tuple[Sweep, float]:
-    """Return the sweep with no more than the printer's acceleration, and its speed in mm/s."""
-    velocity, acceleration = allowed(printer, 1.0, MULTIPLE)
-    amplitude = min(printer.sweep.amplitude, acceleration)
-    return replace(printer.sweep, amplitude=amplitude), velocity
-
-
-def runs(printer: Printer, axis: int, places: list[tuple[float, float]]) -> list[SweepRun]:
-    """Return one run along the axis (0: x, 1: y) at each place (x, y) in mm.
-
-    Raises HframeError, and LimitError if a run would leave the travel.
-    """
-    made = []
-    for name, at in zip(named_places("xy"[axis], places), places, strict=True):
-        displacement = trajectory(*within_limits(printer), room(printer, axis, at))
-        command = np.tile(at, (len(displacement), 1))
-        command[:, axis] += displacement
-        made.append(SweepRun(name, axis, at, frozen(command)))
-    return made
 
 
 def named_places(prefix: str, places: Sequence[tuple[float, float]]) -> list[str]:
@@ -177,49 +153,14 @@ def room(printer: Printer, axis: int, position: tuple[float, float]) -> float:
     return left
 
 
-def summary(printer: Printer, planned: list[SweepRun]) -> str:
-    """Return what the owner will see and hear: the runs, their peaks and the time in all."""
-    lines = [f"{run.name}: {run.seconds:.0f} s, {_peaks(run)}" for run in planned]
-    axes = sorted({"xy"[run.axis] for run in planned})
-    seconds, acceleration = TEST_RESONANCES
-    lines.append(
-        f"{duration(seconds_of(planned))} in all. Each run is a hum that rises, as in "
-        f"TEST_RESONANCES. That takes {duration(seconds * len(axes))} for {' and '.join(axes)} "
-        f"and accelerates with up to {acceleration:.0f} mm/s²"
-    )
-    swept, _ = within_limits(printer)
-    if swept.amplitude < printer.sweep.amplitude:
-        lines.append(
-            f"sweep.amplitude is lowered from {printer.sweep.amplitude:g} to {swept.amplitude:.0f} "
-            "mm/s² to stay within limits.acceleration and motors.belt_acceleration"
-        )
-    clips = FULL_SCALE / swept.amplitude
-    if clips < 20.0:  # resonances of printers may amplify as much
-        lines.append(
-            f"A resonance that amplifies {clips:.0f} times (damping {0.5 / clips:.2f} or less) "
-            "exceeds the range of a 16 g sensor: lower sweep.amplitude if the recording clips"
-        )
-    if moves_sensor(printer, planned, ()):
-        lines.append(
-            "If the bed moves in y, write one file with --axis x and one with --axis y, and put "
-            "the sensor on the bed for y"
-        )
-    return "\n".join(lines)
-
-
-def moves_sensor(printer: Printer, planned: Sequence[SweepRun], chips: Sequence[str]) -> bool:
+def moves_sensor(printer: Printer, planned: Sequence[PlannedRun], chips: Sequence[str]) -> bool:
     """Return whether one sensor must be moved from head to bed between runs of x and of y."""
     both = {run.axis for run in planned} == {X, Y}
     sensors = {chip for run in planned for chip in recording_chips(printer, run, chips)}
     return printer.kinematics.bed_moves and both and len(sensors) == 1
 
 
-def _peaks(run: SweepRun) -> str:
-    d, v, a = peaks(run.command[:, run.axis] - run.position[run.axis])
-    return f"at most ±{d:.3g} mm, {v:.0f} mm/s, {a:.0f} mm/s²"
-
-
-def seconds_of(planned: Sequence[SweepRun]) -> float:
+def seconds_of(planned: Sequence[PlannedRun]) -> float:
     """Return the time in all, with the ways between the places but not the one to the first."""
     ways = np.diff([run.position for run in planned], axis=0)
     on_the_way = float(np.hypot(*ways.T).sum()) / APPROACH if len(planned) > 1 else 0.0
@@ -241,7 +182,7 @@ def check_records(printer: Printer) -> None:
 
 
 def gcode(
-    printer: Printer, planned: list[SweepRun], chips: tuple[str, ...], z: float
+    printer: Printer, planned: list[PlannedRun], chips: tuple[str, ...], z: float
 ) -> Iterator[Output]:
     """Yield the G-code of all runs. z: mm.
 
@@ -266,7 +207,7 @@ def gcode(
     yield f"RESTORE_GCODE_STATE NAME={STATE}\n".encode()
 
 
-def recording_chips(printer: Printer, run: SweepRun, chips: Sequence[str]) -> tuple[str, ...]:
+def recording_chips(printer: Printer, run: PlannedRun, chips: Sequence[str]) -> tuple[str, ...]:
     """Return Klipper's names of the accelerometers that record a run.
 
     chips: those that were asked for; else each axis that moves is recorded by its own.
@@ -279,7 +220,7 @@ def recording_chips(printer: Printer, run: SweepRun, chips: Sequence[str]) -> tu
     return tuple(dict.fromkeys(found)) or (USUAL_CHIP,)
 
 
-def _klipper(printer: Printer, planned: list[SweepRun]) -> tuple[KlipperMotion, KlipperCode]:
+def _klipper(printer: Printer, planned: list[PlannedRun]) -> tuple[KlipperMotion, KlipperCode]:
     """Return Klipper with limits no higher than the runs need, since a cancel leaves them."""
     motion, code = KlipperMotion.from_printer(printer), KlipperCode.from_printer(printer)
     speed, acceleration = (
@@ -298,7 +239,7 @@ def _klipper(printer: Printer, planned: list[SweepRun]) -> tuple[KlipperMotion, 
 
 
 def _samples(
-    planned: list[SweepRun], sensors: Sequence[tuple[str, ...]], z: float
+    planned: list[PlannedRun], sensors: Sequence[tuple[str, ...]], z: float
 ) -> Iterator[Samples]:
     first = 0
     for run, chips in zip(planned, sensors, strict=True):
@@ -326,11 +267,8 @@ def _samples(
         first = end
 
 
-def _end_of_recording(run: SweepRun, chips: Sequence[str]) -> Iterator[str]:
+def _end_of_recording(run: PlannedRun, chips: Sequence[str]) -> Iterator[str]:
     calls = [f"ACCELEROMETER_MEASURE CHIP={chip} NAME={run.name}" for chip in chips]
-    if not run.timed:
-        yield from calls
-        return
     macro = f"{RECORDED} CHIPS={','.join(chips)}"
     yield from ("M400", f"{macro} NAME={run.name}", *calls, macro)
 

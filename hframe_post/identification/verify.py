@@ -1,6 +1,7 @@
-"""Whether compensation helps the real machine, from recordings of a test motion.
+"""Whether compensation helps the real machine: a rectangle and a zigzag, or part of a print.
 
-The motion is played plain and compensated. A sensor measures accelerations only, so the place of
+The motion is played plain and compensated. Where it begins, and its corners, are found again from
+the command itself. A sensor measures accelerations only, so the place of
 the nozzle is the model's prediction p, corrected by the recording,
 
     place = p + ∬ (a_measured − a_predicted),
@@ -11,20 +12,142 @@ of both runs follows, and from it the reduction, which does not rely on the mode
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from hframe_post.arrays import TS, Array, Complex, Flags, X, Y, Z
-from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.accelerometer import Recording
-from hframe_post.identification.recordings.alignment import acceleration, aligned
-from hframe_post.identification.verification.motion import QUIET, after_corners, motion_of
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.errors import HframeError, IdentificationError, LimitError
+from hframe_post.identification.recordings.clock import acceleration
+from hframe_post.identification.recordings.runs import PlannedRun, check_records
+from hframe_post.identification.responses.measured import Run
 from hframe_post.model.nozzle import nozzle
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import Samples, frozen
+
+STRATEGIES = {"verify-plain": "none", "verify-compensated": "racking"}  # by the names of runs
+LENGTHS, LOOPS = (40.0, 20.0), 4  # sides of the rectangle in mm; how often it is traced
+LEG, LEGS = 12.0, 6  # of the zigzag: mm along x, and number
+LOOKED_AT, LONGEST, SHORTEST = 250_000, 40_000, 5_000  # samples of a print: of these, from … to
+SHORTEST_STOP, AT_REST = 20, 1e-9  # samples and mm per sample at rest
+GENTLER = (1.0, 0.7, 0.5, 0.35)  # shares of the path's acceleration and jerk, tried in turn
+QUIET = 1000  # samples of rest before and after it
+
+
+def path(printer: Printer) -> list[bytes]:
+    """Return the test motion as G-code, in the middle of the travel, at the printer's limits."""
+    (x0, x1), (y0, y1) = printer.travel.x, printer.travel.y
+    width, height = (min(length, (high - low) / 3.0) for length, (low, high) in zip(
+        LENGTHS, ((x0, x1), (y0, y1)), strict=True))  # fmt: skip
+    # the model holds in the middle; away from it racking has a long lever arm
+    off = (x1 - x0) / 6.0 if printer.plant.Gxtheta is not None else 0.0
+    left, low = (x0 + x1) / 2.0 + off - width / 2.0, (y0 + y1) / 2.0 - height / 2.0
+    speed = f"F{60.0 * printer.limits.velocity:g}"
+    lines = ["G28", "G90", "M83", f"G1 X{left:.3f} Y{low:.3f} {speed}", "G4 P500"]
+    for _ in range(LOOPS):
+        corners = [(width, 0.0), (width, height), (0.0, height), (0.0, 0.0)]
+        leg = min(LEG, width / LEGS)
+        corners += [(leg * (k + 1), leg * ((k + 1) % 2)) for k in range(LEGS)]
+        corners += [(0.0, 0.0)]
+        lines += [f"G1 X{left + x:.3f} Y{low + y:.3f}" for x, y in corners]
+    return [f"{line}\n".encode() for line in lines]
+
+
+def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[PlannedRun]:
+    """Return the plain and the compensated run: of the test motion, or of a print's beginning.
+
+    lines: the print's G-code. Nothing is extruded, and z does not move. The test motion is gentler
+    where the motors cannot follow it at the printer's limits. Raises HframeError.
+    """
+    check_records(printer)
+    if lines is not None:
+        return _runs(printer, lines, part_of_print=True)
+    limits = printer.limits
+    for share in GENTLER:
+        gentler = replace(
+            limits, acceleration=share * limits.acceleration, jerk=share * limits.jerk
+        )
+        try:
+            return _runs(replace(printer, limits=gentler), path(printer), part_of_print=False)
+        except LimitError as error:
+            found = error
+    raise HframeError(
+        f"even with {GENTLER[-1]:g} of limits.acceleration the {found.quantity} of the compensated "
+        f"test motion would be {found.value:.6g}, the printer's limit is {found.bound:.6g}. Raise "
+        "the limits under [motors] if the motors can do it, or lower those under [limits]"
+    )
+
+
+def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list[PlannedRun]:
+    options = Options("racking", limits="printer", clamp=False)
+    chunks = list[Samples]()
+    for chunk in SampleStream(lines, printer, options, tuple(STRATEGIES.values())).computed():
+        if len(chunk):
+            chunks.append(chunk)
+        if chunk.end > LOOKED_AT:
+            break
+    if not chunks:
+        raise HframeError("the print does not move in x and y")
+    commands = {
+        run: np.concatenate([chunk.commands[strategy] for chunk in chunks])[:LOOKED_AT]
+        for run, strategy in STRATEGIES.items()
+    }
+    part = slice(None)
+    if part_of_print:
+        ends = [chunk.end for chunk in chunks if chunk.ends_stretch]
+        part = _between_stops(commands["verify-compensated"], ends)
+    return [
+        PlannedRun(run, X, (float(command[part][0, X]), float(command[part][0, Y])),
+            frozen(np.pad(command[part], ((QUIET, QUIET), (0, 0)), mode="edge")))
+        for run, command in commands.items()
+    ]  # fmt: skip
+
+
+def _between_stops(command: Array, ends: Sequence[int]) -> slice:
+    """Return the longest part of at most ``LONGEST`` samples from one stop to another.
+
+    command (m, 2): mm; ends: samples after which the machine moves on its own.
+    """
+    still = (np.abs(np.diff(command, axis=0)) < AT_REST).all(axis=1)
+    edges = np.flatnonzero(np.diff(still, prepend=False, append=False))
+    first, last = edges[::2], edges[1::2]
+    stops = [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a >= SHORTEST_STOP]
+    best = slice(0, 0)
+    for k, (_, start) in enumerate(stops):
+        own = min((end for end in ends if end > start), default=len(command))
+        for stop, _ in stops[k + 1 :]:
+            if stop <= own and best.stop - best.start < stop - start <= LONGEST:
+                best = slice(start, stop + 1)
+    if best.stop - best.start < SHORTEST:
+        raise HframeError(
+            f"the print's first {LOOKED_AT * TS:.0f} s have no part of {SHORTEST * TS:.0f} to "
+            f"{LONGEST * TS:.0f} s between two stops. Choose another print, or leave it out"
+        )
+    return best
+
+
+def motion_of(wanted: Array) -> slice:
+    """Return which samples of a command (m, 2) are the test motion, without rests."""
+    moving = np.flatnonzero((np.diff(wanted, axis=0) != 0.0).any(axis=1))
+    return slice(int(moving[0]), int(moving[-1]) + 1)
+
+
+def after_corners(wanted: Array) -> Flags:
+    """Flag the samples (m,) within 150 ms after a corner of the path, a turn of over 0.3 rad."""
+    step = np.diff(wanted, axis=0, append=wanted[-1:])
+    moving = np.flatnonzero((step != 0.0).any(axis=1))
+    heading = np.arctan2(step[moving, Y], step[moving, X])
+    turn = np.abs(np.angle(np.exp(1j * np.diff(heading))))
+    flags = np.zeros(len(wanted), dtype=bool)
+    for k in moving[1:][turn > 0.3].tolist():
+        flags[k : k + 150] = True
+    return flags
+
 
 LOW_HZ, FLAT_HZ, HIGH_HZ = 3.0, 6.0, 120.0  # band of the integration, complete from FLAT_HZ on
 GAIN_HZ = (2.0, 9.0)  # slow motion, which any printer follows and any model predicts alike
@@ -153,19 +276,34 @@ class MeasuredRun:
     noise: float
 
 
-def compare_runs(
-    printer: Printer, plain: tuple[Array, Recording], compensated: tuple[Array, Recording]
-) -> Verdict:
-    """Compare both runs: each a command (m, 2), mm every 1 ms, and the recording of the nozzle.
+def both(found: Sequence[Run]) -> tuple[Run, Run]:
+    """Return the plain and the compensated run. Raises IdentificationError unless there are both.
 
-    Raises IdentificationError if a recording does not belong to its command.
+    found: in any order; of repetitions the last counts.
     """
-    wanted = plain[0]
+    named = {name: run for run in found for name in STRATEGIES if name in run.name}
+    if len(named) < len(STRATEGIES):
+        raise IdentificationError(
+            "not both recordings of 'hframe-post verify --gcode', verify-plain and "
+            "verify-compensated. Give the folder with them and the commands"
+        )
+    plain, compensated = (named[name] for name in STRATEGIES)
+    if len(plain.command) != len(compensated.command):
+        raise IdentificationError(
+            "the commands of the two motions differ in length: they were not written by the same "
+            "'hframe-post verify --gcode'"
+        )
+    return plain, compensated
+
+
+def compare_runs(printer: Printer, plain: Run, compensated: Run) -> Verdict:
+    """Compare both runs. Raises IdentificationError if a recording does not follow its command."""
+    wanted = plain.command
     inside = np.zeros(len(wanted), dtype=bool)
     inside[motion_of(wanted)] = True
     moving = (np.diff(wanted, axis=0, append=wanted[-1:]) != 0.0).any(axis=1) & inside
     at, after, a_path = np.flatnonzero(moving), after_corners(wanted) & inside, _curved(wanted)
-    runs = [measured_run(printer, *run) for run in (plain, compensated)]
+    runs = [measured_run(printer, run) for run in (plain, compensated)]
     measured = [1e3 * contour_error(wanted, run.place, at) for run in runs]
     predicted = [1e3 * contour_error(wanted, run.predicted, at) for run in runs]
     noise = [1e3 * run.noise for run in runs]
@@ -185,16 +323,16 @@ def _rms(values: Array, noise: float = 0.0) -> float:
     return float(np.sqrt(max((values**2).mean() - noise**2, 0.0)))
 
 
-def measured_run(printer: Printer, command: Array, recording: Recording) -> MeasuredRun:
-    """Return what a recording shows of a command (m, 2) in mm. Raises IdentificationError."""
-    found = aligned(acceleration(command[:, X]), recording, X)
+def measured_run(printer: Printer, run: Run) -> MeasuredRun:
+    """Return what a recording shows of its command. Raises IdentificationError."""
+    command, shown = run.command, run.on_command_clock()
     predicted = nozzle(printer.plant, command[0], command)
     without = nozzle(replace(printer.plant, Gxtheta=None), command[0], command)
     a_predicted = _curved(predicted)
-    late, most = 0.0, max(found.uncertainty, HARMLESS_DELAY)
+    late, most = 0.0, HARMLESS_DELAY
     for _ in range(2):  # a delay disturbs what slow motion shows of the sensor
         earlier = np.exp(2j * np.pi * _hz(a_predicted) * late)
-        a = _filtered(found.acceleration[:, :Z], earlier)
+        a = _filtered(shown[:, :Z], earlier)
         a = a @ _correction(a, a_predicted)
         late = float(np.clip(late + _lag(a, a_predicted), -most, most))
     off = _filtered(a - a_predicted, _integrating_twice(_hz(a)))
@@ -243,8 +381,8 @@ def _correction(a: Array, wanted: Array) -> Array:
     off = np.abs(matrix - np.eye(2)).max()
     if off > 0.1 + np.sin(np.radians(10.0)):  # a gain 10 % off, rotated by 10°
         raise IdentificationError(
-            f"the recording differs from the command by {100 * off:.0f} % in slow motion: --axes "
-            "is wrong, or it is the recording of another run"
+            f"the recording differs from the command by {100 * off:.0f} % in slow motion: "
+            "it is the recording of another run"
         )
     return np.asarray(matrix)
 
