@@ -240,3 +240,12 @@ def test_what_is_extruded_on_less_than_a_micrometre_is_extruded(
     output = GcodeConversion(iter(text.splitlines(keepends=True)), paper, Options(strategy))
     assert b"".join(piece for piece in output if isinstance(piece, bytes)).count(b"G1") > 2
     assert output.report().filament_after == pytest.approx(995.0, abs=1e-3)
+
+
+def test_a_fault_at_the_end_comes_before_the_work(paper: Printer) -> None:
+    """A move of the end code off the bed was refused after minutes of computing."""
+    walls = [b"G1 X%d Y100 E1 F6000\n" % (120 + 20 * (k % 2)) for k in range(20_000)]
+    lines = [b"G28\n", b"M83\n", b"G1 X100 Y100 Z1 F6000\n", *walls, b"G1 X0 Y999\n"]
+    spans = pipeline.PlannedFile(lines, paper, Options("racking")).spans()
+    with pytest.raises(LimitError, match="line 20004"):
+        next(iter(next(iter(spans)).items))
