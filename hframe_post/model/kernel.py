@@ -15,12 +15,12 @@ symbol      meaning                                                         sour
 ``A, m``    constraints A·h = m: Σ h = D(0), Σ k·h = lag_D − D(0)·lag_G
 ==========  ==============================================================  ==============
 
-h minimises Σ W·(|G·B·h − D|² + λ·|ω²·B·h|²), expected over what is not known of G (its doubts, as in
-lpfbs). So H·h = r + Aᵀμ with a Toeplitz matrix H, subject to A·h = m: rest and constant speed are
-exact. An axis has D = 1. What a command of axis j adds to
-another axis (eq. 13, 19) is removed from that axis' target by taps with G = Gjj and D the coupling:
-their product is the coupling's answer to the finished command. Common poles of both cancel, so
-that these taps are short where those of the coupling itself are long.
+h minimises Σ W·(|G·B·h − D|² + λ·|ω²·B·h|²), expected over what is not known of G (its doubts). So
+H·h = r + Aᵀμ with a Toeplitz matrix H, subject to A·h = m: rest and constant speed are exact. An
+axis has D = 1. What a command of axis j adds to another axis (eq. 13, 19) is removed from that axis'
+target by taps with G = Gjj and D the coupling: their product is the coupling's answer to the
+finished command. Common poles of both cancel, so that these taps are short where those of the
+coupling itself are long.
 """
 
 from __future__ import annotations
