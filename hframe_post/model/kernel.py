@@ -17,10 +17,9 @@ symbol      meaning                                                         sour
 
 h minimises Σ W·(|G·B·h − D|² + λ·|ω²·B·h|²), expected over what is not known of G (its doubts). So
 H·h = r + Aᵀμ with a Toeplitz matrix H, subject to A·h = m: rest and constant speed are exact. An
-axis has D = 1. What a command of axis j adds to another axis (eq. 13, 19) is taken off its target by
-taps with G = Gjj and D the coupling: their product is the coupling's answer to the
-finished command. Common poles of both cancel, so that these taps are short where those of the
-coupling itself are long.
+axis has D = 1. What a command of axis j adds to another axis (eq. 13, 19) is taken off its target
+by taps with G = Gjj and D the coupling: their product is the coupling's answer to the finished
+command. Common poles of both cancel, so that these taps are short where the coupling's are long.
 """
 
 from __future__ import annotations
