@@ -51,7 +51,7 @@ from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import PieceStart, pace
 from hframe_post.planner.sampling import sample
-from hframe_post.planner.sliced import seconds_of_ramps
+from hframe_post.planner.sliced import run_seconds
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
@@ -289,7 +289,7 @@ class PlannedFile:
         """Add up the time of plans if nothing limited their jerk."""
         for item in plans:
             if isinstance(item, Plan):
-                self._ramps += seconds_of_ramps(item)
+                self._ramps += float(run_seconds(item).sum())
             yield item
 
     def _print_time(self, motion: MotionSummary) -> PrintTime:
