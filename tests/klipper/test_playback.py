@@ -321,6 +321,11 @@ def test_prism_takes_about_as_long_as_klipper_takes_without_compensation(tmp_pat
     own = play(SAMPLES / "prism.gcode", limits=limits, workdir=tmp_path)
     below(run.report.time.after, 1.05 * own.print_time, "print time, s")
     near(run.report.time.before, own.print_time, 0.01 * own.print_time, "print time as sliced, s")
+    path = own.position(np.arange(own.start, own.end, TS))[:, :2]
+    nozzle = Response(profile.load("paper").plant, path[0]).run(path)
+    moving = np.flatnonzero(np.abs(np.diff(path, axis=0)).max(axis=1) > 0.0)
+    theirs = float(np.sqrt(np.square(contour_error(path, nozzle, moving)).mean()))
+    near(run.report.contour["none"].all.rms, theirs, 0.1 * theirs, "error as sliced, mm")
 
 
 @pytest.mark.klipper
