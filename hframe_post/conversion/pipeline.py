@@ -49,12 +49,13 @@ from hframe_post.model.strategies import Compensator
 from hframe_post.planner.bands import TimeInBands, avoid_bands
 from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
+from hframe_post.planner.motors import WithinMotors
 from hframe_post.planner.pacing import PieceStart, pace
 from hframe_post.planner.sampling import sample
 from hframe_post.planner.sliced import run_seconds
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import Labels
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Motors, Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
 from hframe_post.stream.running import StageTimes, joined, prefetch
@@ -88,15 +89,17 @@ def planned(lines: Iterable[bytes], printer: Printer, options: Options) -> Itera
 
 def scheduled(
     items: Iterable[Item], printer: Printer, start: PieceStart | None = None,
-    followed: FollowedAdvance | None = None,
+    followed: FollowedAdvance | None = None, within: WithinMotors | None = None,
 ) -> Iterator[Planned]:  # fmt: skip
-    """Plan the speeds of moves, so that the extruder can follow its advance.
+    """Plan the speeds of moves, so that the motors can follow, and the extruder its advance.
 
     They keep out of the bands that the profile's motors avoid. start: place of the first item in
-    the print. followed: lowers the accelerations, as ``following`` gives it.
+    the print. followed: lowers the accelerations, as ``following`` gives it. within: slows moves
+    down for the motors.
     """
     followed = followed or following(printer)
     items = items if followed is None else followed.items(items)
+    items = (within or WithinMotors(printer)).items(items)
     return plan(avoid_bands(items, printer, start), firmware(printer).caps(printer))
 
 
@@ -143,7 +146,9 @@ class Stages:
         self._printer, self._options, self._compensator = printer, options, compensator
         self._strategies = strategies or options.strategies
         self._at_stops = at_stops or StopSolvers(compensator, self._strategies, printer)
-        checked = (printer.travel, printer.motors, printer.kinematics)
+        # without compensation a file moves as the firmware plays it today
+        motors = printer.motors if options.strategy != "none" else Motors()
+        checked = (printer.travel, motors, printer.kinematics)
         self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
         self._clock = Clock()
         picture = _picture(printing or Place()) if options.picture else None
@@ -247,6 +252,7 @@ class PlannedFile:
         self._path = PathMeter(printer.limits, options.paces is not None)
         self._firmware, self._sliced = firmware(printer), SlicedFile(printer)
         self._times, self._following, self._ramps = StageTimes(), following(printer), 0.0
+        self._within = WithinMotors(printer)
 
     @property
     def sliced_seconds(self) -> float:
@@ -259,7 +265,8 @@ class PlannedFile:
         items = self._times.timed("read", self._input.items(items))
         items = paced(self._sliced.items(items), self._options)
         items = self._path.items(items)
-        plans = self._timed(scheduled(items, self._printer, followed=self._following))
+        plans = scheduled(items, self._printer, followed=self._following, within=self._within)
+        plans = self._timed(plans)
         return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))
 
     def report(self, motion: MotionSummary) -> Report:
@@ -295,7 +302,11 @@ class PlannedFile:
     def _print_time(self, motion: MotionSummary) -> PrintTime:
         own = self._sliced.own
         return PrintTime(
-            own.seconds, motion.duration, own.standing + self._ramps, TS * motion.resting
+            own.seconds,
+            motion.duration,
+            own.standing + self._ramps,
+            TS * motion.resting,
+            self._within.share,
         )
 
     def advance(self, found: AdvanceSummary) -> AdvanceReport | None:

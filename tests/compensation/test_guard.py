@@ -316,21 +316,6 @@ def test_a_clamped_command_stands_where_the_machine_pauses() -> None:
     np.testing.assert_array_equal(result[419:440], path[419:440])
 
 
-def test_a_clamp_leaves_corners_that_the_path_turns_at_once() -> None:
-    """Next to a standstill they cannot be rounded; the printer turns them so as sliced, too."""
-    path = standing(800)
-    path[:, 0] += 0.2 * np.clip((np.arange(800) - 402.0) / 10.0, 0.0, 1.0)  # 20 mm/s from rest
-    action = Passthrough(0, b"M117", Handling.REST, ModalState(True, False, 0.0, 0.0, (0, 0, 0)))
-    held = replace(chunk(path, path), events=(Dwell(390, 10, action),))
-    safe = join([*Clamp(*LIMITS).limit([held], "racking")])
-    assert list(Guard(*LIMITS, clamped=True).check([safe], "racking"))
-    with pytest.raises(LimitError, match="belt acceleration"):
-        list(Guard(*LIMITS).check([safe], "racking"))
-    added = replace(safe, commands={"racking": path + 0.01 * bump(800, 600, 1.0, 4)[:, None]})
-    with pytest.raises(LimitError, match="clamping was not enough"):
-        list(Guard(*LIMITS, clamped=True).check([added], "racking"))
-
-
 def test_where_clamping_is_not_enough_the_error_does_not_recommend_it() -> None:
     path = standing(1200, x=0.1)
     path[:, 0] += bump(1200, 600, 90.0, 40)
