@@ -49,7 +49,7 @@ def test_a_move_of_days_takes_no_memory(paper: Printer) -> None:
         b"G28\n",
         b"M83\n",
         b"G1 X10 Y10 Z0.2 F6000\n",
-        b"G1 X290 E1 F12\n",
+        b"G1 X270 E1 F12\n",
         b"G1 X10 E1 F600\n",
     ]
     found = SlicedFile.from_items(parsed(lines * 3, paper, Options("none")), paper)
