@@ -18,6 +18,7 @@ from hframe_post.printer.profile import load
 from tests.conftest import ROOT, SAMPLES
 from tests.recordings import write_klipper
 from tests.simulator import Axis, Chip, Machine, Mode
+from tools import site
 
 PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
@@ -57,7 +58,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-LONG = "api.md"  # it converts, simulates, tunes and identifies
+LONG = "interfaces.md"  # it converts, simulates, tunes and identifies
 
 
 @pytest.mark.parametrize(
@@ -77,7 +78,7 @@ def test_snippets_run(page: Path, files: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_snippets_are_there_and_can_fail(files: Path) -> None:
-    assert SNIPPETS[ROOT / "docs" / "api.md"]
+    assert SNIPPETS[ROOT / "docs" / "interfaces.md"]
     with pytest.raises(AttributeError):
         exec("import hframe_post as hp\nhp.compensat", {})
 
@@ -138,7 +139,7 @@ MEMBER = re.compile(r"`(\w+)\.(?!py|toml|md|csv|gcode|npz)(\w+)[`(\[]")
 TYPE = re.compile(r"`([A-Z][a-z]+[A-Z]?\w*)`")
 SOURCES = {path: path.read_text("utf-8") for path in (ROOT / "hframe_post").rglob("*.py")}
 HOUSE = pytest.mark.parametrize(
-    "name", ["architecture.md", "derivations.md", "api.md", "../CONTRIBUTING.md"]
+    "name", ["architecture.md", "derivations.md", "interfaces.md", "../CONTRIBUTING.md"]
 )
 
 
@@ -180,9 +181,7 @@ JOINT = re.compile(r'"\s*\n\s*f?"')
 def test_messages_shown_are_those_of_the_tool() -> None:
     """The messages in the first column, as far as they do not vary."""
     source = JOINT.sub("", "\n".join(SOURCES.values()))
-    rows = re.findall(
-        r"^\| ([^|]*\*[^|]*) \|", prose(ROOT / "docs" / "troubleshooting.md"), re.MULTILINE
-    )
+    rows = re.findall(r"^\| ([^|]*\*[^|]*) \|", prose(ROOT / "docs" / "start.md"), re.MULTILINE)
     pieces = [
         piece.strip(" .,")
         for row in rows
@@ -226,3 +225,12 @@ def test_commands_shown_are_those_of_the_tool(page: Path) -> None:
         for word in words:
             if word.startswith("-") and word not in ("-", "--help", "-h", "--version"):
                 assert word in known, f"{page.name}: {line}"
+
+
+def test_pages_made_from_the_code_have_all_keys_and_options() -> None:
+    keys, options = site.keys(), site.options()
+    rows = set(re.findall(r"^\| `(\w+)` \|", keys, re.MULTILINE))
+    assert {"belt_acceleration", "effort", "junction_deviation", "max_error"} <= rows
+    assert "| `n_C` | `int` | > 0, ≤ 1000 | `88` |" in keys
+    assert all(f"\n## {name}\n" in options for name in COMMANDS)
+    assert "--max-error" in options
