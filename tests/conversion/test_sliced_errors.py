@@ -11,6 +11,7 @@ from hframe_post.conversion.pipeline import parsed
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Printer
+from tests.conftest import SAMPLES
 
 
 def vase(layers: int) -> list[bytes]:
@@ -54,3 +55,11 @@ def test_a_move_of_days_takes_no_memory(paper: Printer) -> None:
     ]
     found = SlicedFile.from_items(parsed(lines * 3, paper, Options("none")), paper)
     assert sum(len(path) for path, _ in found.paths) < 200_000, "samples"
+
+
+def test_the_cube_which_hardly_stops_is_judged_all_over(paper: Printer) -> None:
+    """Its first layer is slow; with all of it the error is 90 µm."""
+    with (SAMPLES / "cube.gcode").open("rb") as cube:
+        found = SlicedFile.from_items(parsed(cube, paper, Options("none")), paper).today()
+    whole = 1e3 * found.contour["none"].rms
+    assert whole == pytest.approx(90.0, rel=0.1)
