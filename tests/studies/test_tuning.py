@@ -20,7 +20,6 @@ from hframe_post.printer.settings import Motors, Printer
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.simulation.simulate import Study, simulate
 from hframe_post.studies.simulation.uncertainty import draws
-from hframe_post.studies.tuning import pareto
 from hframe_post.studies.tuning.report import stops_as_json, stops_table
 from hframe_post.studies.tuning.tune import (
     EFFORTS,
@@ -33,7 +32,7 @@ from hframe_post.studies.tuning.tune import (
     recommended,
     tune,
 )
-from tests.gcode_tools import HEAD, strokes
+from tests.gcode_tools import strokes
 
 EFFORT = (1.0, 10.0, 100.0, 1000.0)
 SLACK = 1.03  # of numbers that should be in order
@@ -143,37 +142,6 @@ def test_errors_of_the_print_come_through(profiled: Printer) -> None:
     lines = [b"G1 X100 Y100 F6000\n", b"G1 XNaN\n"]
     with pytest.raises(GcodeError, match="line 2"):
         tune(lines, profiled, [profiled.compensation.windows], [])
-
-
-# ---------------------------------------------------------------------- pieces of a print
-
-
-def test_pieces_of_a_print_are_tried_as_if_each_were_printed_alone(
-    profiled: Printer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The machine does not move from one to the next, so no command may lead from one to the next.
-
-    Long and short ones, cut into chunks of samples of any length.
-    """
-    monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", 1500)
-    monkeypatch.setattr(pareto, "SHARES", ((0.25, 1.0),))
-    monkeypatch.setattr(pareto, "JERKS", ())
-    slow = [";LAYER:0", "G1 X90 Y60 E2 F300", "M600", "G0 X60 Y60 F9000", "G1 X90 E1 F6000", "M600"]
-    lines = [f"{line}\n".encode() for line in [*HEAD, *slow, *strokes(1, 20)]]
-    kept = pareto.pieces(lines, profiled)
-    assert len(kept) >= 4
-    grid, drawn = [profiled.compensation.windows], draws(profiled.plant, 0.05, 1, 0)
-    found = pareto.pareto(kept, profiled, grid, drawn)
-    alone = [pareto.pareto([piece], profiled, grid, drawn) for piece in kept]
-    for point, *each in zip(found.points, *(one.points for one in alone), strict=True):
-        trial, trials = point.trial, [other.trial for other in each]
-        assert trial.seconds == pytest.approx(sum(t.seconds for t in trials))
-        assert trial.acceleration == max(t.acceleration for t in trials), "mm/s²"
-        counts = [t.contour.shown.count for t in trials]
-        together = np.average([t.contour.rms**2 for t in trials], weights=counts) ** 0.5
-        # every other sample is judged, other ones where a piece has an odd number of them
-        assert trial.contour.rms == pytest.approx(together, rel=0.02), "mm"
-    assert found.chosen is not None
 
 
 # ---------------------------------------------------------------------- recommendation
