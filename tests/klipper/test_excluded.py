@@ -170,13 +170,6 @@ def test_wherever_an_object_is_excluded_it_is_left_alone(name: str, lines: int) 
         np.testing.assert_allclose(place[:3], end[:3], atol=0.01)
 
 
-@pytest.mark.klipper
-def test_nothing_excluded_nothing_changed() -> None:
-    for name, text in SLICES.items():
-        sliced, ours = (head(with_commands(each))[0][-1] for each in (text, converted(name)))
-        np.testing.assert_allclose(ours, sliced, atol=0.01)
-
-
 def test_labels_cost_hardly_any_time() -> None:
     """The move after an object is not compensated; the print takes as long as without labels."""
     seconds = []
