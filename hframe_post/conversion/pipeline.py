@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -59,11 +60,13 @@ from hframe_post.printer.settings import Motors, Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
 from hframe_post.stream.running import StageTimes, joined, prefetch
-from hframe_post.stream.types import Item, Plan, Planned, Samples
+from hframe_post.stream.types import Item, Moves, Passthrough, Plan, Planned, Samples
 from hframe_post.version import __version__
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
+
+MOVES_AHEAD = 300_000  # read before the first is planned, of 64 bytes: 20 MB
 
 # ---------------------------------------------------------------------- the stages
 
@@ -75,6 +78,25 @@ def parsed(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterat
 
 def _read(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Item]:
     return read(lines, ReadOptions.from_printer(printer, options.limits, options.extrusion))
+
+
+def read_ahead(items: Iterator[Item]) -> Iterator[Item]:
+    """Yield the items once many have been read: a file's faults come before the work.
+
+    A move of its end code that leaves the bed is refused at once, unless the print is very long.
+    """
+    waiting, moves = deque[Item](), 0
+    for item in items:
+        waiting.append(item)
+        if isinstance(item, Moves):
+            moves += len(item.line) + 4 * len(item.marks)
+        else:
+            moves += 8 + (len(item.text) // 64 if isinstance(item, Passthrough) else 0)
+        if moves >= MOVES_AHEAD:
+            break
+    while waiting:
+        yield waiting.popleft()
+    yield from items
 
 
 def paced(items: Iterator[Item], options: Options) -> Iterator[Item]:
@@ -262,7 +284,7 @@ class PlannedFile:
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         items = _read(self._input.lines(self._lines), self._printer, self._options)
-        items = self._times.timed("read", self._input.items(items))
+        items = read_ahead(self._times.timed("read", self._input.items(items)))
         items = paced(self._sliced.items(items), self._options)
         items = self._path.items(items)
         plans = scheduled(items, self._printer, followed=self._following, within=self._within)

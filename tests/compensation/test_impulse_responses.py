@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hframe_post.arrays import Array, Flags, X, Y
+from hframe_post.arrays import Array, X, Y
 from hframe_post.compensation.compensate import compensate, settling_samples
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops
 from hframe_post.conversion.pipeline import prepared
@@ -16,7 +16,7 @@ from hframe_post.errors import ArgumentError
 from hframe_post.model.filters import stream_filter
 from hframe_post.model.impulse_response import ImpulseResponse, Linear
 from hframe_post.model.lpfbs import Lpfbs, Window
-from hframe_post.model.nozzle import Response, nozzle
+from hframe_post.model.nozzle import nozzle
 from hframe_post.model.plant import Bed, Coupling, Plant, heavier
 from hframe_post.model.responses import Plants
 from hframe_post.model.strategies import STRATEGIES, Compensator
@@ -141,14 +141,6 @@ def test_a_settled_filter_stands_still(G: Linear, late: int) -> None:
         assert np.array_equal(standing, np.full(50, 12.5))  # gain 1 at rest, exactly
 
 
-def test_a_transfer_function_can_be_late() -> None:
-    u = np.random.default_rng(0).normal(size=60)
-    prompt, late = (stream_filter(axis_mode(40.0, 0.1), n) for n in (0, 9))
-    delayed = np.concatenate([late.run(piece) for piece in np.split(u, [1, 3, 30])])
-    assert np.array_equal(delayed[9:], prompt.run(u)[:-9])
-    assert not delayed[:9].any()
-
-
 # ---------------------------------------------------------------------- one axis
 
 
@@ -171,14 +163,6 @@ def test_a_lagging_response_ends_where_it_has_settled(m: int, same: float) -> No
     assert np.abs(one - other).max() < same
     predicted = [stream_filter(each, 0).run(x_d - x_d[0]) for each in (G, finite)]
     assert np.abs(predicted[0] - predicted[1]).max() < same
-
-
-def test_zeros_before_a_response_change_nothing() -> None:
-    G, x_d = two_sided(40.0, 0.05), strokes()[:, X]
-    longer = ImpulseResponse(np.pad(G.deviation, (11, 20)), G.lead + 11)
-    one, other = Lpfbs(G, WINDOW), Lpfbs(longer, WINDOW)
-    assert (longer.ahead, one.lead) == (G.ahead, G.ahead)
-    assert np.abs(one.command(x_d) - other.command(x_d)).max() < SAME
 
 
 def test_a_preview_shorter_than_the_lead_still_ends_with_the_path() -> None:
@@ -268,13 +252,6 @@ def test_printers_that_drift_follow_better_where_that_is_expected() -> None:
     assert squared_error(unsure(), certain, path) < squared_error(unsure(), doubting, path)
 
 
-def test_doubts_take_no_time_while_it_runs() -> None:
-    """The window's maps are as large, so as many products are computed."""
-    certain, doubting = (Lpfbs(unsure(*doubts), WINDOW) for doubts in ((), (0.03, 0.2)))
-    sizes = [[np.shape(gains) for gains in vars(solver).values()] for solver in (certain, doubting)]
-    assert sizes[0] == sizes[1]
-
-
 def test_doubtful_commands_do_not_depend_on_how_the_path_is_cut() -> None:
     plant = replace(early(), Gxx=replace(unsure(0.03, 0.2), lag=1.5))
     whole = commanded(plant)
@@ -296,19 +273,6 @@ def test_the_commands_are_those_of_the_transfer_functions(strategy: str) -> None
     plant = with_poles()
     one, other = (commanded(p, strategy=strategy) for p in (plant, measured(plant)))
     assert np.abs(one - other).max() < SAME
-
-
-def test_a_mixed_plant_is_one_of_responses() -> None:
-    """Each response comes as late as the one with the longest lead."""
-    mixed = early()
-    assert (mixed.ahead, mixed.Gyy.ahead) == (31, 16)
-    assert mixed.Gxtheta is not None
-    Gxtheta = ImpulseResponse.from_transfer_function(with_poles().Gxtheta, LONG, 0.0)  # type: ignore[arg-type]
-    whole = replace(mixed, Gxtheta=Gxtheta)
-    one, other = (nozzle(p, ORIGIN, strokes()) for p in (mixed, whole))
-    assert np.abs(one - other).max() < SAME
-    commands = commanded(mixed), commanded(whole)
-    assert np.abs(commands[0] - commands[1]).max() < SAME
 
 
 @pytest.mark.parametrize("strategy", ["fbs", "racking"])
@@ -375,16 +339,6 @@ def held(chunks: Sequence[Samples], printer: Printer) -> Samples:
     return join(list(dwell_at_stops(commands, StopSolvers(compensator, names, printer))))
 
 
-@pytest.mark.slow
-def test_stops_are_those_of_the_transfer_functions(hbot: Printer) -> None:
-    plant = with_poles()
-    chunks = retracting(hbot)
-    one, other = (held(chunks, replace(hbot, plant=p)) for p in (plant, measured(plant)))
-    for name in one.commands:
-        off = np.abs(one.commands[name] - other.commands[name]).max()
-        assert off < 1e-7, f"{name}: {off} mm"  # a stop's weights come of iterations
-
-
 @pytest.mark.parametrize("n", [13, 700])
 def test_stops_do_not_depend_on_chunks(hbot: Printer, n: int) -> None:
     printer = replace(hbot, plant=early())
@@ -422,16 +376,6 @@ def test_a_heavier_bed_takes_longer(factor: float) -> None:
     assert G.ahead == 0
 
 
-def test_a_heavier_bed_lags_as_before() -> None:
-    """A damper against the frame does not feel mass: 2ζ/ω stays."""
-    with_poles = damped_by_the_frame(30.0, 0.1)
-    G = heavier(ImpulseResponse.from_transfer_function(with_poles, 700, 1.0), 1.2)
-    expected = heavier(with_poles, 1.2)
-    assert isinstance(G, ImpulseResponse)
-    assert isinstance(expected, TransferFunction)
-    assert G.lag == pytest.approx(expected.lag, abs=0.05)  # ms, of 2
-
-
 def test_a_bed_gets_heavier_with_its_lead(hbot: Printer) -> None:
     bed = Bed(0.5, 1e-4)
     plant = replace(early(), bed=bed)
@@ -466,12 +410,3 @@ def test_a_printer_off_its_response_is_one_off_its_mode() -> None:
     for before, after in zip(plant.couplings, perturbed(plant, stronger).couplings, strict=True):
         factor = 1.0 if before is plant.couplings[2] else 1.2
         assert np.allclose(after.G.response(omega), factor * before.G.response(omega), atol=1e-12)
-
-
-def test_flags_of_extrusion_are_those_of_the_path() -> None:
-    """A response with a lead is late; what is judged is not."""
-    plant = early()
-    whole = samples_of(strokes()[:900])
-    flags: list[Flags] = [j.extruding for j in judge(smaller([whole], 100), plant)]
-    assert np.concatenate(flags).all()
-    assert isinstance(Response(plant, ORIGIN).late, int)

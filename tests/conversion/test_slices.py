@@ -59,20 +59,6 @@ def test_uncompensated_motion_is_reported_by_its_cause(paper: Printer) -> None:
     assert "_ON_LAYER_CHANGE" in unknown.as_text()
 
 
-def test_uncompensated_extrusion_is_a_warning(paper: Printer) -> None:
-    lines = [
-        b"M83\n", b"G28\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X120 E1\n", b"PARK\n",
-        b"G1 X140 Y100 E1\n", b"G1 X160 E1\n",
-    ]  # fmt: skip
-    conversion = GcodeConversion(lines, paper, Options("racking"))
-    list(conversion)
-    report = conversion.report()
-    assert report.path.extrusion_share == pytest.approx(1 / 3)
-    *_, warning = report.warnings()
-    assert "mostly after PARK" in warning
-    assert "[firmware]" in warning
-
-
 def test_what_limits_a_print_is_reported(paper: Printer) -> None:
     lines = [
         b"M83\n", b"G92 X100 Y100 Z1\n", b"M204 S700\n", b"SET_VELOCITY_LIMIT ACCEL=500\n",
@@ -99,3 +85,20 @@ def test_macros_that_return_keep_their_place(paper: Printer) -> None:
     frame = text.index(b"TIMELAPSE_TAKE_FRAME")
     assert any(line.startswith(b"SET_VELOCITY_LIMIT VELOCITY=") for line in text[frame - 4 : frame])
     assert not conversion.report().path.uncompensated
+
+
+def test_filament_that_a_lost_g92_takes_back_is_a_warning(paper: Printer) -> None:
+    lines = [b"M82\n", b"G92 E0\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X150 E9.5\n"]
+    conversion = GcodeConversion([*lines, b"G1 X100 E.5\n"], paper, Options("racking"))
+    list(conversion)
+    assert any("line 5 takes back 9.0 mm" in text for text in conversion.report().warnings())
+    conversion = GcodeConversion([*lines, b"G92 E0\n", b"G1 X100 E.5\n"], paper, Options("racking"))
+    list(conversion)
+    assert not any("takes back" in text for text in conversion.report().warnings())
+
+
+def test_a_print_from_an_unknown_place_is_told_to_begin_with_a_move(paper: Printer) -> None:
+    lines = [b"M83\n", b"G0 Y10 F6000\n", *[b"G1 X100 E1\n", b"G1 X120 E1\n"] * 3]
+    conversion = GcodeConversion(lines[:3], paper, Options("racking"))
+    list(conversion)
+    assert any("begin with a move to X, Y and Z" in each for each in conversion.report().warnings())

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,13 +13,11 @@ from hframe_post import library
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.errors import LimitError
-from hframe_post.gcode.state import LimitSource
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.command_line import run
 from tests.matrix.files import sliced
 from tests.quantities import below
-from tests.ruler import filled
 from tests.simulator import Axis, Machine, Mode
 
 OWNERS = Path(__file__).parent.parent / "matrix" / "owners"
@@ -71,12 +68,6 @@ def test_a_profile_of_setup_leaves_compensation_what_it_needs(
     below(compensated, 0.25 * none, "contour error, µm RMS")
 
 
-def test_corners_at_speed_decide_what_motors_must_do(tmp_path: Path) -> None:
-    own = set_up(tmp_path, "cartesian", 500)
-    assert own.limits.square_corner_velocity == 9.83  # M205 J0.08
-    assert own.motors.belt_acceleration == round(500 + 9.83 / 2e-3)
-
-
 def test_motors_that_the_owner_states_get_a_slower_path(tmp_path: Path) -> None:
     own = measured(set_up(tmp_path, "cartesian", 500))
     own = replace(own, stated=None, motors=replace(own.motors, belt_acceleration=1250.0))
@@ -89,21 +80,3 @@ def test_motors_that_the_owner_states_get_a_slower_path(tmp_path: Path) -> None:
     below(compensated, 0.5 * none, "contour error, µm RMS")
     assert report.time.slowed > 0.1
     assert "[motors]" in report.time.as_text()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("acceleration", ACCELERATIONS)
-@pytest.mark.parametrize("kind", KINDS)
-def test_an_owner_without_a_sensor_prints(tmp_path: Path, kind: str, acceleration: int) -> None:
-    set_up(tmp_path, kind, acceleration)
-    profile, form = tmp_path / "printer.toml", tmp_path / "t.form.toml"
-    words = ("calibrate-print", "-p", profile, "--heat", "210,60", "-o", tmp_path / "t.gcode")
-    assert run(*words).returncode == 0
-    form.write_text(filled(form.read_text(), {"x": 42.0, "y": 28.0}))
-    done = run("calibrate-print", "--form", form, "-p", profile, "-o", profile)
-    assert done.returncode == 0, done.stderr
-    for limits in get_args(LimitSource):  # corners as in the file, and the firmware's own
-        report = library.convert(LAYER, None, load(str(profile)), Options(limits=limits))
-        assert report.clamped.samples == 0, limits
-        none, compensated = errors(report)
-        below(compensated, 0.25 * none, "contour error, µm RMS")

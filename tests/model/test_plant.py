@@ -75,12 +75,6 @@ def test_filter_is_exact_and_the_same_however_it_is_cut(G: TransferFunction) -> 
         assert np.array_equal(np.concatenate([one.run(piece) for piece in pieces]), whole)
 
 
-def test_a_constant_is_a_filter() -> None:
-    u = np.arange(5.0)
-    nothing = np.zeros(0, complex)
-    assert Filter(TransferFunction(nothing, nothing, 2.0)).run(u).tolist() == [0, 2, 4, 6, 8]
-
-
 @pytest.mark.parametrize(
     ("zeros", "poles", "gain", "cause"),
     [
@@ -113,13 +107,6 @@ def test_roots_without_a_partner_are_refused(roots: list[complex]) -> None:
         TransferFunction(np.zeros(0, complex), poles, 1.0)
     with pytest.raises(ValueError, match="conjugate pairs"):
         TransferFunction(poles, np.full(4, 0.1 + 0j), 1.0)
-
-
-def test_equal_real_parts_do_not_hide_partners() -> None:
-    """Sorted by their real parts, which differ in the last digit, these seem to have none."""
-    poles = np.array([0.3 + 0.5j, 0.3 - 0.4j, 0.3 + 1e-17 + 0.4j, 0.3 - 1e-17 - 0.5j])
-    poles[2] = np.nextafter(0.3, 1.0) + 0.4j
-    assert TransferFunction(np.zeros(0, complex), poles, 1.0).state_space[0].shape == (4, 4)
 
 
 def test_odd_orders_and_lone_zeros_become_real_sections() -> None:

@@ -77,12 +77,6 @@ def test_equal_seeds_give_equal_printers_and_others_do_not() -> None:
     assert not any(same(a, b) for a, b in pairwise(first))
 
 
-def test_more_draws_begin_with_the_same() -> None:
-    few, many = draws(PLANT, 0.05, 3, 0), draws(PLANT, 0.05, 9, 0)
-    assert all(same(a, b) for a, b in zip(few, many, strict=False))
-    assert (len(few), len(many), draws(PLANT, 0.05, 0, 0)) == (3, 9, [])
-
-
 @pytest.mark.parametrize("plant", [PLANT, CARTESIAN], ids=["hbot", "cartesian"])
 def test_no_model_error_is_the_plant_itself(plant: Plant) -> None:
     for drawn in draws(plant, 0.0, 3, seed=0):
@@ -120,32 +114,6 @@ def test_each_transfer_function_moves_by_its_own_factors(factors: list[float]) -
             np.testing.assert_allclose(s.real / np.abs(s), ratio, atol=1e-9)
 
 
-@given(FACTORS)
-def test_real_poles_keep_their_damping_and_delays_stay(factors: list[float]) -> None:
-    f = np.array(factors).reshape(3, 3)
-    drawn = perturbed(PLANT, f)
-    for G, H, (frequency, _, _) in zip(functions(drawn), functions(PLANT), f, strict=True):
-        real, before = (np.sort(p[np.abs(p.imag) < 1e-12].real) for p in (G.poles, H.poles))
-        np.testing.assert_allclose(np.log(real), frequency * np.log(before), rtol=1e-9)
-        assert (len(G.zeros), len(G.poles)) == (len(H.zeros), len(H.poles))
-
-
-def test_roots_that_are_no_motion_stay() -> None:
-    """Zeros on the negative real axis come of sampling."""
-    drawn = perturbed(CARTESIAN, np.full((3, 3), 1.3))
-    after, before = (np.sort(transfer_function(p.Gxx).zeros) for p in (drawn, CARTESIAN))
-    np.testing.assert_array_equal(after, before)
-
-
-@given(FACTORS)
-def test_gain_is_that_of_racking_at_low_speed(factors: list[float]) -> None:
-    f = np.array(factors).reshape(3, 3)
-    drawn = perturbed(PLANT, f)
-    assert drawn.Gxtheta is not None
-    assert PLANT.Gxtheta is not None
-    assert slope(drawn.Gxtheta) == pytest.approx(f[2, 2] * slope(PLANT.Gxtheta), rel=1e-3)
-
-
 def test_parameters_are_uniform_within_the_share() -> None:
     share, count = 0.05, 400
     off = (unit(share, count).reshape(count, 4) - 1.0) / share
@@ -158,17 +126,3 @@ def test_parameters_are_uniform_within_the_share() -> None:
     np.testing.assert_allclose(quartiles, np.array([[-0.5], [0.0], [0.5]]).repeat(4, 1), atol=0.15)
     correlation = np.corrcoef(off.T) - np.eye(4)
     assert np.abs(correlation).max() < 4.0 / np.sqrt(count)
-
-
-def test_racking_gain_is_uniform_within_the_share() -> None:
-    assert PLANT.Gxtheta is not None
-    before, share = slope(PLANT.Gxtheta), 0.1
-    after = [slope(p.Gxtheta) for p in draws(PLANT, share, 400, 0) if p.Gxtheta is not None]
-    off = (np.array(after) / before - 1.0) / share
-    assert np.abs(off).max() <= 1.001
-    assert np.quantile(off, [0.25, 0.5, 0.75]) == pytest.approx([-0.5, 0.0, 0.5], abs=0.15)
-
-
-def test_equal_seeds_are_the_same_printers_farther_off() -> None:
-    near, far = unit(0.02, 20) - 1.0, unit(0.2, 20) - 1.0
-    np.testing.assert_allclose(far, 10.0 * near, atol=1e-9)
