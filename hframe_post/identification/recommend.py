@@ -116,7 +116,9 @@ def _best(printer: Printer, printers: list[Plant]) -> Trial | None:
 
     Where they can follow none of them in corners, the gentlest: a clamp helps there.
     """
-    motors, plant, compensation = printer.motors, printer.plant, printer.compensation
+    # what nobody stated grows with the file that is converted, and limits no window
+    motors = printer.motors if printer.stated is None else printer.stated
+    plant, compensation = printer.plant, printer.compensation
     spared = replace(motors, belt_acceleration=SPARED * motors.belt_acceleration)
     grids = [candidates(compensation)]
     if all(isinstance(G, ImpulseResponse) for G in (plant.Gxx, plant.Gyy)):
