@@ -208,7 +208,9 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
         window, compensator = "printed", Compensator(printer.plant, PRINTED_WINDOW)
     strategies = "none", "fbs", "racking"
     options = Options("racking", strategies, limits="printer")
-    commands = SampleStream(lines, printer, options, compensator=compensator).computed()
+    commands = SampleStream(
+        lines, printer, options, compensator=compensator, strategies=strategies
+    ).computed()
     error: dict[str, list[Array]] = {name: [] for name in strategies}
     for walls in _outer_walls(predict(commands, printer.plant)).values():
         wanted = _width(walls["path"], walls["path"])

@@ -14,10 +14,9 @@ from tomlkit.exceptions import TOMLKitError
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import PrinterError
-from hframe_post.model.impulse_response import ImpulseResponse, Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Coupling, Plant
-from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.profile import (
     AXES,
     FUNCTION,
@@ -212,7 +211,7 @@ def _plant(
 
     Without racking it has a gain of zero, since the profile that is extended may rack.
     """
-    no_racking = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 0.0)
+    no_racking = ImpulseResponse(np.zeros(1), 0, rest=0.0)
     functions = {"Gxx": plant.Gxx, "Gyy": plant.Gyy, "Gxtheta": plant.Gxtheta or no_racking}
     comments = "".join(f"# {note}".rstrip() + "\n" for note in notes)
     known = "" if uncertainty is None else f"uncertainty = {uncertainty!r}\n"
@@ -236,31 +235,27 @@ def _coupling(coupling: Coupling) -> str:
     )
 
 
-def _linear(G: Linear, table: str, angle: bool) -> str:
-    """Return the lines of a transfer function, or of a response; angle: one in rad.
+def _linear(G: ImpulseResponse, table: str, angle: bool) -> str:
+    """Return the lines of a response; angle: one in rad.
 
     table: its name in the profile.
     """
-    if isinstance(G, ImpulseResponse):
-        unit, name = (MICRORAD, "µrad") if angle else (1.0, "µm")
-        comment = f"{name} at each ms, by a pulse of 1000 mm/s² for 1 ms"
-        lines = f"lead = {G.lead}\n"
-        for key, value in _known(G, unit).items():
-            if isinstance(value, list):
-                lines += _list(key, value, "standard deviation of what is not known, likewise")
-            else:
-                late = f"{name} behind at 1 mm/s"
-                meaning = late if key == "lag" else "standard deviation of all frequencies"
-                lines += f"{key} = {value!r}  # {meaning}\n"
-        lines += f"x = {G.x!r}  # mm, where it holds\n" if G.elsewhere else ""
-        lines += _list("deviation", _rounded(G.deviation, unit), comment)
-        for one in G.elsewhere:
-            lines += f"\n[[{table}.places]]\nx = {one.x!r}\nfrequency = {one.frequency!r}\n"
-            lines += _linear(one.G, table, angle)
-        return lines
-    roots = {"zeros": G.zeros, "poles": G.poles}
-    lists = "".join(f"{key} = [{_pairs(values)}]\n" for key, values in roots.items())
-    return f"gain = {G.gain!r}\n{lists}"
+    unit, name = (MICRORAD, "µrad") if angle else (1.0, "µm")
+    comment = f"{name} at each ms, by a pulse of 1000 mm/s² for 1 ms"
+    lines = f"lead = {G.lead}\n"
+    for key, value in _known(G, unit).items():
+        if isinstance(value, list):
+            lines += _list(key, value, "standard deviation of what is not known, likewise")
+        else:
+            late = f"{name} behind at 1 mm/s"
+            meaning = late if key == "lag" else "standard deviation of all frequencies"
+            lines += f"{key} = {value!r}  # {meaning}\n"
+    lines += f"x = {G.x!r}  # mm, where it holds\n" if G.elsewhere else ""
+    lines += _list("deviation", _rounded(G.deviation, unit), comment)
+    for one in G.elsewhere:
+        lines += f"\n[[{table}.places]]\nx = {one.x!r}\nfrequency = {one.frequency!r}\n"
+        lines += _linear(one.G, table, angle)
+    return lines
 
 
 def _known(G: ImpulseResponse, unit: float) -> dict[str, Any]:

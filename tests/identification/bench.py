@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 
 from hframe_post.arrays import TS, Array
 from hframe_post.cli.main import main
-from hframe_post.model.impulse_response import Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer import profile as profiles
 from hframe_post.printer.edit import with_plant
@@ -75,7 +75,7 @@ def recorded(played: Played, plant: Plant, sensor: Sensor, folder: Path, seed: i
     return write_klipper(path, sensor.record(moved(plant, played.motors), seconds, seed))
 
 
-def off(found: Linear | None, true: Linear | None, motors: Array) -> float:
+def off(found: ImpulseResponse | None, true: ImpulseResponse | None, motors: Array) -> float:
     """Return the relative RMS error of a response, 5 to 80 Hz, weighted by input power."""
     assert found is not None
     assert true is not None

@@ -11,7 +11,6 @@ from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import Recording, oriented
 from hframe_post.identification.recordings.alignment import acceleration, aligned, heading, turned
-from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Printer
 from tests.recordings import THIRTEEN_BITS, Sensor, in_y_alone, nozzle, spline, sweep
@@ -187,9 +186,7 @@ def test_clock_is_found_from_racking_alone(
 ) -> None:
     assert paper.plant.Gxtheta is not None
     sensor = Sensor(drift=0.005, turned=(1.0, 2.0, -3.0))
-    recording = sensor.record(
-        in_y_alone(transfer_function(paper.plant.Gxtheta), swept, arm), seconds(swept)
-    )
+    recording = sensor.record(in_y_alone(paper.plant.Gxtheta, swept, arm), seconds(swept))
     found = aligned(command, oriented(recording), Y)
     assert abs(found.drift - sensor.drift) <= 2 * PPM
     assert found.correlation > 0.9

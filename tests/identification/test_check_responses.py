@@ -21,8 +21,7 @@ from hframe_post.identification.recordings.accelerometer import Recording, orien
 from hframe_post.identification.verification import motion as verification
 from hframe_post.identification.verification.drifted import drifted
 from hframe_post.identification.verification.verdict import compare_runs
-from hframe_post.model.impulse_response import Elsewhere, ImpulseResponse, transfer_function
-from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.model.impulse_response import Elsewhere, ImpulseResponse
 from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -40,7 +39,7 @@ CHIP = Chip(gains=(1.03, 0.97, 1.0), rate_error=0.01)
 HZ = np.arange(10.0, 100.0, 0.25)
 
 
-def lagging(G: TransferFunction, lead: int, lag: float = 0.0, m: int = 440) -> ImpulseResponse:
+def lagging(G: ImpulseResponse, lead: int, lag: float = 0.0, m: int = 440) -> ImpulseResponse:
     """Return the impulse response of G, its slow motion late by ``lag`` ms, by least squares."""
     hz = np.arange(2.0, 125.0, 0.25)
     omega = 2.0 * np.pi * TS * hz
@@ -58,7 +57,7 @@ def lagging(G: TransferFunction, lead: int, lag: float = 0.0, m: int = 440) -> I
 @cache
 def profile(lead: int = 32, lag: float = 0.0) -> Printer:
     exact = MACHINE.exact()
-    Gxx, Gyy = (lagging(transfer_function(G), lead, lag) for G in (exact.Gxx, exact.Gyy))
+    Gxx, Gyy = (lagging(G, lead, lag) for G in (exact.Gxx, exact.Gyy))
     return replace(printer(MACHINE), plant=replace(exact, Gxx=Gxx, Gyy=Gyy))
 
 
@@ -75,7 +74,7 @@ def damped(machine: Machine) -> float:
 
 def off(found: ImpulseResponse, machine: Machine) -> float:
     """Return how far a response of x is from the machine's, of what deviates from the command."""
-    true = lagging(transfer_function(machine.exact().Gxx), found.lead, found.lag)
+    true = lagging(machine.exact().Gxx, found.lead, found.lag)
     G, H = (one.response(2.0 * np.pi * TS * HZ) / HZ**2 for one in (found, true))
     return float(np.linalg.norm(G - H) / np.linalg.norm(H - 1.0 / HZ**2))
 

@@ -14,6 +14,7 @@ from hframe_post.arrays import TS
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
 from tests.identification.bench import Bench, check_recovered
+from tests.plants import as_response
 
 
 def resonance(hz: float, damping: float) -> tuple[complex, complex]:
@@ -39,7 +40,8 @@ def random_plant(seed: int) -> Plant:
     Gxtheta = TransferFunction(np.array([1.0, 0.3]), poles, 1.0)
     slope = float(np.prod(1.0 - poles).real) / 0.7
     Gxtheta = replace(Gxtheta, gain=slope * rng.uniform(1e-3, 3e-3))
-    return Plant(Gxx, Gyy, Gxtheta, float(rng.uniform(120.0, 160.0)))
+    x, y, theta = as_response(Gxx), as_response(Gyy), as_response(Gxtheta, 0.0)
+    return Plant(x, y, theta, float(rng.uniform(120.0, 160.0)))
 
 
 @pytest.mark.slow

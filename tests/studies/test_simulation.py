@@ -21,6 +21,7 @@ from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.simulation.simulate import Group, SimulationReport, Study, simulate
 from hframe_post.studies.simulation.uncertainty import draws
 from tests.conftest import SAMPLES
+from tests.plants import as_response
 
 ALL = tuple(STRATEGIES)
 
@@ -219,6 +220,6 @@ def test_a_plant_of_no_working_printer_is_an_error() -> None:
     """As in a conversion: without compensation it would be millimetres off."""
     paper = profile.load("paper")
     crawling = TransferFunction(np.zeros(0, complex), np.array([0.995 + 0j]), 0.005)
-    plant = replace(paper.plant, Gxx=crawling)
+    plant = replace(paper.plant, Gxx=as_response(crawling))
     with pytest.raises(HframeError, match="more than any working printer has"):
         simulated(rectangle(paper), Study(plant), ("none",))

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.model.filters import Filter
 from hframe_post.prediction.predict import predict
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Dwell, Handling, Samples
 from hframe_post.writers.samples import COLUMNS, as_csv, tabulate, write_npz
+from tests.plants import Filter
 from tests.step_tools import block, line
 
 

@@ -46,7 +46,7 @@ from hframe_post.identification.responses.frequency_response import (
     lowest,
 )
 from hframe_post.identification.responses.measured import Run
-from hframe_post.model.impulse_response import LONGEST, ImpulseResponse, Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.stream.running import one_blas_thread
 
@@ -86,12 +86,13 @@ def drifts(plant: Plant, runs: Sequence[Run]) -> dict[str, Drift]:
     return found
 
 
-def drift(model: Linear, recorded: Recorded) -> Drift:
+def drift(G: ImpulseResponse, recorded: Recorded) -> Drift:
     """Return how an axis' response changed.
 
     Raises IdentificationError if the recording is not of its printer.
     """
-    G = _impulse_response(model)
+    if not G.deviation.any():
+        raise IdentificationError("the profile's model does not ring, so there is nothing to check")
     part = recorded.response.within((LOWEST_HZ, PEAK_HZ[1]))
     part = part.where(part.power > EXCITED * np.median(part.power))
     if len(part.hz) < LEAST_FREQUENCIES:
@@ -112,18 +113,6 @@ def drift(model: Linear, recorded: Recorded) -> Drift:
     before, now, apart = left_unseen(G, new, recorded.unseen, band)
     seen = (found.seen or peak.certain) and apart > STEPS
     return Drift(new, seen, (before, now), peak, found.modal.modes)
-
-
-def _impulse_response(G: Linear) -> ImpulseResponse:
-    """Return the response of an axis as far as it has not settled."""
-    if not isinstance(G, ImpulseResponse):
-        G = ImpulseResponse.from_transfer_function(G, LONGEST, 1.0)
-        size = np.abs(G.deviation)
-        loud = np.flatnonzero(size > SETTLED * size.max())
-        G = replace(G, deviation=G.deviation[: int(loud.max(initial=0)) + 1])
-    if not G.deviation.any():
-        raise IdentificationError("the profile's model does not ring, so there is nothing to check")
-    return G
 
 
 def _main(G: ImpulseResponse, hz: Array) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from hframe_post.identification.responses.frequency_response import (
     whole_record,
 )
 from hframe_post.identification.responses.measured import Run
-from hframe_post.model.impulse_response import Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.settings import Printer
 
 SECONDS = 4.8  # of the sine: 20 s for both axes, with the time in which the sensors are set up
@@ -55,13 +55,13 @@ def _run(printer: Printer, axis: int) -> sweep.SweepRun:
     return replace(run, name=f"check-{'xy'[axis]}")
 
 
-def _highest_hz(G: Linear) -> float:
+def _highest_hz(G: ImpulseResponse) -> float:
     """Return the frequency above which the nozzle moves less than its command, within limits."""
     hz = np.arange(LEAST_HZ, MOST_HZ, 0.1)
     return float(hz[np.abs(at_hz(G, hz)) > 1.0].max(initial=LEAST_HZ))
 
 
-def at_hz(G: Linear, hz: Array) -> Complex:
+def at_hz(G: ImpulseResponse, hz: Array) -> Complex:
     """Return the complex frequency response at ``hz`` (k,)."""
     return np.asarray(G.response(2.0 * np.pi * TS * hz))
 
@@ -113,7 +113,10 @@ def scaling(part: FrequencyResponse) -> Callable[[Complex], tuple[float, float, 
 
 
 def left_unseen(
-    old: Linear, new: Linear, unseen: tuple[Array, Array], band_hz: tuple[float, float]
+    old: ImpulseResponse,
+    new: ImpulseResponse,
+    unseen: tuple[Array, Array],
+    band_hz: tuple[float, float],
 ) -> tuple[float, float, float]:
     """Return the shares that two models leave of a response they were not fitted to.
 

@@ -23,7 +23,6 @@ from hframe_post.model.impulse_response import (
     MOST_PLACES,
     Elsewhere,
     ImpulseResponse,
-    Linear,
 )
 
 SAME_PLACE = 5.0  # mm
@@ -53,9 +52,9 @@ def fit_places(found: Fit, places: Places) -> Fit:
     return begun(replace(fits[middle], G=G), found.recording_delay)
 
 
-def factor(G: Linear, place: float) -> float:
+def factor(G: ImpulseResponse, place: float) -> float:
     """Return the frequencies at a place (mm), relative to those at the response's own."""
-    if not isinstance(G, ImpulseResponse) or not G.elsewhere:
+    if not G.elsewhere:
         return 1.0
     known = sorted([(G.x, 1.0), *((one.x, one.frequency) for one in G.elsewhere)])
     x, frequency = zip(*known, strict=True)
