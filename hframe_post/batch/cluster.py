@@ -103,7 +103,7 @@ class Cluster:
             job = replace(result.outcome.update(job), worker=result.worker)
             if job.state == "done":
                 left_alone = "left_alone" in job.summary
-                if not left_alone and not result.content.startswith(self._first_line):
+                if not left_alone and self._first_line not in result.content:
                     raise HframeError(f"{result.worker} converted it with other settings")
                 with Outputs() as outputs:
                     outputs.open(job.target).write(result.content)

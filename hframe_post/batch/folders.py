@@ -10,6 +10,8 @@ from hframe_post.batch.jobs import Job
 from hframe_post.errors import HframeError
 from hframe_post.gcode.lines import NAMES, is_gcode_name
 
+MOST_COMMENTS = 1 << 20  # bytes; previews may precede the first line of ours
+
 
 def with_targets(sources: Iterable[Path], folder: Path) -> list[tuple[Path, Path]]:
     """Return the files to convert, each with its target in ``folder``.
@@ -53,7 +55,7 @@ def _raise(error: OSError) -> None:
 def jobs_for(files: Sequence[tuple[Path, Path]], first_line: bytes) -> list[Job]:
     """Return one job per file and target; those converted already are marked as skipped.
 
-    first_line: the first line of a file converted with the same settings; empty: skip none.
+    first_line: that of a file converted with the same settings; empty: skip none.
     Raises HframeError where a target would be written twice or replace a source.
     """
     jobs, taken = [], dict[Path, Path]()
@@ -74,12 +76,13 @@ def jobs_for(files: Sequence[tuple[Path, Path]], first_line: bytes) -> list[Job]
             first_line
             and target.is_file()
             and target.stat().st_mtime >= source.stat().st_mtime
-            and _begins_with(target, first_line)
+            and _has(target, first_line)
         )
         jobs.append(Job(source, target, "skipped" if done else "waiting"))
     return jobs
 
 
-def _begins_with(path: Path, first_line: bytes) -> bool:
+def _has(path: Path, first_line: bytes) -> bool:
+    """Return whether a file has the line, maybe behind previews that come first."""
     with path.open("rb") as file:
-        return file.readline(len(first_line) + 1) == first_line
+        return (b"\n" + first_line) in b"\n" + file.read(MOST_COMMENTS)

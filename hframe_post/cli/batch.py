@@ -20,6 +20,7 @@ from hframe_post.cli.options import (
     conversion_options,
     files_read,
     former_option,
+    help_all_option,
     printer_option,
     say,
 )
@@ -63,6 +64,7 @@ def address(text: str) -> str:
     "dask.distributed.",
 )  # fmt: skip
 @json_option
+@help_all_option
 @click.option("-q", "--quiet", is_flag=True, help="Print no progress and no summary.")
 @click.pass_context
 def batch(
@@ -107,6 +109,9 @@ def batch(
     results.say(results.as_text())
     interruption.end()
     context.exit(status)
+
+
+FORESEEN = 0.05  # share of the bytes that must be done before what is left can be estimated
 
 
 class Results:
@@ -188,4 +193,5 @@ def _convert(jobs: list[Job], converter: Converter, stop: Event, results: Result
         for job in run(jobs, converter, stop):
             results.show(job, CLEAR_LINE * terminal)
             bar.update(sizes[job.source], job)
+            bar.show_eta = bar.pos > FORESEEN * sum(sizes.values())
     results.add(jobs)

@@ -20,6 +20,7 @@ from hframe_post.cli.options import (
     conversion_options,
     dashed,
     files_read,
+    help_all_option,
     log,
     number,
     printer_option,
@@ -47,7 +48,7 @@ OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
 @click.argument("more", nargs=-1, metavar="")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
-    help="Output file; '-' for standard output. Default: replace the input.",
+    help="Output file ('-': standard output). Default: replace the input.",
 )  # fmt: skip
 @conversion_options("format")
 @printer_option
@@ -59,16 +60,16 @@ OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
 @click.option(
     "--report", "report_file", metavar="FILE",
     type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
-    help="Write the summary as text, '-' for standard output; or, if the name ends in .html, a "
-    "report for a browser with the error along each layer.",
+    help="Write a report for a browser (.html), or the summary as text ('-': standard output).",
 )  # fmt: skip
 @click.option("-n", "--dry-run", is_flag=True, help="Print the summary, but write no G-code.")
 @click.option(
-    "--stamp", is_flag=True,
+    "--stamp", is_flag=True, hidden=True,
     help="Convert nothing; print the line with which a file begins that is converted with these "
     "settings.",
 )  # fmt: skip
 @verbose_option
+@help_all_option
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary and no progress bar.")
 def convert(
     source: Path | None, more: tuple[str, ...], output: Path | None, printer: str,
@@ -77,10 +78,8 @@ def convert(
 ) -> None:  # fmt: skip
     """Convert a sliced file. '-' reads standard input.
 
-    The commands are changed so that the nozzle, rather than the motors, follows the slicer's path,
-    as the model in the printer's profile predicts. Exit status: 0 for success, 1 for an error in
-    the file or the profile (nothing is written then), 2 for wrong usage. A file that was converted
-    with the same profile and options, or has a line '; hframe-post: off', is left as it is.
+    A file that was converted with the same settings, or has a line '; hframe-post: off', is left as
+    it is. Exit status: 0 for success, 1 for an error (nothing is written then), 2 for wrong usage.
 
     \b
     Examples:

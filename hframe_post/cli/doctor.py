@@ -206,6 +206,8 @@ def _check_profile(
         return profile
     _check_age(findings, Path(printer), profile)
     _check_hooks(findings, printer)
+    if stopped := own.code(profile).when_stopped:
+        findings.note(f"after a print that was stopped midway, send {stopped}")
     if config is None:
         findings.note(own.unchecked)
     else:

@@ -9,7 +9,9 @@ import sys
 import traceback
 from difflib import get_close_matches
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
+from textwrap import fill
 from typing import Any, NoReturn
 
 import click
@@ -22,17 +24,17 @@ from hframe_post.writers.files import FULL
 COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of help
     "setup": ("setup.setup", "Make a profile from Klipper's printer.cfg or Marlin's M503."),
     "convert": ("convert.convert", "Convert a sliced file. This is the default command."),
-    "batch": ("batch.batch", "Convert many files, here or on a cluster."),
+    "batch": ("batch.batch", "Convert many files and folders."),
     "compare": ("compare.compare", "Compare the motion of two G-code files."),
     "simulate": ("simulate.simulate", "Predict what compensation does for a print."),
     "speed": ("speed.speed", "Print how long a file takes within each error."),
-    "tune": ("tune.tune", "Recommend a profile's window, weight and acceleration."),
+    "tune": ("tune.tune", "Find better settings for this printer and file."),
     "use": ("printers.use", "Set or show the default profile."),
     "printers": ("printers.printers", "List and show printer profiles."),
     "doctor": ("doctor.doctor", "Check the installation, a profile and printer.cfg."),
     "measure": ("sweep.measure", "Write the G-code that measures a printer."),
     "sweep": ("sweep.sweep", "Write a sweep, which also measures a printer with Marlin."),
-    "identify": ("identify.identify", "Compute a profile from the measurement."),
+    "identify": ("identify.identify", "Compute the printer's model from the recordings."),
     "calibrate-print": ("calibrate_print.calibrate_print", "Measure a printer without a sensor."),
     "check": ("check.check", "Measure in 20 s what drifted since identify."),
     "bands": ("bands.bands", "Find the motor speeds that outer walls should avoid."),
@@ -45,6 +47,11 @@ COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of
         "integrations.octoprint_plugin",
         "Install a plugin into OctoPrint that converts uploads.",
     ),
+}
+GROUPS = {
+    "Start": ("setup", "measure", "identify", "calibrate-print"),
+    "Every print": ("convert", "batch", "check", "doctor"),
+    "Study": ("simulate", "speed", "tune"),
 }
 GONE = {  # former commands, and what replaced them
     "paper": "run 'python -m examples.paper.tables' in the folder of hframe-post",
@@ -76,8 +83,17 @@ class _Commands(click.Group):
         return command
 
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
+        width = max(map(len, chain(*GROUPS.values())))
+        for group, names in GROUPS.items():
+            with formatter.section(group):
+                for name in names:
+                    formatter.write(f"  {name:{width}s}  {COMMANDS[name][1]}\n")
+        formatter.write_paragraph()
+        others = ", ".join(name for name in COMMANDS if name not in chain(*GROUPS.values()))
+        formatter.write(f"{fill(f'More: {others}', 78, break_on_hyphens=False)}\n")
+
+    def format_options(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        self.format_commands(context, formatter)  # --version and --help say nothing new
 
     def parse_args(self, context: click.Context, args: list[str]) -> list[str]:
         """Treat an unknown command as an argument of ``convert``, unless it looks mistyped."""
@@ -177,7 +193,7 @@ def _cause(error: OSError) -> str:
 )
 @click.version_option(__version__, prog_name="hframe-post")
 def main() -> None:
-    """Rewrite sliced G-code so that an H-frame (H-bot) printer does not rack or ring.
+    """Rewrite sliced G-code so that the printer does not ring, nor an H-bot rack.
 
     \b
     hframe-post in.gcode -o out.gcode     convert a file

@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
@@ -42,8 +43,7 @@ def chosen_printer() -> Choice:
 
 printer_option = click.option(
     "-p", "--printer", metavar="NAME|FILE", callback=_choose_printer,
-    help="Printer profile: the name of a shipped one, or a TOML file. Default: the variable "
-    "HFRAME_PRINTER, then the profile that 'hframe-post setup' or 'use' made the default.",
+    help="Printer profile: a file, or a shipped one's name. Default: the one of 'setup' or 'use'.",
 )  # fmt: skip
 
 
@@ -88,7 +88,23 @@ def _click_option(name: str, shown: Shown) -> Callable[[Command], Command]:
         settings = {"type": typed(shown.read)}
     elif shown.least is not None:
         settings = {"type": click.IntRange(shown.least), "default": shown.unset}
-    return click.option(*shown.flags, name, help=shown.help, metavar=shown.metavar, **settings)
+    settings |= {"help": shown.help, "metavar": shown.metavar, "hidden": shown.rare}
+    return click.option(*shown.flags, name, **settings)
+
+
+def _show_all(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    if asked:
+        for each in context.command.params:
+            if isinstance(each, click.Option):
+                each.hidden = False
+        click.echo(context.get_help())
+        context.exit()
+
+
+help_all_option = click.option(
+    "--help-all", is_flag=True, is_eager=True, expose_value=False, callback=_show_all,
+    help="Show rare options, too.",
+)  # fmt: skip
 
 
 def typed(read: Callable[[str], Any]) -> Callable[[str], Any]:
@@ -182,7 +198,7 @@ def print_options(*names: str) -> Callable[[Command], Command]:
     )  # fmt: skip
 
     def add(command: Command) -> Command:
-        return source(printer_option(conversion_options(*names)(command)))
+        return source(printer_option(conversion_options(*names)(help_all_option(command))))
 
     return add
 
@@ -221,6 +237,29 @@ def progress_bar(source: Path | None, quiet: bool) -> Iterator[Callable[[int], o
         yield bar.update
         bar.finish()  # click 8.2 leaves out the last steps
         bar.render_progress()
+
+
+@contextmanager
+def shown_working(quiet: bool = False) -> Iterator[None]:
+    """Show on a terminal for how long a command has been working, from its third second on."""
+    if quiet or not sys.stderr.isatty():
+        yield
+        return
+    done, start = Event(), time.monotonic()
+
+    def tick() -> None:
+        while not done.wait(1.0):
+            if (seconds := time.monotonic() - start) > 2.0:
+                click.echo(f"\rworking, {seconds:.0f} s ", err=True, nl=False)
+
+    ticking = Thread(target=tick, daemon=True)
+    ticking.start()
+    try:
+        yield
+    finally:
+        done.set()
+        ticking.join()
+        click.echo("\r\x1b[K", err=True, nl=False)
 
 
 def _log_progress(size: int) -> Callable[[int], None]:

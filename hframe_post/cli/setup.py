@@ -217,10 +217,12 @@ def _summary(source: Source, profile: Printer, target: str, kind: Known) -> Iter
         shown = "an H-bot" if source.decided else "a CoreXY"
         command = f"hframe-post setup {quoted(source.path)} --kinematics {other}"
         yield f"                 for {shown}: {command}"
-    yield f"path             at most {limits.velocity:g} mm/s, {limits.acceleration:g} mm/s²"
+    own = f"{limits.velocity:g} mm/s, {limits.acceleration:g} mm/s²"
+    yield f"path             {own}, or what a file sets"
+    how = "stated" if profile.stated is None else "guessed, more for files that ask for more"
     yield (
         f"belts            at most {motors.belt_velocity:g} mm/s, {motors.belt_acceleration:g} "
-        "mm/s², because compensation"
+        f"mm/s² ({how});"
     )
-    yield "                 moves harder than the path. If motors skip, lower both under [motors]"
+    yield "                 if motors skip, state less: belt_acceleration below [motors]"
     yield f"accelerometer    {source.sensors}"

@@ -12,8 +12,10 @@ from hframe_post.cli.options import (
     chosen_printer,
     conversion_options,
     files_read,
+    help_all_option,
     page_option,
     printer_option,
+    shown_working,
 )
 from hframe_post.conversion.options import Options
 from hframe_post.writers.files import Outputs
@@ -23,6 +25,7 @@ from hframe_post.writers.files import Outputs
 @click.argument("source", metavar="IN.GCODE", type=click.Path(path_type=Path))
 @printer_option
 @conversion_options("limits", "extrusion", "max_width_error")
+@help_all_option
 @json_option
 @page_option
 def speed(
@@ -45,7 +48,8 @@ def speed(
     with Outputs(files_read(source, printer)) as outputs:
         write_json = open_json(outputs, json_file)
         html = outputs.open(report_file) if report_file is not None else None
-        found = library.speed_curve(source, profile, options)
+        with shown_working():
+            found = library.speed_curve(source, profile, options)
         write_json({**choice.as_json(), **curve_as_json(found)})
         if html is not None:
             html.write(speed_page(found, profile, source.name))

@@ -74,7 +74,7 @@ def write_motion(
         ]
         for motion, runs in motions:
             lines = gcode(profile, runs, chips, HEIGHT)
-            write_output(motion, lines, lambda: 0.0)
+            write_output(motion, lines, lambda: (0.0, 0.0))
         for file, run in zip(commands, planned, strict=True):
             file.writelines(command_csv(run.command))
 

@@ -17,6 +17,7 @@ from hframe_post.cli.options import (
     print_options,
     seed_option,
     share,
+    shown_working,
 )
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import parsed
@@ -128,7 +129,7 @@ def tune(
         with Outputs([*reads, *([output] if output else [])]) as findings:
             write_json = open_json(findings, json_file)
             drawing = findings.open(figure) if figure is not None else None
-            with opened(source, profile, quiet=False) as lines:
+            with opened(source, profile, quiet=True) as lines, shown_working():
                 tuned = library.tune(
                     lines, profile, options, knots=knots or KNOTS, efforts=effort or EFFORTS,
                     model_error=model_error, draws=draws, seed=seed,

@@ -1,32 +1,39 @@
-"""What the firmware's input shapers would make of a print, for comparison."""
+"""What the firmware itself would make of a print, for comparison: input shapers, or a kernel."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
-from hframe_post.arrays import X, Y
-from hframe_post.model.shapers import Shaping
+from hframe_post.arrays import Array, Z
 from hframe_post.stream.chunks import neighbours, stretches
 from hframe_post.stream.types import Samples, frozen
 
-SHAPER = "shaper"  # stands among the names of strategies
+SHAPER, LIVE = "shaper", "live"  # stand among the names of strategies
 
 
-def shape(chunks: Iterable[Samples], shapings: dict[str, Shaping]) -> Iterator[Samples]:
-    """Yield the samples with the command of each shaper in addition to theirs."""
-    pairs = {name: (s.x.shaper, s.y.shaper) for name, s in shapings.items()}
-    reach = max((s.reach for pair in pairs.values() for s in pair), default=0)
+class Shapes(Protocol):
+    """A ``Shaping`` or a ``Kernel``: what depends on the path within ``reach`` samples."""
+
+    @property
+    def reach(self) -> int: ...
+
+    def run(self, path: Array) -> Array:
+        """Return the command (n, 2) for a path (n, 2) that is at rest before and after it."""
+
+
+def shape(chunks: Iterable[Samples], shapings: Mapping[str, Shapes]) -> Iterator[Samples]:
+    """Yield the samples with the command of each of these in addition to theirs."""
+    reach = max((one.reach for one in shapings.values()), default=0)
     for stretch in stretches(chunks):
         for before, chunk, after in neighbours(stretch, reach, reach):
-            around = [each.xyze for each in (*before, chunk, *after)]
-            path = [np.concatenate([xyze[:, axis] for xyze in around]) for axis in (X, Y)]
-            start, command = sum(map(len, before)), np.zeros((len(pairs), len(chunk), 2))
-            for shapers, shaped in zip(pairs.values(), command, strict=True):
-                for axis in (X, Y) if len(chunk) else ():
-                    run = shapers[axis].run(path[axis])
-                    shaped[:, axis] = run[start : start + len(chunk)]
-            commands = dict(zip(pairs, frozen(command), strict=True))
+            path = np.concatenate([each.xyze[:, :Z] for each in (*before, chunk, *after)])
+            start, end = (n := sum(map(len, before))), n + len(chunk)
+            commands = {
+                name: frozen(one.run(path)[start:end] if len(chunk) else np.zeros((0, 2)))
+                for name, one in shapings.items()
+            }
             yield replace(chunk, commands={**chunk.commands, **commands})

@@ -20,11 +20,12 @@ from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware
+from hframe_post.gcode.motors import with_motors
 from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.windows import WHOLE
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
-from hframe_post.writers.stream.print_time import SUMMARY, Output, later
+from hframe_post.writers.stream.print_time import SUMMARY, Output, after_head, later
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
@@ -35,6 +36,7 @@ class GcodeConversion:
     """A print as G-code for the printer's firmware."""
 
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+        lines, printer = with_motors(lines, printer, options.limits)
         self._printer, self._options = printer, options
         own = firmware(printer)
         self._rules, self._code = own.motion(printer, options.tolerance), own.code(printer)
@@ -42,11 +44,13 @@ class GcodeConversion:
         self._motion, self._written = MotionSummary(), GcodeSummary()
 
     def __iter__(self) -> Iterator[Output]:
-        yield first_line(self._printer, self._options)
-        yield SUMMARY
+        stamp = first_line(self._printer, self._options)
+        return after_head(self._pieces(), stamp, SUMMARY)
+
+    def _pieces(self) -> Iterator[Output]:
         writer = SpanWriter(self._printer, self._options, prepared(self._printer))
         for span in writer.written(self._source.spans()):
-            begun = self.duration
+            begun = self._motion.duration
             for piece in span.output:
                 yield later(piece, begun)
             self._motion.join(span.motion)
@@ -54,9 +58,9 @@ class GcodeConversion:
         self._source.check_filament(self._written.filament)
 
     @property
-    def duration(self) -> float:
-        """Return the print time of what was written so far, s."""
-        return self._motion.duration
+    def times(self) -> tuple[float, float]:
+        """Return the duration of the print so far as sliced and as converted, s."""
+        return self._source.sliced_seconds, self._motion.duration
 
     def report(self) -> Report:
         """Return the report; it is complete once the output was used up."""
@@ -67,7 +71,7 @@ class GcodeConversion:
             filament_after=written.filament, busiest_second=written.busiest_second,
             lines_per_second=self._rules.lines_per_second, approximation=written.off,
             advance=self._source.advance(self._motion.advance),
-            notices=(*report.notices, *self._code.notices),
+            notices=(*report.notices, *self._code.notices), when_stopped=self._code.when_stopped,
         )  # fmt: skip
         of_summary = len(report.as_text().splitlines())
         return replace(report, lines_written=written.lines + 1 + of_summary)

@@ -152,9 +152,7 @@ def _save_binary(conversion: GcodeConversion, target: Target, _: str) -> None:
 
 
 def _write_text(conversion: GcodeConversion, file: IO[bytes]) -> None:
-    write_output(
-        file, conversion, lambda: conversion.duration, lambda: conversion.report().as_text()
-    )
+    write_output(file, conversion, lambda: conversion.times, lambda: conversion.report().as_text())
 
 
 # G-code needs none of the modules that the following import.

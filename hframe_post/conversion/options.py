@@ -86,8 +86,9 @@ class Shown:
     """How a field appears on the command line.
 
     default: of the field. flags: its names, the long one last. choices: its values by word. read:
-    turns a word into a value; raises ArgumentError. least: that a whole number may be. unset:
-    returns the value where the command line does not give it, if that is not the default.
+    turns a word into a value; raises ArgumentError. rare: shown by --help-all only. least: that a
+    whole number may be. unset: returns the value where the command line does not give it, if that
+    is not the default.
     """
 
     default: Any
@@ -96,6 +97,7 @@ class Shown:
     metavar: str | None = None
     choices: Mapping[str, Any] = field(default_factory=dict)
     read: Callable[[str], Any] | None = None
+    rare: bool = False
     least: int | None = None
     unset: Callable[[], Any] | None = None
 
@@ -133,77 +135,76 @@ class Options:
 
     strategy: str = option(
         "", "-c", "--compensation", decides=True, choices=named(STRATEGIES),
-        help="Compensate ringing, racking and other couplings (racking), ringing only (fbs) or "
-        "nothing (none). Default: compensation.strategy of the profile.",
+        help="Ringing and racking (racking), ringing only (fbs), or nothing (none). Default: the "
+        "profile's.",
     )  # fmt: skip
     predict: tuple[str, ...] | None = option(
-        None, "--predict", decides=True,
+        None, "--predict", decides=True, rare=True,
         choices={"chosen": None, "all": tuple(STRATEGIES), "off": ()},
         help="Contour errors to predict: without compensation and with the chosen one, with all, "
         "or none.",
     )  # fmt: skip
     _: KW_ONLY
     limits: LimitSource = option(
-        "file", "--limits", decides=True, choices=named(get_args(LimitSource)),
+        "file", "--limits", decides=True, rare=True, choices=named(get_args(LimitSource)),
         help="Which limits set in the file lower the profile's: those that the firmware obeys "
         "(Klipper: M204, SET_VELOCITY_LIMIT; Marlin: M201, M203, M204, M205), all (file-all), or "
         "none (printer).",
     )  # fmt: skip
     clamp: bool = option(
-        True, "--on-limit", decides=True, choices={"error": False, "clamp": True},
+        True, "--on-limit", decides=True, rare=True, choices={"error": False, "clamp": True},
         help="If the compensated motion would leave the bed or exceed a motor's limits: stop with "
         "an error, or compensate less there and say so.",
     )  # fmt: skip
     tolerance: float | None = option(
-        TOLERANCE, "--tolerance", decides=True, metavar="MM",
+        TOLERANCE, "--tolerance", decides=True, rare=True, metavar="MM",
         help="How far G-code for Klipper may differ from the computed motion, at most 0.1 mm; 0 "
         "writes a line for every millisecond, and begins lifts at rest.",
     )  # fmt: skip
     extrusion: Extrusion | None = option(
-        None, "--extrusion", decides=True, choices=named(get_args(Extrusion)),
+        None, "--extrusion", decides=True, rare=True, choices=named(get_args(Extrusion)),
         help="Meaning of E before the first M82 or M83 in the file, if a start macro of the "
         "printer sets it.",
     )  # fmt: skip
     retract: Retract = option(
-        "standing", "--retract", decides=True, choices=named(get_args(Retract)),
+        "standing", "--retract", decides=True, rare=True, choices=named(get_args(Retract)),
         help="For Klipper: retract before the travel as in the file, or during it where there is "
         "time.",
     )  # fmt: skip
     format: Kind | None = option(
-        None, "--format", choices=named(get_args(Kind)),
+        None, "--format", rare=True, choices=named(get_args(Kind)),
         help="Output format: G-code (bgcode: Prusa's binary form), motor steps (a row per step, "
         "or a bit per clock tick), or samples every millisecond. Default: by the suffix of the "
         "output: .csv steps, .npz samples, .bgcode binary, any other G-code.",
     )  # fmt: skip
     firmware: str | None = option(
-        None, "--firmware", metavar="NAME", read=known_firmware,
+        None, "--firmware", rare=True, metavar="NAME", read=known_firmware,
         help="Firmware that plays the G-code: klipper, marlin, or one that a package adds. "
         "Default: firmware.dialect of the profile.",
     )  # fmt: skip
     force: bool = option(
         False, "--force",
-        help="Compensate even if the profile's plant was not measured on your printer.",
+        help="Convert even if the profile was not measured on your printer.",
     )  # fmt: skip
     max_error: dict[str, float] | None = option(
         None, "--max-error", metavar="ERROR", read=error_bounds,
-        help="Print as fast as this contour error allows: 30um, or by feature "
-        "outer-wall=15um,infill=80um; 'off' for the file's speeds. The statistic compared with it "
-        "is speed.error_measure of the profile. Default: speed.max_error of the profile.",
+        help="Print as fast as this error allows: 30um, or outer-wall=15um,infill=80um; 'off': at "
+        "the file's speeds. Default: the profile's.",
     )  # fmt: skip
     max_width_error: float | None = option(
-        None, "--max-width-error", metavar="PERCENT", read=width_bound,
+        None, "--max-width-error", rare=True, metavar="PERCENT", read=width_bound,
         help="With --max-error: the width of the printed line is off by no more than this, such as "
         "5%, in the same statistic, pressure included where the file or profile has an advance; "
         "'off' for any. Default: speed.max_width_error of the profile.",
     )  # fmt: skip
     speed_up: float | None = option(
-        None, "--speed-up", metavar="N|max", read=speed_factor,
+        None, "--speed-up", rare=True, metavar="N|max", read=speed_factor,
         help="With --max-error: at most N times the file's feed rates; limits.flow and "
         "limits.min_layer_time of the profile hold, too. Default: speed.speed_up of the profile, "
         "or 1.",
     )  # fmt: skip
     jobs: int = option(
-        1, "--jobs", metavar="N", least=1, unset=processor_count,
+        1, "--jobs", rare=True, metavar="N", least=1, unset=processor_count,
         help="Number of processes that compute G-code; the output does not depend on it. Default: "
         "one per processor.",
     )  # fmt: skip

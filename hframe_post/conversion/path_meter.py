@@ -153,16 +153,14 @@ class PathMeter:
         path = lengths(delta[:, :E])
         summary.path += float(path.sum())
         summary.filament += float(np.maximum(delta[:, E], 0.0).sum())
-        share = np.abs(delta[:, :E]) / path[:, None]
-        of_axes = [moves.limits.acceleration[:E] for moves in waiting]
-        with np.errstate(divide="ignore"):
-            counts = [len(moves.line) for moves in waiting]
-            by_axis = (np.repeat(of_axes, counts, axis=0) / share).min(axis=1)
-        speed, asked, corner = (
+        speed, acceleration, corner = (
             np.concatenate([getattr(moves, name) for moves in waiting])
             for name in ("speed", "acceleration", "corner")
         )
-        acceleration = np.minimum(asked, by_axis)
+        end = 0
+        for moves in waiting:
+            of = slice(end, end := end + len(moves.line))
+            moves.limits.lower(speed[of].copy(), acceleration[of], delta[of])
         summary.acceleration.add(acceleration < limits.acceleration, path, acceleration)
         summary.corner.add(corner < limits.square_corner_velocity, path, corner)
         velocity = np.full(len(path), limits.velocity)

@@ -42,6 +42,7 @@ from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.advance import Advance
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import STAMP
+from hframe_post.gcode.motors import with_motors
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
@@ -96,7 +97,7 @@ def scheduled(
     """
     followed = followed or following(printer)
     items = items if followed is None else followed.items(items)
-    return plan(avoid_bands(items, printer, start), printer.limits)
+    return plan(avoid_bands(items, printer, start), firmware(printer).caps(printer))
 
 
 def following(printer: Printer, advance: Advance | None = None) -> FollowedAdvance | None:
@@ -107,7 +108,7 @@ def following(printer: Printer, advance: Advance | None = None) -> FollowedAdvan
     own = firmware(printer)
     if (limits := own.motion(printer, None).extruder) is None:
         return None
-    most = printer.limits.diagonal * printer.limits.acceleration
+    most = own.caps(printer).acceleration
     return FollowedAdvance(advance or own.advance(printer), limits, most)
 
 
@@ -247,6 +248,11 @@ class PlannedFile:
         self._firmware, self._sliced = firmware(printer), SlicedFile(printer)
         self._times, self._following, self._ramps = StageTimes(), following(printer), 0.0
 
+    @property
+    def sliced_seconds(self) -> float:
+        """Return how long the firmware takes for what was read so far, as sliced."""
+        return self._sliced.own.seconds
+
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         items = _read(self._input.lines(self._lines), self._printer, self._options)
@@ -263,7 +269,7 @@ class PlannedFile:
         """
         contour, width, shaping = motion.contour, motion.width, None
         if "none" in (self._options.predict or ()) and self._options.strategy != "none":
-            today = self._sliced.today
+            today = self._sliced.today(live=self._options.picture)
             contour, width = {**contour, **today.contour}, {**width, **today.width}
             shaping = today.shaping
         if "none" in contour:
@@ -334,6 +340,7 @@ class SampleStream:
         self, lines: Iterable[bytes], printer: Printer, options: Options,
         strategies: tuple[str, ...] = (), compensator: Compensator | None = None,
     ) -> None:  # fmt: skip
+        lines, printer = with_motors(lines, printer, options.limits)
         self._printer = printer
         self._source = PlannedFile(lines, printer, options)
         self._stages = Stages(printer, options, compensator or prepared(printer), strategies)
@@ -370,9 +377,10 @@ def stamp(printer: Printer, options: Options) -> str:
 
 
 def first_line(printer: Printer, options: Options) -> bytes:
-    """Return the first line of G-code that was converted with these options, ``resolved``.
+    """Return the first line in G-code of a conversion with these options, ``resolved``.
 
-    A file that begins with it was converted by this version with the same profile and settings.
+    A file that has it was converted by this version with the same profile and settings. Only the
+    comments with which the sliced file begins precede it.
     """
     return b"%s %s\n" % (STAMP, stamp(printer, options).encode())
 

@@ -158,7 +158,7 @@ class Report:
     not that of the tool that prints; None if the profile does not say. advance: pressure advance,
     if there is any. bands: of motor speed, if the profile avoids any. couples: whether a coupling,
     such as racking, is compensated. shaping: the best input shaper, whose errors stand among
-    the others.
+    the others. when_stopped: what to send after the print was stopped midway.
     """
 
     strategy: str
@@ -185,6 +185,7 @@ class Report:
     other_tools: tuple[str, ...] | None = None
     shaping: Shaping | None = None
     couples: bool = True
+    when_stopped: str = ""
     advance: AdvanceReport | None = None
     bands: BandReport | None = None
     predicted: float = 1.0  # share of the print whose errors are predicted; they stand for all
@@ -243,6 +244,13 @@ class Report:
         """Return the strategies whose errors are predicted."""
         return [name for name in STRATEGIES if name in self.contour]
 
+    def label(self, name: str) -> str:
+        """Return what a strategy compensates on this printer, or a shaper's name."""
+        if name == SHAPER:
+            return "best input shaper"
+        compensated = name != "none" and not self.couples
+        return "ringing" if compensated else STRATEGIES[name].label
+
     def _against(self) -> list[dict[str, Any]]:
         """Return the best input shaper, if its error is predicted."""
         if self.shaping is None or SHAPER not in self.contour:
@@ -300,13 +308,15 @@ class Report:
                 f"steps            {self.steps.rows} rows, {self.steps.ticks} ticks of "
                 f"{self.steps.clock_hz:g} Hz; {motors}"
             )
-        return "\n".join([*lines, *self.speed_text.splitlines()])
+        lines += self.speed_text.splitlines()
+        if self.when_stopped:
+            lines.append(f"if you stop it   send {self.when_stopped} before you print again")
+        return "\n".join(lines)
 
     def _result(self) -> list[str]:
         """Return what the print gains: its error as sliced, compensated, and with a shaper."""
         if self.strategy == "none":
             return ["result           nothing is compensated (-c none)"]
-        label = STRATEGIES[self.strategy].label if self.couples else "ringing"
         if not {"none", self.strategy} <= self.contour.keys():
             return []
         lines = self.lines_error(self.strategy)
@@ -314,10 +324,9 @@ class Report:
         shaper = ""
         if SHAPER in self.contour:
             shaper = f"; the best input shaper would leave {1e3 * self.contour[SHAPER].rms:.1f}"
+        before = f"{self.label(self.strategy)} {1e3 * self.contour['none'].rms:.1f}"
         ours = range_as_text(self.contour[self.strategy], lines)
-        return [
-            f"result           {label} {1e3 * self.contour['none'].rms:.1f} → {ours}{steps}{shaper}"
-        ]
+        return [f"result           {before} → {ours}{steps}{shaper}"]
 
     def _advice(self) -> list[str]:
         """Return what else to do where compensation is not worth it."""
@@ -346,7 +355,7 @@ class Report:
         """Return how far the printed line's width is off, if anything is extruded."""
         found = [name for name in STRATEGIES if name in self.width and self.width[name].count]
         shares = ", ".join(
-            f"{STRATEGIES[name].label} {100.0 * self.width[name].rms:.1f} %" for name in found
+            f"{self.label(name)} {100.0 * self.width[name].rms:.1f} %" for name in found
         )
         return [f"line width       off by {shares} RMS, on {PIECE:g} mm of line"] if found else []
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from hframe_post.arrays import TS, E
-from hframe_post.compensation.shape import SHAPER, shape
+from hframe_post.compensation.shape import LIVE, SHAPER, Shapes, shape
 from hframe_post.conversion.meters import ErrorMeter
+from hframe_post.firmware.klipper.live import by_itself
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
@@ -72,12 +73,16 @@ class SlicedFile:
         """Return the motion of a few pieces, once all items have passed."""
         return paths(self._samples(self._pieces[:: max(len(self._pieces) // SHAPED, 1)]))
 
-    @cached_property
-    def today(self) -> Today:
-        """Return the errors of the pieces, once all items have passed."""
+    def today(self, live: bool = False) -> Today:
+        """Return the errors of the pieces, once all items have passed.
+
+        live: also what Klipper would leave that compensates by itself.
+        """
         shaping = self.shaping(self._printer.plant)
         meter, samples = ErrorMeter(self._printer.plant), self._samples(self._pieces)
-        for _ in meter.samples(shape(samples, {} if shaping is None else {SHAPER: shaping})):
+        shapes: dict[str, Shapes] = {} if shaping is None else {SHAPER: shaping}
+        shapes |= by_itself(self._printer, LIVE) if live else {}
+        for _ in meter.samples(shape(samples, shapes)):
             pass
         return Today(shaping, meter.contour, meter.width)
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from hframe_post.arrays import Array
+import numpy as np
+
+from hframe_post.arrays import Array, Z
 from hframe_post.firmware.advance import Advance
 from hframe_post.firmware.code import Code
 from hframe_post.firmware.configuration import Finding, Source
@@ -17,10 +19,13 @@ from hframe_post.firmware.dialect import Dialect
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.firmware.written_moves import WrittenMoves
 from hframe_post.model.shapers import Shaping
+from hframe_post.native.corners import square_corner_velocity
 from hframe_post.printer.firmware_tables import FirmwareTable
 from hframe_post.printer.settings import Limits, Printer
+from hframe_post.stream.types import FileLimits
 
-MOST = 1e6  # mm/s², as much as limits may be
+ROUNDED = 5e-3  # share by which `setup` rounds the speed through a right angle
+UNLIMITED_DEVIATION = 1e3  # mm, more than any board has: it tells that the board has one
 
 # seconds (n,) of moves: mm that their leading motor makes, their length, speeds at both ends and
 # between, acceleration, (n,) each
@@ -31,19 +36,22 @@ Durations = Callable[[Array, Array, Array, Array, Array, Array], Array]
 class FirmwareLimits:
     """Limits that a firmware plans a file with; mm, s.
 
-    limits: of any move. printing, travel: accelerations until the file sets others. motors:
-    accelerations of A and B until the file sets others, if motors are limited; belts (2, 2): from
-    x, y to A, B. cruise_ratio: of a move that brakes as soon as it has accelerated, the share that
-    must be at constant speed. durations: of moves; None: those of exact ramps.
+    limits: of any move. Until the file sets others, printing and travel are the accelerations,
+    corner is the speed through a right angle, and others has what else holds. durations: of moves;
+    None: those of exact ramps.
     """
 
     limits: Limits
     printing: float
     travel: float
-    motors: tuple[float, float] = (math.inf, math.inf)
-    belts: Array | None = None
-    cruise_ratio: float = 0.0
+    corner: float
+    others: FileLimits = field(default_factory=FileLimits)
     durations: Durations | None = None
+
+    @property
+    def belts(self) -> Array:
+        """Return the matrix (2, 2) from x, y to A, B."""
+        return np.array(self.others.belts)
 
 
 class Firmware(ABC):
@@ -95,8 +103,34 @@ class Firmware(ABC):
 
     def limits(self, printer: Printer) -> FirmwareLimits:
         """Return the limits with which it plays a file as sliced. Default: those of the profile."""
-        own = unlimited(printer.limits)
-        return FirmwareLimits(own, own.acceleration, own.hardest)
+        own = printer.limits
+        others = FileLimits(path=own.velocity, belts=belts(printer))
+        return FirmwareLimits(
+            unlimited(own), own.acceleration, own.acceleration, own.square_corner_velocity, others
+        )
+
+    def caps(self, printer: Printer) -> Limits:
+        """Return the profile's limits, without those that a file may raise.
+
+        Its speed, acceleration and speed at corners bind what files ask where they differ from the
+        firmware's own: then the printer's owner chose them.
+        """
+        own, limits = self.limits(printer), printer.limits
+        of_motors = [min(pair[:Z]) for pair in (own.others.velocity, own.others.acceleration)]
+        acceleration, corner = min(own.printing, of_motors[1]), own.corner
+        if math.isfinite(own.others.deviation):
+            corner = square_corner_velocity(own.others.deviation, acceleration)
+        known = {
+            "velocity": (min(own.others.path, of_motors[0]), math.inf),
+            "acceleration": (acceleration, math.inf),
+            "square_corner_velocity": (corner, math.inf),
+            "junction_deviation": (own.others.deviation, UNLIMITED_DEVIATION),
+        }
+        return replace(limits, **{
+            name: free for name, (value, free) in known.items()
+            if math.isclose(getattr(limits, name), value, rel_tol=ROUNDED)
+            and math.isfinite(value)
+        })  # fmt: skip
 
     def most(self, printer: Printer) -> tuple[float, float]:
         """Return the speed, mm/s, and the acceleration, mm/s², that the firmware itself allows."""
@@ -128,13 +162,19 @@ class Firmware(ABC):
         return
 
 
-def unlimited(limits: Limits, **others: Any) -> Limits:
-    """Return the limits without those of jerk and braking, which only this tool has.
+def belts(printer: Printer) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the matrix from x, y to the motors A, B."""
+    (ax, ay), (bx, by) = printer.kinematics.matrix.tolist()
+    return (ax, ay), (bx, by)
 
-    others: replace those of these names.
+
+def unlimited(limits: Limits, deviation: float = math.inf) -> Limits:
+    """Return the limits without those that a file sets, and those that only this tool has.
+
+    deviation: UNLIMITED_DEVIATION on a board with junction deviation.
     """
-    own = replace(limits, **others)
     return replace(
-        own, jerk=1e12, deceleration=math.inf, travel_velocity=0.0, travel_acceleration=0.0,
-        acceleration_by_axis=False,
+        limits, velocity=math.inf, acceleration=math.inf, square_corner_velocity=math.inf,
+        junction_deviation=deviation, jerk=1e12, deceleration=math.inf, travel_velocity=0.0,
+        travel_acceleration=0.0,
     )  # fmt: skip

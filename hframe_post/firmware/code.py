@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 from hframe_post.arrays import Array
 from hframe_post.stream.types import ModalState
@@ -12,8 +13,11 @@ from hframe_post.stream.types import ModalState
 class Code(ABC):
     """The G-code of a firmware on a printer.
 
-    notices: warnings about how its files are sent.
+    notices: warnings about how its files are sent. when_stopped: what to send after a print that
+    was stopped midway, if it leaves the stream's settings behind.
     """
+
+    when_stopped: ClassVar[str] = ""
 
     @property
     def notices(self) -> tuple[str, ...]:

@@ -12,11 +12,6 @@ Accelerations = tuple[float, float]  # of moves with and without extrusion, mm/s
 Words = Mapping[str, float]  # of a command: letter → number
 
 
-def jerk_as_corner(words: Words, before: float) -> float:
-    """Return the lower of X and Y of M205, mm/s."""
-    return min((words[axis] for axis in "XY" if axis in words), default=before)
-
-
 _M486 = re.compile(rb"\s*(?:N\d+\s*)?M486\b[^;*]*?S\s*(-?\d+)", re.IGNORECASE)
 
 
@@ -32,7 +27,8 @@ class Dialect:
     obeyed: the commands that set limits which this firmware obeys.
     accelerations: what M204 sets, given its words and the values before.
     dwell: seconds that G4 waits, given its words.
-    corner: speed through a right angle, mm/s, that M205 sets, given its words and the one before.
+    has_deviation: corners follow J of M205; elsewhere the lower of X and Y is the speed through a
+    right angle.
     g90_sets_e: G90 and G91 set the mode of E as M82 and M83 do. Elsewhere E is relative while
     the file is in G91.
     saves_factor: M220 B saves the speed factor and M220 R restores it.
@@ -47,7 +43,7 @@ class Dialect:
     obeyed: frozenset[str]
     accelerations: Callable[[Words, Accelerations], Accelerations]
     dwell: Callable[[Words], float]
-    corner: Callable[[Words, float], float] = jerk_as_corner
+    has_deviation: bool = False
     retraction_settings: frozenset[str] = frozenset()
     g90_sets_e: bool = False
     saves_factor: bool = False

@@ -13,6 +13,7 @@ from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.state import Extent, State
 from hframe_post.native.reading import plain_moves
 from hframe_post.stream.types import (
+    FileLimits,
     Handling,
     Item,
     Mark,
@@ -153,7 +154,8 @@ class ItemBuilder:
         self.flush()
         self.ready.append(item)
 
-    def flush(self) -> None:
+    def flush(self, limits: FileLimits | None = None) -> None:
+        """End the item that is collected. limits: of its moves; those in force by default."""
         if not self._count:
             return
         self._tabulate()
@@ -165,8 +167,8 @@ class ItemBuilder:
         _check_duration(float(seconds.max()), int(line[seconds.argmax()]))
         self.ready.append(
             Moves(
-                line, frozen(points), speed, acceleration, corner, self._state.axes,
-                tuple(self._marks),
+                line, frozen(points), speed, acceleration, corner,
+                limits or self._state.others, tuple(self._marks),
             )
         )  # fmt: skip
         self._count, self._tables, self._marks = 0, [], []

@@ -26,7 +26,13 @@ MOTION_WORDS = {
 MODAL = frozenset({"G90", "G91", "M82", "M83", "G20", "G21", "G17", "G18", "G19"})
 LIMITS = "SET_VELOCITY_LIMIT"
 LIMIT_WORDS = {"M201": "XYZE", "M203": "XYZE", "M204": "PTS", "M205": "XYJ", "M220": "S"}
-LIMIT_PARAMETERS = ("VELOCITY", "ACCEL", "SQUARE_CORNER_VELOCITY", "MINIMUM_CRUISE_RATIO")
+LIMIT_PARAMETERS = (
+    "VELOCITY",
+    "ACCEL",
+    "SQUARE_CORNER_VELOCITY",
+    "MINIMUM_CRUISE_RATIO",
+    "ACCEL_TO_DECEL",
+)
 UNSUPPORTED = {
     "G5.1": "quadratic splines",
     "G53": "machine coordinates",

@@ -254,5 +254,7 @@ class Lines:
         if number == 1:
             text = text.removeprefix(b"\xef\xbb\xbf")
         if self._cr_ends_lines and b"\r" in text[:-1]:
-            return [Line(number, part) for part in text.removesuffix(b"\r").split(b"\r")]
+            parts = text.removesuffix(b"\r").split(b"\r")
+            if not all(part.lstrip()[:1] in (b"", b";") for part in parts):  # else a preview
+                return [Line(number, part) for part in parts]
         return (Line(number, text),)

@@ -77,9 +77,9 @@ class _Reader:
 
     def __init__(self, source: Lines, options: ReadOptions) -> None:
         self._source, self._options, self._dialect = source, options, options.dialect
-        self._state = State(options.dialect, options.extrusion)
+        self._state = State(options.dialect, options.extrusion, options.start)
         self._bed = Extent(options.travel)
-        self._objects = Objects(options.dialect)
+        self._objects = Objects(options.dialect, source)
         self._retraction = FirmwareRetraction(options.retraction, options.dialect)
         self._plain_moves = PlainMoves(source, self._state, self._bed)
         self._any_motion = False  # requested so far, even from unknown positions
@@ -170,7 +170,7 @@ class _Reader:
         elif end != start:  # a lift in turns as well, whose first chord could be far away
             if lifts:
                 self._bed.check(line, 2, end[2])
-            self._stand(line, end, state.axes.velocity[2 if lifts else 3])
+            self._stand(line, end, state.others.velocity[2 if lifts else 3])
             state.position = end
 
     def _end(self, line: Line, words: Words) -> Position:
@@ -193,7 +193,7 @@ class _Reader:
         start = state.position
         path, filament = math.dist(start[:3], end[:3]), abs(end[3] - start[3])
         if path < MIN_WRITTEN_PATH and filament > MAX_FILAMENT_PER_PATH * path:
-            self._stand(line, (*start[:3], end[3]), state.axes.velocity[3])
+            self._stand(line, (*start[:3], end[3]), state.others.velocity[3])
         elif filament > IMPOSSIBLE_FILAMENT_PER_PATH * path:
             raise line.error(f"{filament:.3g} mm of filament along {path:.3g} mm of path")
         elif path > MIN_PATH:
@@ -230,7 +230,7 @@ class _Reader:
 
     def _seconds(self, path: float) -> float:
         """Return the estimated duration of a move that passes through, from rest to rest."""
-        a = self._options.acceleration
+        a = self._state.travel_acceleration
         speed = min(self._state.speed, math.sqrt(a * path))
         return path / speed + speed / a if path else 0.0
 
@@ -239,9 +239,10 @@ class _Reader:
     def _apply_limit(self, line: Line, name: str, words: Words) -> None:
         source = self._options.limits
         if source == "file-all" or (source == "file" and name in self._dialect.obeyed):
-            if name in ("M201", "M203") or "VELOCITY" in words or "T" in words:
-                self.items.flush()  # these limits hold for all moves of an item
+            before = self._state.others
             self._state.set_limits(line, name, words)
+            if self._state.others != before:
+                self.items.flush(before)  # they hold for all moves of an item
 
     def _apply_dwell(self, line: Line, arguments: bytes) -> None:
         seconds = self._dialect.dwell(numbers_among(line, arguments, "PS"))
@@ -306,7 +307,7 @@ class _Reader:
         if filament:
             start = state.position
             state.add_filament(filament)
-            speed = min(speed * state.factor, state.axes.velocity[3])
+            speed = min(speed * state.factor, state.others.velocity[3])
             self.items.add_move_at_rest(MoveAtRest(line.number, start, state.position, speed))
         return True
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from hframe_post.errors import LimitError
+from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.firmware.dialect import Dialect
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import Vocabulary
@@ -31,12 +32,12 @@ LIMITS_THAT_MAY_BE_ZERO = {"M205", "SQUARE_CORNER_VELOCITY", "MINIMUM_CRUISE_RAT
 class ReadOptions:
     """What the reader must know in addition to the file.
 
-    limits: which of the file's limits lower the printer's: those that its firmware obeys,
+    limits: which of the file's limits replace the printer's: those that its firmware obeys,
     all that are known, or none.
     extrusion: what E is before the first M82 or M83; None: detect it.
     travel: where the path may go; None: anywhere.
     retraction: what G10 and G11 do; None: only the firmware knows.
-    acceleration: mm/s² of travel that passes through, until the file sets another.
+    start: the firmware's limits until the file sets others; None: it has none.
     """
 
     dialect: Dialect
@@ -45,19 +46,18 @@ class ReadOptions:
     travel: Travel | None = None
     vocabulary: Vocabulary = field(default_factory=Vocabulary.with_names)
     retraction: Retraction | None = None
-    acceleration: float = math.inf
+    start: FirmwareLimits | None = None
 
     @classmethod
     def from_printer(
         cls, printer: Printer, limits: LimitSource = "file", extrusion: Extrusion | None = None
     ) -> ReadOptions:
         """Return the options for a printer. Raises HframeError if its firmware is unknown."""
-        own = printer.firmware
-        its = firmware(printer)
-        vocabulary = Vocabulary.with_names(own.harmless, own.returns, own.other_tools or ())
+        own, names = firmware(printer), printer.firmware
+        vocabulary = Vocabulary.with_names(names.harmless, names.returns, names.other_tools or ())
         return cls(
-            its.reads(printer), limits, extrusion, printer.travel, vocabulary,
-            printer.retraction, its.limits(printer).travel,
+            own.reads(printer), limits, extrusion, printer.travel, vocabulary, printer.retraction,
+            own.limits(printer),
         )  # fmt: skip
 
 
@@ -94,12 +94,15 @@ class State:
     known: whether x, y and z are certain; homing or a macro may have moved the machine.
     e_mode_known: whether the file or the user has said if E is absolute.
     scale: mm per unit of the file. feed: F as the file gives it. factor: M220.
-    acceleration, travel_acceleration: path accelerations requested for moves with and without
-    extrusion; corner: square-corner velocity; axes: limits of the axes. All are inf where the file
-    has requested none. advance, smooth_time: see ``ModalState``.
+    acceleration, travel_acceleration: of moves with and without extrusion; corner: square-corner
+    velocity; others: what else limits moves. They are the firmware's (``start``; infinite without)
+    until the file sets others. advance, smooth_time: see ``ModalState``.
     """
 
-    def __init__(self, dialect: Dialect, extrusion: Extrusion | None = None) -> None:
+    def __init__(
+        self, dialect: Dialect, extrusion: Extrusion | None = None,
+        start: FirmwareLimits | None = None,
+    ) -> None:  # fmt: skip
         self._dialect = dialect
         self.absolute = self.xy_plane = True
         self.absolute_e = extrusion != "relative"
@@ -111,7 +114,10 @@ class State:
         self.feed = DEFAULT_FEED
         self.factor = self._saved_factor = 1.0
         self.acceleration = self.travel_acceleration = self.corner = math.inf
-        self.axes = FileLimits((math.inf,) * 4, (math.inf,) * 4)
+        self.others = FileLimits()
+        if start is not None:
+            self.acceleration, self.travel_acceleration = start.printing, start.travel
+            self.corner, self.others = start.corner, start.others
         self.advance: float | None = None
         self.smooth_time: float | None = None
 
@@ -227,20 +233,25 @@ class State:
             before = self.acceleration, self.travel_acceleration
             self.acceleration, self.travel_acceleration = self._dialect.accelerations(words, before)
             if "S" in words or "T" in words:
-                self.axes = replace(self.axes, travel=words.get("T", math.inf))
+                self.others = replace(self.others, travel=words.get("T", math.inf))
+        elif name == "M205" and self._dialect.has_deviation:
+            self.others = replace(self.others, deviation=words.get("J", self.others.deviation))
         elif name == "M205":
-            self.corner = self._dialect.corner(words, self.corner)
+            self.corner = min((words[a] for a in "XY" if a in words), default=self.corner)
         elif name == "M201":
-            x, y, z, e = map(words.get, AXES, self.axes.acceleration)
-            self.axes = replace(self.axes, acceleration=(x, y, z, e))
+            x, y, z, e = map(words.get, AXES, self.others.acceleration)
+            self.others = replace(self.others, acceleration=(x, y, z, e))
         elif name == "M203":
-            x, y, z, e = map(words.get, AXES, self.axes.velocity)
-            self.axes = replace(self.axes, velocity=(x, y, z, e))
+            x, y, z, e = map(words.get, AXES, self.others.velocity)
+            self.others = replace(self.others, velocity=(x, y, z, e))
         else:
             self.acceleration = self.travel_acceleration = words.get("ACCEL", self.acceleration)
             self.corner = words.get("SQUARE_CORNER_VELOCITY", self.corner)
-            if (v := words.get("VELOCITY")) is not None:
-                self.axes = replace(self.axes, velocity=(v, v, *self.axes.velocity[2:]))
+            ratio = words.get("MINIMUM_CRUISE_RATIO", self.others.cruise_ratio)
+            if (slower := words.get("ACCEL_TO_DECEL")) is not None:
+                ratio = 1.0 - min(1.0, slower / self.acceleration)
+            path = words.get("VELOCITY", self.others.path)
+            self.others = replace(self.others, path=path, cruise_ratio=ratio)
 
     def modal_state(self) -> ModalState:
         e = self.position[3] - self.offset[3]

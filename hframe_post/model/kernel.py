@@ -109,6 +109,16 @@ class Kernel:
         """Return the control points (n, 2) for a path (n, 2), mm, at rest at both ends."""
         return _command(self.axes, self.couplings, path)
 
+    @property
+    def reach(self) -> int:
+        """Return the number of path samples on either side on which a sample depends."""
+        coupled = max((max(its.ahead, its.past) for _, its in self.couplings), default=0)
+        return max(max(its.ahead, its.past) for its in self.axes) + coupled + 1
+
+    def run(self, path: Array) -> Array:
+        """Return what the motors follow (n, 2) for a path (n, 2), mm, at rest at both ends."""
+        return played(self.command(path))
+
     def as_text(self, names: dict[str, str], bounds: Bounds) -> bytes:
         """Return the file that Klipper's host reads; names: see ``hosts/klipper/kernel_file``."""
         figures = {name: getattr(self.figures, name) for name in Figures.__dataclass_fields__}

@@ -123,6 +123,16 @@ class Shaping:
     y: AxisShaping
     rms: float = np.inf
 
+    @property
+    def reach(self) -> int:
+        """Return the number of path samples on either side on which a command sample depends."""
+        return max(self.x.shaper.reach, self.y.shaper.reach)
+
+    def run(self, path: Array) -> Array:
+        """Return the command (n, 2) for a path (n, 2) that is at rest before and after it."""
+        shapers = self.x.shaper, self.y.shaper
+        return np.column_stack([one.run(path[:, axis]) for axis, one in enumerate(shapers)])
+
     def as_json(self) -> dict[str, Any]:
         return {
             axis: {"type": s.name, "hz": round(s.hz, 2), "damping": round(s.damping, 4)}

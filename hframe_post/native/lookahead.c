@@ -5,10 +5,10 @@ struct limited { /* a move; the deviation is that of its junctions */
 };
 enum { OF_MOVE = 4 };
 
-struct rules { /* those of the printer, and of the file for each axis */
+struct rules { /* those of the printer, and of the file for motors A and B, z and e */
     double cruise, travel_cruise, acceleration, travel_acceleration, z_cruise, retraction, melted,
         z_acceleration, e_acceleration, corner, deviation, axis_velocity[COLUMNS],
-        axis_acceleration[COLUMNS];
+        axis_acceleration[COLUMNS], belts[2][2];
 };
 
 /* points (n + 1, 4); asked (n) for speed, acceleration and speed of corners. */
@@ -21,8 +21,10 @@ static int64_t limit_moves(const double *points, const double *speed, const doub
         for (int c = 0; c < COLUMNS; c++)
             delta[c] = points[COLUMNS + c] - points[c];
         double length = sqrt(delta[X] * delta[X] + delta[Y] * delta[Y] + delta[Z] * delta[Z]);
-        for (int c = 0; c < COLUMNS; c++)
-            share[c] = fabs(delta[c]) / length;
+        for (int c = 0; c < COLUMNS; c++) {
+            const double *belt = rules->belts[c % 2];
+            share[c] = fabs(c < Z ? belt[X] * delta[X] + belt[Y] * delta[Y] : delta[c]) / length;
+        }
         int travels = delta[E] == 0.0;
         double cruise = lesser(speed[k], travels ? rules->travel_cruise : rules->cruise);
         double a = lesser(acceleration[k], travels ? rules->travel_acceleration : rules->acceleration);
@@ -34,9 +36,9 @@ static int64_t limit_moves(const double *points, const double *speed, const doub
         cruise = lesser(cruise, rules->z_cruise / share[Z]);
         cruise = lesser(cruise, rules->retraction / retracting);
         cruise = lesser(cruise, rules->melted / extruding);
-        a = lesser(a, lesser(rules->z_acceleration / share[Z], rules->e_acceleration / retracting));
         double squared = lesser(corner[k], rules->corner);
-        double deviation = (sqrt(2.0) - 1.0) * (squared * squared) / a;
+        double deviation = (sqrt(2.0) - 1.0) * (squared * squared) / a; /* of x and y, as Klipper's */
+        a = lesser(a, lesser(rules->z_acceleration / share[Z], rules->e_acceleration / retracting));
         moves[k] = (struct limited){length, cruise, a, lesser(deviation, rules->deviation)};
     }
     return n;

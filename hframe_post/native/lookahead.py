@@ -28,10 +28,10 @@ def limit_moves(
 ) -> Array:
     """Return the table (n, 4) of moves between points (n + 1, 4) with limits.
 
-    speed, acceleration, corner (n,): what the file asks for. rules (19,): cruise speed,
+    speed, acceleration, corner (n,): what the file asks for. rules (23,): cruise speed,
     that of travels, acceleration, that of travels, speed in z, of retractions, of melted filament,
     acceleration in z, of filament, speed through a square corner, junction deviation; then speed
-    and acceleration of the file for each axis.
+    and acceleration of motors A and B, z and e, and the matrix from x, y to A and B.
     """
     table = np.empty((len(speed), 4))
     kernels.limit_moves(points, speed, acceleration, corner, len(table), rules, table)
@@ -39,14 +39,15 @@ def limit_moves(
 
 
 def greatest_speeds(
-    points: Array, moves: Array, extruder_corner_velocity: float, shorter: float = math.inf
-) -> Array:
+    points: Array, moves: Array, extruder_corner_velocity: float, shorter: float = math.inf,
+    steep: float = STEEP,
+) -> Array:  # fmt: skip
     """Return the greatest speed at each vertex, (n + 1,), without limits at the ends.
 
-    shorter: see ``junction_speeds``.
+    shorter: see ``junction_speeds``. steep: rise over run above which a move is made from rest.
     """
     caps = np.empty(len(points))
-    constants = extruder_corner_velocity, shorter, BELOW_CRUISE, STEEP, CREEP
+    constants = extruder_corner_velocity, shorter, BELOW_CRUISE, steep, CREEP
     kernels.junctions(points, moves, len(moves), *constants, caps)
     return caps
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y
-from hframe_post.compensation.shape import SHAPER
+from hframe_post.compensation.shape import LIVE, SHAPER
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.model.error_range import SUMS, error_range
@@ -35,8 +35,7 @@ APART = 2.0  # mm between two of them, seen from above
 PER_MM = 100.0  # places are written in 10 µm
 PER_MM_OF_ERROR = 1e4  # errors in 0.1 µm
 PER_MM_OFF = 1e3  # the way from the path to the nozzle in 1 µm
-LABELS = {name: each.label for name, each in STRATEGIES.items()}
-SHOWN = {"none": LABELS["none"], SHAPER: "best input shaper"} | LABELS  # in this order
+SHOWN = ("none", SHAPER, *list(STRATEGIES)[1:])
 
 
 def page(
@@ -58,7 +57,7 @@ def page(
         "name": name,
         "version": __version__,
         "warnings": report.warnings(),
-        "notes": [note for note in notes if not note.startswith("WARNING")],
+        "notes": [*(each for each in notes if not each.startswith("WARNING")), *_live(report)],
         "facts": _facts(printer, options),
         "chosen": options.strategy,
         "strategies": [_strategy(each, report) for each in strategies],
@@ -100,6 +99,16 @@ def _compressed(lines: Iterable[bytes], count: int) -> bytes:
 # ---------------------------------------------------------------------- figures
 
 
+def _live(report: Report) -> list[str]:
+    """Return what the file as sliced would have if Klipper compensated by itself."""
+    if LIVE not in report.contour:
+        return []
+    um = 1e3 * report.contour[LIVE].rms
+    return [
+        f"in Klipper       {um:.1f} µm RMS: the sliced file, compensated by Klipper itself (live)"
+    ]
+
+
 def _bands(report: Report) -> dict[str, Any] | None:
     """Return the bands of motor speed that outer walls avoid, and the share of time in them."""
     if (found := report.bands) is None or not found.after.total:
@@ -111,7 +120,7 @@ def _strategy(name: str, report: Report) -> dict[str, Any]:
     contour = report.contour[name]
     known, p95 = contour.range, contour.micrometres()["p95"]
     rms, lines = 1e3 * contour.expected, 1e3 * report.lines_error(name)
-    shown = {"name": name, "label": SHOWN[name], "p95": p95}
+    shown = {"name": name, "label": report.label(name), "p95": p95}
     shown["rms"] = round(math.hypot(rms, lines), DECIMALS)
     if known is not None:
         ends = (1e3 * known.low, 1e3 * known.high)

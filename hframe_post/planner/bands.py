@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Z, lengths
+from hframe_post.firmware.registry import firmware
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.planner.pacing import NAMES, Labeller, PieceStart, lower_to_axes
+from hframe_post.planner.pacing import NAMES, Labeller, PieceStart
 from hframe_post.printer.settings import Limits, Printer
 from hframe_post.stream.types import Handling, Item, Moves, Passthrough, frozen
 
@@ -135,14 +136,14 @@ def avoid_bands(
     if bands is None:
         yield from items
         return
-    walls = OuterWalls(start)
+    walls, caps = OuterWalls(start), firmware(printer).caps(printer)
     waiting, choices, count = list[Item](), list[_Choice](), 0
     for item in items:
         waiting.append(item)
         goes_on = isinstance(item, Passthrough) and item.handling is Handling.CARRY
         if isinstance(item, Moves):
             outer = walls.among(item)
-            choices.append(_choice(item, outer, bands, printer.limits, walls.first))
+            choices.append(_choice(item, outer, bands, caps, walls.first))
             count += len(outer)
             goes_on = bool(choices[-1].raised[-1]) and count < MOST_WAITING
         else:
@@ -185,7 +186,7 @@ def _choice(moves: Moves, outer: Flags, bands: MotorBands, limits: Limits, first
     speed = np.minimum(moves.speed, limits.velocity)
     highest = np.minimum(np.minimum(FASTEST * moves.speed, limits.velocity), melted)
     for values in (highest, speed):
-        lower_to_axes(values, acceleration, moves.limits, delta, length)
+        moves.limits.lower(values, acceleration, delta)
     lower, upper = bands.around(speed, delta[:, :Z] / length[:, None])
     raised = outer & ~first & (upper <= highest) & (upper - speed < speed - lower)
     crossing = (np.square(upper) - np.square(lower)) / acceleration

@@ -24,8 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.native.lookahead import Runs, find_runs, greatest_speeds, limit_moves
-from hframe_post.planner.pacing import by_axis, with_travel_limits
+from hframe_post.native.lookahead import STEEP, Runs, find_runs, greatest_speeds, limit_moves
+from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, Plan, Planned
 
@@ -46,7 +46,7 @@ def plan(
     queue = Lookahead(limits, batch, longest)
     for item in with_travel_limits(items, limits):
         if isinstance(item, Moves):
-            queue.append(by_axis(item, limits) if limits.acceleration_by_axis else item)
+            queue.append(item)
             while (ready := queue.take_final()) is not None:
                 yield ready
         elif isinstance(item, Passthrough) and item.handling is Handling.CARRY and queue.count:
@@ -60,11 +60,16 @@ def plan(
 class Lookahead:
     """Queue of moves that are not planned yet, and the speed at which the first of them begins.
 
-    batch, longest: see ``plan``.
+    batch, longest: see ``plan``. z_share: of the z acceleration while x and y move; steep: rise
+    over run above which a move starts and ends at rest.
     """
 
-    def __init__(self, limits: Limits, batch: int = BATCH, longest: int = LONGEST_QUEUE) -> None:
+    def __init__(
+        self, limits: Limits, batch: int = BATCH, longest: int = LONGEST_QUEUE,
+        z_share: float = Z_SHARE, steep: float = STEEP,
+    ) -> None:  # fmt: skip
         self._limits, self._batch, self._longest = limits, batch, longest
+        self._z_share, self._steep = z_share, steep
         self._moves: list[_Limited] = []
         self._marks: list[Mark] = []
         self._speed = 0.0
@@ -73,7 +78,7 @@ class Lookahead:
 
     def append(self, moves: Moves) -> None:
         self._marks += [Mark(mark.index + self.count, mark.text) for mark in moves.marks]
-        self._moves.append(_limited(moves, self._limits))
+        self._moves.append(_limited(moves, self._limits, self._z_share))
         self.count += len(moves.line)
 
     def mark(self, text: bytes) -> None:
@@ -107,7 +112,8 @@ class Lookahead:
     def _caps(self, moves: _Limited) -> Array:
         limits = self._limits
         shorter = SHORT if math.isfinite(limits.junction_deviation) else math.inf
-        caps = greatest_speeds(moves.points, moves.limits, limits.extruder_corner_velocity, shorter)
+        extruder = limits.extruder_corner_velocity
+        caps = greatest_speeds(moves.points, moves.limits, extruder, shorter, self._steep)
         caps[0] = self._speed
         return caps
 
@@ -154,14 +160,16 @@ def _joined(parts: list[_Limited]) -> _Limited:
     )
 
 
-def _limited(moves: Moves, limits: Limits) -> _Limited:
-    """Return the moves with the printer's limits, lowered by those of the file."""
+def _limited(moves: Moves, limits: Limits, z_share: float) -> _Limited:
+    """Return the moves with the limits of the profile, lowered by those of file and firmware."""
+    own = moves.limits
+    velocity = min(limits.velocity, own.path)
     rules = np.array([
-        limits.velocity, limits.fastest, limits.diagonal * limits.acceleration,
-        limits.diagonal * limits.hardest, limits.z_velocity, limits.extruder_velocity, MELTED,
-        Z_SHARE * limits.z_acceleration, Z_SHARE * limits.extruder_acceleration,
-        limits.square_corner_velocity,
-        limits.junction_deviation, *moves.limits.velocity, *moves.limits.acceleration,
+        velocity, limits.travel_velocity or velocity, limits.acceleration, limits.hardest,
+        limits.z_velocity, limits.extruder_velocity, MELTED,
+        z_share * limits.z_acceleration, z_share * limits.extruder_acceleration,
+        limits.square_corner_velocity, min(limits.junction_deviation, own.deviation),
+        *own.velocity, *own.acceleration, *own.belts[0], *own.belts[1],
     ])  # fmt: skip
     table = limit_moves(moves.points, moves.speed, moves.acceleration, moves.corner, rules)
     return _Limited(moves.line, moves.points, table)

@@ -18,9 +18,8 @@ import numpy as np
 from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.features import KINDS, OTHER, TRAVEL, Place, kind
-from hframe_post.stream.types import FileLimits, Item, Moves, Passthrough, frozen
+from hframe_post.stream.types import Item, Moves, Passthrough, frozen
 
-NO_LIMITS = FileLimits((math.inf,) * 4, (math.inf,) * 4)
 NAMES = (*KINDS, OTHER, TRAVEL)
 UNCHANGED = ("bridge", "ironing", "interface", "skirt")  # features printed as the file says
 ADJUSTED = tuple(name for name in (*KINDS, OTHER) if name not in UNCHANGED)
@@ -58,19 +57,6 @@ def with_travel_limits(items: Iterable[Item], limits: Limits) -> Iterator[Item]:
         if limits.travel_velocity:
             speed[travels & (delta[:, Z] == 0.0) & (item.speed >= before)] = limits.travel_velocity
         yield replace(item, speed=frozen(speed), acceleration=frozen(acceleration))
-
-
-def by_axis(moves: Moves, limits: Limits) -> Moves:
-    """Return the moves with accelerations that keep x and y each to the profile's.
-
-    Where the file asks for none, it is the profile's along the path.
-    """
-    delta = np.diff(moves.points, axis=0)
-    most = np.where(delta[:, E] == 0.0, limits.hardest, limits.acceleration)
-    share = np.abs(delta[:, :Z]).max(axis=1) / lengths(delta[:, :E])
-    asked = np.minimum(moves.acceleration, most / share)
-    own = np.where(np.isfinite(moves.acceleration), asked, most)
-    return replace(moves, acceleration=frozen(own))
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,8 +191,8 @@ class _Pacer:
             if isinstance(item, Moves):
                 of = next(cuts)
                 yield Moves(
-                    item.line, item.points, speed[of], acceleration[of], corner[of], NO_LIMITS,
-                    item.marks,
+                    item.line, item.points, speed[of], acceleration[of], corner[of],
+                    replace(item.limits, acceleration=(math.inf,) * 4), item.marks,
                 )  # fmt: skip
             else:
                 yield item
@@ -230,7 +216,7 @@ class _Pacer:
             np.concatenate([getattr(each, name) for each in moves])
             for name in ("speed", "acceleration", "corner")
         )
-        lower_to_axes(file_speed, file_acceleration, moves[0].limits, delta, length)
+        moves[0].limits.lower(file_speed, file_acceleration, delta)
         speed = file_speed * feed
         slowed = speed * self._layer_factors(layer)
         speed = np.maximum(slowed, np.minimum(speed, self._paces.min_speed))
@@ -249,15 +235,3 @@ class _Pacer:
         first, by_layer = int(layer[0]), self._paces.layers
         factors = [by_layer.get(number, 1.0) for number in range(first, int(layer[-1]) + 1)]
         return np.array(factors)[layer - first]
-
-
-def lower_to_axes(
-    speed: Array, acceleration: Array, limits: FileLimits, delta: Array, length: Array
-) -> None:
-    """Lower speed and acceleration (n,) to the file's limits by axis, for moves by delta (n, 4)."""
-    with np.errstate(divide="ignore"):
-        for values, by_axis in ((speed, limits.velocity), (acceleration, limits.acceleration)):
-            for axis in range(4):
-                if math.isfinite(limit := by_axis[axis]):
-                    share = np.abs(delta[:, axis]) / length
-                    np.minimum(values, limit / share, out=values)

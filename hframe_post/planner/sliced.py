@@ -15,6 +15,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Z, lengths
 from hframe_post.firmware.base import FirmwareLimits
+from hframe_post.native.lookahead import STEEP
 from hframe_post.planner.bands import MotorBands, OuterWalls, TimeInBands
 from hframe_post.planner.lookahead import Lookahead
 from hframe_post.planner.sampling import sample
@@ -39,10 +40,15 @@ class AsSliced:
     """
 
     def __init__(self, rules: FirmwareLimits, bands: MotorBands | None = None) -> None:
-        self._rules, self._queue = rules, Lookahead(rules.limits)
+        self._rules = rules
+        self._lifts = rules.durations is None  # joined to motion, as Klipper does
+        steep = math.inf if self._lifts else STEEP
+        self._queue = Lookahead(rules.limits, z_share=1.0, steep=steep)
+        self._last: Moves | None = None  # moves before the item
         self.seconds = self.standing = 0.0
         self._bands, self._walls, self.in_bands = bands, OuterWalls(), TimeInBands()
         self._outer = list[Flags]()  # which of the queued moves are outer walls
+        self._ratio = list[Array]()  # cruise ratios of the queued moves
 
     def samples(self, items: Iterable[Item]) -> Iterator[Samples]:
         """Yield the motion for all items, which is its own command."""
@@ -62,7 +68,12 @@ class AsSliced:
             elif item is not None:
                 self._walls.pass_by(item)
         if isinstance(item, Moves):
-            self._queue.append(self._limited(item))
+            ratio, self._last = item.limits.cruise_ratio, item
+        elif isinstance(item, MoveAtRest) and self._lifts and self._last and _lifts(item):
+            ratio, item = 0.0, self._lift(item, self._last)
+        if isinstance(item, Moves):
+            self._queue.append(item)
+            self._ratio.append(np.full(len(item.line), ratio))
             while (plan := self._queue.take_final()) is not None:
                 yield self._timed(plan)
             return
@@ -81,39 +92,35 @@ class AsSliced:
         self.seconds += seconds
         self.standing += seconds
 
-    def _limited(self, moves: Moves) -> Moves:
-        """Return the moves with the firmware's accelerations where the file sets none."""
-        travels = np.diff(moves.points[:, E]) == 0.0
-        usual = np.where(travels, self._rules.travel, self._rules.printing)
-        own = np.where(np.isfinite(moves.acceleration), moves.acceleration, usual)
-        if (belts := self._rules.belts) is not None:
-            way = np.diff(moves.points[:, :E], axis=0)
-            share = np.abs(way[:, :Z] @ belts.T) / np.linalg.norm(way, axis=1)[:, None]
-            asked = np.array(moves.limits.acceleration[:Z])
-            most = np.where(np.isfinite(asked), asked, self._rules.motors)
-            own = np.minimum(own, (most / np.maximum(share, 1e-9)).min(axis=1))
-        # a board with junction deviation knows no other rule, whatever the file says
-        knows = math.isinf(self._rules.limits.junction_deviation)
-        corner = moves.corner if knows else np.full_like(moves.corner, math.inf)
-        return replace(moves, acceleration=own, corner=corner)
+    def _lift(self, lift: MoveAtRest, before: Moves) -> Moves:
+        """Return a lift as a move, with the limits of the moves before it."""
+        points, speed = np.array([lift.start, lift.end]), np.array([lift.speed])
+        line, last = np.array([lift.line]), (before.acceleration[-1:], before.corner[-1:])
+        return Moves(line, points, speed, *last, before.limits)
 
     def _timed(self, plan: Plan) -> Plan:
         """Add the time of a plan; return it with the speeds that it reaches."""
-        d, v = np.diff(plan.s[plan.ends]), plan.speed
-        v_s, v_e, cruise, a = v[:-1], v[1:], plan.cruise, plan.acceleration
-        ramped = (1.0 - self._rules.cruise_ratio) * a * d
-        reached = np.sqrt(np.maximum(ramped + (v_s**2 + v_e**2) / 2.0, np.maximum(v_s, v_e) ** 2))
-        top = np.minimum(cruise, reached)
+        d, cruise, a = np.diff(plan.s[plan.ends]), plan.cruise, plan.acceleration
+        ratio = np.concatenate(self._ratio)
+        self._ratio = [ratio[len(plan.line) :]]
+        v2 = np.square(plan.speed)
+        reached = a * d + (v2[:-1] + v2[1:]) / 2.0
+        gain = 2.0 * (1.0 - ratio[plan.ends[:-1]]) * a * d
+        smooth = _smoothed_tops(v2, gain, np.square(cruise))
+        top = np.sqrt(np.minimum(np.minimum(reached, smooth), np.square(cruise)))
+        speed = plan.speed.copy()
+        speed[:-1] = np.minimum(speed[:-1], top)
+        speed[1:] = np.minimum(speed[1:], top)
+        v_s, v_e = speed[:-1], speed[1:]
         if self._bands is not None:
-            self._add_in_bands(plan, top, self._bands)
-        durations, belts = self._rules.durations, self._rules.belts
-        if durations is None or belts is None:
+            self._add_in_bands(replace(plan, speed=speed), top, self._bands)
+        if (durations := self._rules.durations) is None:
             self.seconds += float(_seconds(d, v_s, v_e, top, a).sum())
         else:
-            lead = np.abs(np.diff(plan.points[:, :Z], axis=0) @ belts.T).max(axis=1)
+            lead = np.abs(np.diff(plan.points[:, :Z], axis=0) @ self._rules.belts.T).max(axis=1)
             lead = np.add.reduceat(lead, plan.ends[:-1])
             self.seconds += float(durations(lead, d, v_s, v_e, cruise, a).sum())
-        return replace(plan, cruise=top)
+        return replace(plan, cruise=top, speed=speed)
 
     def _add_in_bands(self, plan: Plan, top: Array, bands: MotorBands) -> None:
         """Add a plan's outer walls to the time in bands. top: greatest speed of each run."""
@@ -170,3 +177,28 @@ def _seconds(d: Array, v_s: Array, v_e: Array, top: Array, a: Array) -> Array:
     """Return the seconds (n,) of ways d (mm) from speed to speed over a speed between."""
     cruised = np.maximum(d - (2.0 * top**2 - v_s**2 - v_e**2) / (2.0 * a), 0.0)
     return np.asarray((2.0 * top - v_s - v_e) / a + cruised / top)
+
+
+def _smoothed_tops(v2: Array, gain: Array, cruise2: Array) -> Array:
+    """Return the greatest squares of speed (r,) in runs whose ends have v2, (r + 1,).
+
+    Klipper plans a second time, in which the square may change by no more than the gain (r,). Where
+    that plan accelerates, the path gets no faster than the plan's next peak; where it brakes all
+    along, no faster than where it begins to.
+    """
+    summed = np.concatenate([[0.0], np.cumsum(gain)])
+    rising = np.minimum.accumulate(v2 - summed) + summed
+    both = np.minimum.accumulate((rising + summed)[::-1])[::-1] - summed
+    begun, ended, rounding = both[:-1], both[1:], 1e-12 * summed[-1]
+    climbs = begun + rounding < ended + gain
+    peak = climbs & ((begun + gain > ended + rounding) | np.append(~climbs[1:], False))
+    n = len(gain)
+    index = np.arange(n)
+    following = np.minimum.accumulate(np.where(peak, index, n)[::-1])[::-1]
+    before = np.maximum.accumulate(np.where(peak, index, -1))
+    heights = np.append(np.minimum((begun + ended + gain) / 2.0, cruise2), math.inf)
+    return np.asarray(np.where(climbs, heights[following], np.minimum(heights[before], v2[:-1])))
+
+
+def _lifts(move: MoveAtRest) -> bool:
+    return move.start[Z] != move.end[Z]

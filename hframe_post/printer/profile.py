@@ -58,6 +58,11 @@ LAGS = {"least": -1e3, "most": 1e3}  # ms, or µrad at 1 mm/s
 AXES = {"x": X, "y": Y}
 MOST_CROSS = 16
 LARGEST_FILE = 1 << 20  # bytes of a profile
+# a value, and the comment in which `setup` repeated it: jerk and deceleration, limits of the motors
+GUESSED = re.compile(
+    r"^\w+ = (\S+) +# \1 \((?:low, for small errors|as M201 does|[^()\n]*the velocity above|"
+    r"[^()\n]*which compensation may need)[^\n]*(?:\n|$)", re.MULTILINE,
+)  # fmt: skip
 KLIPPER_SECTION = re.compile(r"^\[(printer|mcu|stepper_x|include .*)\]\s*$", re.MULTILINE)
 
 
@@ -100,9 +105,14 @@ def parse(text: str, name: str, source: str = "") -> Printer:
         raise PrinterError(error.cause, error.key, source or name) from None
 
 
+def without_guesses(text: str) -> str:
+    """Return a profile's text without what earlier versions guessed and nobody changed."""
+    return GUESSED.sub("", text)
+
+
 def _loaded(text: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(without_guesses(text))
     except ValueError as error:  # also a number of thousands of digits
         if KLIPPER_SECTION.search(text):
             raise PrinterError(
@@ -134,8 +144,10 @@ def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_tables(document: dict[str, Any]) -> None:
-    needed = ("travel", "limits", "motors", "compensation", "firmware", "plant")
-    optional = ("kinematics", "steps", "sweep", "speed", "retraction", "extruder", "verified")
+    needed = ("travel", "limits", "compensation", "firmware", "plant")
+    optional = (
+        "kinematics", "motors", "steps", "sweep", "speed", "retraction", "extruder", "verified",
+    )  # fmt: skip
     known_keys(document, ("description", *optional, *needed), "")
     for section in (*needed, *(name for name in optional if name in document)):
         if not isinstance(document.get(section), dict):
@@ -160,6 +172,10 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         name = kind.__name__.lower()
         return checked(kind, document[name], name) if name in document else None
 
+    stated = checked(Motors, document.get("motors", {}), "motors")
+    motors = stated.completed(
+        kinematics, limits.velocity, limits.acceleration, limits.square_corner_velocity
+    )
     uncertainty = document["plant"].get("uncertainty")
     if uncertainty is not None:
         uncertainty = checked_value(float, uncertainty, SHARE, "plant.uncertainty")
@@ -169,7 +185,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         checked(Travel, document["travel"], "travel"),
         limits,
         kinematics,
-        checked(Motors, document["motors"], "motors"),
+        motors,
         optional_table(Steps),
         checked(Compensation, document["compensation"], "compensation"),
         load_firmware(document["firmware"]),
@@ -183,6 +199,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         optional_table(Extruder),
         uncertainty,
         _day(document["plant"].get("measured"), "plant.measured"),
+        None if motors == stated else stated,
     )
     check_needs(printer.firmware, printer.steps is not None)
     return printer

@@ -21,6 +21,8 @@ SHARE = {"least": 0.0, "most": 0.99}
 BANDS = {"least": 0.1, "most": 1e4, "ascending": True, "count": 16}  # mm/s of the motors
 STOPS = {"fast": 2, "exact": 8}  # samples for which the path rests before and after a stop
 LONGEST_RAMP = 60.0  # s
+# mm/s³ of the path: real slices take the time that the firmware needs (docs/performance.md)
+JERK = 1e7
 LONGEST_PREVIEW = 2000  # samples; the matrix of a window has as many rows and columns
 HIGHEST_HZ = 200.0  # of a sweep: five samples per period, joined by straight lines
 SHORTEST, LONGEST = 1.0, 900.0  # s of a sweep; Klipper records at most 1000 s
@@ -31,6 +33,14 @@ CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")  # of an accelerometer in Klipper's co
 DRIFT_IN_A_DAY, DRIFT_GROWTH = 0.03, 0.2
 MOST_DRIFT = 0.2
 LONGEST_ADVANCE, LONGEST_SMOOTHING = 10.0, 0.2  # s
+# Compensation moves harder than the path: a cube at max_accel and a higher jerk, on simulated
+# printers with modes from 18 to 55 Hz, needs up to 2.5 times max_accel. The acceleration that a
+# slow printer's owner allows is no limit of its motors: at every corner they change their speed at
+# once. A command that takes CORNER for it, with an effort of 1 to 10, leaves the least error.
+MORE_ACCELERATION = 1.5  # times the path's, as far as HARD
+HARD = 8000.0  # mm/s²
+CORNER = 0.002  # s
+VELOCITY_HEADROOM = 1.1
 SMOOTH_TIME = 0.04  # s, Klipper's default
 STREAM_SMOOTH_TIME = 0.02  # s; below it, lines get no more even
 
@@ -48,8 +58,8 @@ class Travel:
 class Limits:
     """Limits of the planned path; mm, s. The shipped profiles explain each.
 
-    acceleration_by_axis: acceleration is that of x and of y alone, as Marlin's M201. A diagonal may
-    have up to √2 times as much, if the file asks for it.
+    velocity, acceleration, square_corner_velocity and junction_deviation bind what a file asks only
+    where they differ from the firmware's own, in its table (`Firmware.caps`).
     deceleration limits braking more than acceleration does. flow (mm³/s) and min_layer_time limit
     only what is printed faster than in the file; no layer is slowed below min_print_speed for that.
     filament_density (g/cm³) makes a moving bed heavier.
@@ -59,13 +69,13 @@ class Limits:
 
     velocity: float = within(1.0, 1e4)
     acceleration: float = within(1.0, 1e6)
-    jerk: float = within(1.0, 1e12)
     square_corner_velocity: float = not_negative(most=1e4)
     z_velocity: float = within(0.01, 1e4)
     z_acceleration: float = within(0.1, 1e6)
     extruder_velocity: float = within(0.01, 1e4)
     extruder_acceleration: float = within(0.1, 1e6)
     extruder_corner_velocity: float = within(1e-3, 1e4, default=1.0)
+    jerk: float = within(1.0, 1e12, default=JERK)
     deceleration: float = within(1.0, 1e6, default=math.inf)
     junction_deviation: float = within(1e-6, 1e3, default=math.inf)
     flow: float = within(0.1, 1e3, default=15.0)
@@ -75,7 +85,6 @@ class Limits:
     min_print_speed: float = within(0.1, 1e3, default=10.0)
     travel_velocity: float = not_negative(0.0, most=1e4)
     travel_acceleration: float = not_negative(0.0, most=1e6)
-    acceleration_by_axis: bool = False
 
     @property
     def filament_velocity(self) -> float:
@@ -90,11 +99,6 @@ class Limits:
     @property
     def _filament_area(self) -> float:
         return math.pi / 4.0 * self.filament_diameter**2
-
-    @property
-    def diagonal(self) -> float:
-        """Return how many times its acceleration along x a path may have along a diagonal."""
-        return math.sqrt(2.0) if self.acceleration_by_axis else 1.0
 
     @property
     def fastest(self) -> float:
@@ -115,7 +119,7 @@ class Limits:
             "extruder_acceleration": self.extruder_velocity / self.extruder_acceleration,
         }
         for name, seconds in ramps.items():
-            if not seconds <= LONGEST_RAMP:
+            if LONGEST_RAMP < seconds < math.inf:  # a limit may be left out of a plan
                 raise ArgumentError(
                     f"with this {name} full speed takes {seconds:g} s; "
                     f"at most {LONGEST_RAMP:g} s are possible"
@@ -124,10 +128,28 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Motors:
-    """Limits of every command: speed and acceleration of the belts A and B."""
+    """Limits of every command: speed and acceleration of the belts A and B.
 
-    belt_velocity: float = within(1.0, 1e5)
-    belt_acceleration: float = within(1.0, 1e8)
+    In a profile, a limit that its owner has not stated is missing.
+    """
+
+    belt_velocity: float = within(1.0, 1e5, default=math.inf)
+    belt_acceleration: float = within(1.0, 1e8, default=math.inf)
+
+    def completed(
+        self, kinematics: Kinematics, velocity: float, acceleration: float, corner: float
+    ) -> Motors:
+        """Return the limits, with a guess of those that nobody stated.
+
+        What the firmware plays today, the motors can do: a path with these limits in any direction.
+        corner: speed through a right angle, mm/s.
+        """
+        belts = 1.0 / kinematics.min_speed_ratio
+        harder = acceleration + MORE_ACCELERATION * min(acceleration, HARD)
+        turned = acceleration + corner / CORNER
+        guess = round(belts * VELOCITY_HEADROOM * velocity, 1), round(belts * max(harder, turned))
+        stated = self.belt_velocity, self.belt_acceleration
+        return Motors(*(s if s < math.inf else g for s, g in zip(stated, guess, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,7 +309,8 @@ class Verified:
 class Printer:
     """A whole profile.
 
-    digest: identifies the contents, apart from ``verified``. verified: None unless this plant and
+    motors: complete; stated: those that the profile states, None if it states all. digest:
+    identifies the contents, apart from ``verified``. verified: None unless this plant and
     window were verified. invented: the plant was not measured on this printer. uncertainty: share
     by which the printer may differ from its plant; None if it was not measured. measured: day of
     the recordings, if known.
@@ -312,6 +335,7 @@ class Printer:
     extruder: Extruder | None = None
     uncertainty: float | None = None
     measured: date | None = None
+    stated: Motors | None = None
 
     def uncertainty_on(self, day: date) -> float:
         """Return the uncertainty of the plant on a later day, at least the one it has."""

@@ -7,21 +7,11 @@ repeats the value: `update.updated` sees from it what was changed since.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import TABLES
 
-# Compensation moves harder than the path: a cube at max_accel and a higher jerk, on simulated
-# printers with modes from 18 to 55 Hz, needs up to 2.5 times max_accel. The acceleration that a
-# slow printer's owner allows is no limit of its motors: at every corner they change their speed at
-# once. A command that takes CORNER for it, with an effort of 1 to 10, leaves the least error.
-MORE_ACCELERATION = 1.5  # times max_accel, as far as HARD
-HARD = 8000.0  # mm/s²
-CORNER = 0.002  # s
-VELOCITY_HEADROOM = 1.1
 SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
 AS_BEFORE = "as before"  # origin of what an earlier setup found
 
@@ -49,54 +39,12 @@ class Known:
 
 Tables = dict[str, dict[str, Known]]  # settings by table; a table without any does not exist
 
-# What an inexact model leaves is excited by the path, mostly where it brakes before a corner
-RAMP = 0.01  # s in which max_accel is reached: a third less error for 1 % (at most 8 %) more time
-# mm/s²; below it long ramps cost time only, 1 % at 500 mm/s², so they get shorter in proportion
-SLOW = 2000.0
-BRAKING = 5000.0  # mm/s²: on fast printers a third less error for 1 % more time
 CLOCK = Known(1e5, "for files of steps: at most one step per tick")
 
 
 def as_float(known: Known) -> float:
     assert isinstance(known.value, float)
     return known.value
-
-
-def gentle(acceleration: Known, diagonal: float = 1.0) -> dict[str, Known]:
-    """Return deceleration and jerk of the path, low enough for a model that is a little off.
-
-    diagonal: how many times the acceleration a path may have along a diagonal.
-    """
-    most = as_float(acceleration)
-    origin = "low, for small errors; 'hframe-post tune' finds yours"
-    jerk = float(f"{most / (RAMP * min(1.0, most / SLOW)):.3g}")
-    values = {"deceleration": min(float(math.ceil(diagonal * most)), BRAKING), "jerk": jerk}
-    return {name: Known(value, origin) for name, value in values.items()}
-
-
-def motors(
-    kinematics: str, velocity: Known, acceleration: Known, corner: Known
-) -> dict[str, Known]:
-    """Return the limits of the belts for a path with these limits in any direction.
-
-    corner: speed through a right angle.
-    """
-    belts = 1.0 / Kinematics(kinematics).min_speed_ratio
-    diagonal = "√2 × " if belts > 1.0 else ""
-    path, turned = as_float(acceleration), as_float(corner)
-    needed = round(path + MORE_ACCELERATION * min(path, HARD))
-    reason = "which compensation may need"
-    if (turning := round(path + turned / CORNER)) > needed:
-        needed, reason = turning, f"{reason} at corners of {turned:g} mm/s"
-    return {
-        "belt_velocity": Known(
-            round(VELOCITY_HEADROOM * belts * as_float(velocity), 1),
-            f"{VELOCITY_HEADROOM:g} × {diagonal}the velocity above",
-        ),
-        "belt_acceleration": Known(
-            float(round(belts * needed)), f"{diagonal}{needed}, {reason}; less if motors skip"
-        ),
-    }
 
 
 def sweep(acceleration: Known) -> dict[str, Known]:
@@ -108,8 +56,7 @@ def sweep(acceleration: Known) -> dict[str, Known]:
 TITLES = {
     "kinematics": "how the belts move the nozzle",
     "travel": "where the nozzle may go",
-    "limits": "of the planned path; limits set in a file lower these",
-    "motors": "limits of every command, measured at the belts",
+    "limits": "until a file sets others; what differs from [firmware] also binds files",
     "steps": "mm per step",
     "retraction": "what G10 and G11 do",
     "extruder": "how late the flow follows it: pressure advance",

@@ -11,7 +11,7 @@ from typing import Any
 import tomlkit
 from tomlkit.items import Item, Table
 
-from hframe_post.printer.profile import parse
+from hframe_post.printer.profile import parse, without_guesses
 from hframe_post.printer.setup import AS_BEFORE, Known, Tables
 
 COMMENT = re.compile(r"# *(\[.*?\]|\".*?\"|[^\s(]+) \(")  # the value that `setup` wrote
@@ -36,9 +36,13 @@ def updated(text: str, tables: Tables, source: str = "") -> Updated:
     stays. A table without settings is removed unless its owner changed it. Nothing else changes.
     Raises PrinterError.
     """
-    document: Any = tomlkit.parse(text)
+    document: Any = tomlkit.parse(without_guesses(text))
     own = changed_by_hand(text)
     changes, kept = list[str](), list[str]()
+    if without_guesses(text) != text:
+        changes.append("jerk, deceleration, motors: removed where nobody had changed them")
+        if not document.get("motors", True):
+            document.remove("motors")
     for name, table in tables.items():
         if not table and name in document and not any(key.startswith(f"{name}.") for key in own):
             document.remove(name)

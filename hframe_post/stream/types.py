@@ -11,7 +11,9 @@ import math
 from dataclasses import dataclass, field
 from enum import Enum
 
-from hframe_post.arrays import Array, Integers
+import numpy as np
+
+from hframe_post.arrays import Array, E, Integers, Z, lengths
 
 Position = tuple[float, float, float, float]  # x, y, z, e
 
@@ -26,15 +28,36 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class FileLimits:
-    """Axis limits that the file requested (M201, M203): (x, y, z, e), mm/s and mm/s².
+    """Limits that hold next to each move's own: the firmware's, until the file sets others; mm, s.
 
-    travel: acceleration (mm/s²) requested for travel alone (M204 T), whether the firmware obeys it
-    or not.
+    velocity, acceleration: of the motors A and B, of z and e (M203, M201). belts: from x, y to A
+    and B. path: speed along the path (VELOCITY). deviation: of junctions (M205 J). cruise_ratio: of
+    a move that brakes as soon as it has accelerated, the share that must be at constant speed.
+    travel: acceleration requested for travel alone (M204 T), whether the firmware obeys it or not.
     """
 
-    velocity: Position
-    acceleration: Position
+    velocity: Position = (math.inf,) * 4
+    acceleration: Position = (math.inf,) * 4
     travel: float = math.inf
+    path: float = math.inf
+    deviation: float = math.inf
+    cruise_ratio: float = 0.0
+    belts: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.0), (0.0, 1.0))
+
+    def shares(self, delta: Array) -> Array:
+        """Return what a mm of path is of each motor, of z and of e, (n, 4), for moves (n, 4)."""
+        way = np.abs(delta)
+        way[:, :Z] = np.abs(delta[:, :Z] @ np.array(self.belts).T)
+        return np.asarray(way / lengths(delta[:, :E])[:, None])
+
+    def lower(self, speed: Array, acceleration: Array, delta: Array) -> None:
+        """Lower speed and acceleration (n,) of moves by delta (n, 4) to these limits."""
+        np.minimum(speed, self.path, out=speed)
+        share = self.shares(delta)
+        with np.errstate(divide="ignore"):
+            for values, limits in ((speed, self.velocity), (acceleration, self.acceleration)):
+                for axis in np.flatnonzero(np.isfinite(limits)):
+                    np.minimum(values, limits[axis] / share[:, axis], out=values)
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,14 +27,14 @@ def test_converts_to_a_file_and_leaves_the_input(part: Path, tmp_path: Path) -> 
     done = run(part, "-o", tmp_path / "out.gcode")
     assert done.returncode == 0
     assert part.read_bytes() == RECTANGLE.read_bytes()
-    assert (tmp_path / "out.gcode").read_bytes().startswith(b"; processed by hframe-post")
+    assert b"; processed by hframe-post" in (tmp_path / "out.gcode").read_bytes()
     assert b"result           ringing" in done.stderr
     assert not done.stdout
 
 
 def test_converts_in_place_without_output_as_slicers_hooks_do(part: Path) -> None:
     assert run(part).returncode == 0
-    assert part.read_bytes().startswith(b"; processed by hframe-post")
+    assert b"; processed by hframe-post" in part.read_bytes()
     assert [path.name for path in part.parent.iterdir()] == [part.name]
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
+from hframe_post.gcode.reader import CHANGE_OF_OBJECT
 from hframe_post.prediction.statistics import BEFORE
 from hframe_post.printer.settings import Printer
 from tests.conversion.slice_tools import (
@@ -50,7 +51,7 @@ def test_uncompensated_motion_is_reported_by_its_cause(paper: Printer) -> None:
     printed = SLICES["prusaslicer"]
     known = converted(printed, paper)[2]
     unknown = converted(replace(printed, harmless=()), paper)[2]
-    assert set(known.path.uncompensated) == {"START_PRINT"}
+    assert set(known.path.uncompensated) == {"START_PRINT", CHANGE_OF_OBJECT}
     assert unknown.path.uncompensated["_ON_LAYER_CHANGE"].moves == 2 * LAYERS
     shares = unknown.as_json()["uncompensated"]
     assert shares["path_percent"] > 5.0
@@ -67,7 +68,7 @@ def test_uncompensated_extrusion_is_a_warning(paper: Printer) -> None:
     list(conversion)
     report = conversion.report()
     assert report.path.extrusion_share == pytest.approx(1 / 3)
-    _, warning = report.warnings()
+    *_, warning = report.warnings()
     assert "mostly after PARK" in warning
     assert "[firmware]" in warning
 

@@ -75,8 +75,6 @@ def test_corners_at_speed_decide_what_motors_must_do(tmp_path: Path) -> None:
     own = set_up(tmp_path, "cartesian", 500)
     assert own.limits.square_corner_velocity == 9.83  # M205 J0.08
     assert own.motors.belt_acceleration == round(500 + 9.83 / 2e-3)
-    line = next(k for k in (tmp_path / "printer.toml").read_text().splitlines() if "5415" in k)
-    assert "corners of 9.83 mm/s; less if motors skip" in line
     (other := tmp_path / "other").mkdir()
     crossed = set_up(other, "corexy", 3000)  # X8 Y8: less than compensation needs elsewhere
     assert crossed.motors.belt_acceleration == round(2**0.5 * 7500)

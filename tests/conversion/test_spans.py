@@ -102,16 +102,16 @@ def test_bytes_and_figures_do_not_depend_on_the_processes(
 
 @pytest.mark.usefixtures("short")
 def test_nothing_is_lost_between_spans(paper: Printer) -> None:
-    lines = cube()
+    lines = [line for line in cube() if not line.startswith(b";MESH:")]  # which release it
     text, conversion = converted(lines, paper, 1)
     before, after = follow(b"".join(lines)), follow(text)
     np.testing.assert_allclose(np.diff(after.at_layer), np.diff(before.at_layer), atol=1e-4)
     assert conversion.report().filament_after == pytest.approx(before.filament, abs=1e-5)
     assert after.filament == pytest.approx(before.filament, abs=1e-5)
     times = [line for line in text.splitlines() if line.startswith(b";TIME_ELAPSED:")]
-    elapsed = [float(line.split(b":")[1]) for line in times]
+    elapsed = [float(line.split()[-1]) for line in times]
     assert all(a < b for a, b in pairwise(elapsed))
-    assert elapsed[-1] <= conversion.duration
+    assert elapsed[-1] <= conversion.times[1]
     assert text.count(b"SET_VELOCITY_LIMIT VELOCITY=770") == 1  # the stream goes on
 
 
@@ -130,9 +130,9 @@ def test_a_print_takes_hardly_longer_for_being_cut(
     paper: Printer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lines, cuts = cube(), len(list(Spans(planned(cube(), paper)))) - 1
-    cut = converted(lines, paper, 1)[1].duration
+    cut = converted(lines, paper, 1)[1].times[1]
     monkeypatch.setattr(spans, "SECONDS", 1e9)
-    assert 0.0 <= cut - converted(lines, paper, 1)[1].duration <= 0.17 * cuts
+    assert 0.0 <= cut - converted(lines, paper, 1)[1].times[1] <= 0.17 * cuts
 
 
 @pytest.mark.usefixtures("short")

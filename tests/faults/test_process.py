@@ -94,7 +94,7 @@ def test_an_output_that_cannot_be_made_touches_nothing(
 )  # fmt: skip
 def test_what_nobody_hears_is_done_all_the_same(folder: Path, command: str) -> None:
     assert shell(command, folder)[0] == 0
-    assert (folder / "in.gcode").read_bytes().startswith(b"; processed by hframe-post")
+    assert b"; processed by hframe-post" in (folder / "in.gcode").read_bytes()
 
 
 def test_standard_output_by_its_name(folder: Path) -> None:
@@ -102,7 +102,7 @@ def test_standard_output_by_its_name(folder: Path) -> None:
     assert shell(script, folder) == (0, "")
     lines = (folder / "all").read_text().splitlines()
     assert (lines[0], lines[-1]) == ("before", "after")
-    assert lines[1].startswith("; processed by hframe-post")
+    assert "; processed by hframe-post" in "\n".join(lines[:9])
 
 
 def test_a_reader_that_leaves_is_no_error_to_tell(folder: Path) -> None:
@@ -163,7 +163,7 @@ def test_names_reach_the_output_as_one_printable_line(folder: Path, name: bytes)
     assert done.returncode == 0, done.stderr
     with open(target, "rb") as file:
         lines = file.read().splitlines()
-    assert lines[0].startswith(b"; processed by hframe-post")
+    assert b"; processed by hframe-post" in lines[1]
     known = RECTANGLE.read_bytes().splitlines()
     for line in lines:
         assert line.decode().isprintable()
@@ -175,7 +175,7 @@ def test_two_processes_on_one_file(folder: Path) -> None:
     status, printed = shell("$ME in.gcode -q & $ME in.gcode -q; echo $? >status; wait", folder)
     assert status == 0
     assert "Traceback" not in printed
-    assert (folder / "in.gcode").read_bytes().startswith(b"; processed by hframe-post")
+    assert b"; processed by hframe-post" in (folder / "in.gcode").read_bytes()
     assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml", "status"}
 
 

@@ -25,7 +25,7 @@ from hframe_post.native.ramps import whole_feeds
 from hframe_post.printer.firmware_tables import TABLES, FirmwareTable
 from hframe_post.printer.schema import positive
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Known, Tables, gentle, motors
+from hframe_post.printer.setup import Known, Tables
 from hframe_post.stream.types import ModalState
 
 SAMPLES = 4  # in a segment
@@ -125,12 +125,11 @@ class StubSource(Source):
         a, speed, size = self._acceleration, Known(100.0, "always"), bed or (0.0, 0.0)
         names = ("z_velocity", "extruder_velocity")
         limits = {"velocity": speed, "acceleration": a, "square_corner_velocity": Known(5.0, "")}
-        limits |= dict.fromkeys(names, speed) | gentle(a)
+        limits |= dict.fromkeys(names, speed)
         limits |= dict.fromkeys((name.replace("velocity", "acceleration") for name in names), a)
         return {
             "travel": {k: Known((0.0, v), "") for k, v in zip("xy", size, strict=True)},
             "limits": limits,
-            "motors": motors(kinematics, speed, a, limits["square_corner_velocity"]),
             "firmware.stub": {"acceleration": a},
         }
 

@@ -76,7 +76,7 @@ def test_the_suffix_of_the_output_decides(tmp_path: Path) -> None:
     assert run(str(tmp_path / "out.bgcode"), "-o", str(tmp_path / "o.gcode")).returncode == 1
     (tmp_path / "in.bgcode").write_bytes(binary())
     assert run(str(tmp_path / "in.bgcode"), "-o", str(tmp_path / "o.gcode")).returncode == 0
-    assert (tmp_path / "o.gcode").read_bytes().startswith(b"; processed by hframe-post")
+    assert b"; processed by hframe-post" in (tmp_path / "o.gcode").read_bytes()
     same = run("compare", tmp_path / "in.bgcode", tmp_path / "in.bgcode", "--json", "-")
     assert same.returncode == 0
     assert json.loads(same.stdout)["moves"][0] > 40

@@ -28,6 +28,7 @@ def copied(lines: list[str], dialect: object = Klipper.dialect) -> list[str]:
         ([A, *WALL, END, "G1 X50", B, *WALL], ["G1 X50"]),  # a travel of no object
         ([A, *WALL, B, "G1 X50 Y50 E1", *WALL], ["G1 X50 Y50 E1"]),
         ([A, *WALL, END, "G1 Z.4", A, "G1 X50", *WALL], []),  # the same: it is out or not
+        ([A, *WALL, END, "G1 X50", A, *WALL, END, "G1 X50"], []),  # there is no other
         (["G1 X50", A, *WALL], []),  # what belongs to no object is never left out
         ([A, *WALL, END, B, END, A, "G1 X50"], []),  # nothing of B
         ([A, *WALL, END, B, "G2 X50 Y20 I15 J0", "G1 X5"], ["G2 X50 Y20 I15 J0"]),
@@ -49,9 +50,10 @@ def test_what_follows_an_object_is_copied(lines: list[str], expected: list[str])
     ],
 )  # fmt: skip
 def test_labels(first: str, second: str) -> None:
-    assert copied([first, *WALL, second, "G1 X50"]) == ["G1 X50"]
+    after = [second, "G1 X50", "M486 S7"]  # a second object
+    assert copied([first, *WALL, *after]) == ["G1 X50"]
     assert copied([";TYPE:" + first, *WALL, ";TYPE:" + second, "G1 X50"]) == []
-    marlin = copied([first, *WALL, second, "G1 X50"], Marlin.dialect)
+    marlin = copied([first, *WALL, *after], Marlin.dialect)
     assert marlin == (["G1 X50"] if "M486" in first else [])
 
 

@@ -114,16 +114,21 @@ def test_limits_of_the_file() -> None:
 
 
 @pytest.mark.parametrize(
-    ("own", "line", "corner"),
+    ("own", "line", "corner", "deviation"),
     [
-        ({}, "M205 X8 Y6", math.inf),
-        ({}, "M205 X8 J0.02", 21.97),  # √(0.02 · 10 000 / 0.414)
-        ({}, "M205 J0", 0.0),
-        ({"junction_deviation": 0.0, "jerk": (8.0, 8.0), "jerk_e": 5.0}, "M205 X8 Y6 J0.02", 6.0),
+        ({}, "M205 X8 Y6", math.inf, 0.013),
+        ({}, "M205 X8 J0.02", math.inf, 0.02),
+        ({}, "M205 J0", math.inf, 0.0),
+        (
+            {"junction_deviation": 0.0, "jerk": (8.0, 8.0), "jerk_e": 5.0},
+            "M205 X8 Y6 J0.02",
+            6.0,
+            math.inf,
+        ),
     ],
 )
 def test_a_board_obeys_its_own_kind_of_corners(
-    own: dict[str, object], line: str, corner: float
+    own: dict[str, object], line: str, corner: float, deviation: float
 ) -> None:
     """Marlin is built with junction deviation (J) or with jerk (X, Y) and ignores the other."""
     printer = load("paper-marlin")
@@ -135,16 +140,27 @@ def test_a_board_obeys_its_own_kind_of_corners(
     (block,) = (
         item for item in read(lines, ReadOptions.from_printer(printer)) if isinstance(item, Moves)
     )
-    assert block.corner[0] == pytest.approx(corner, rel=1e-3)
+    assert (block.corner[0], block.limits.deviation) == (corner, deviation)
 
 
 def test_set_velocity_limit() -> None:
     (block,) = moves(
         "SET_VELOCITY_LIMIT ACCEL=3000 SQUARE_CORNER_VELOCITY=0 VELOCITY=120 "
-        "MINIMUM_CRUISE_RATIO=0", "G1 X1",
+        "MINIMUM_CRUISE_RATIO=0.2", "G1 X1",
     )  # fmt: skip
     assert (block.acceleration[0], block.corner[0]) == (3000, 0)
-    assert block.limits.velocity[:2] == (120, 120)
+    assert (block.limits.path, block.limits.cruise_ratio) == (120, 0.2)
+
+
+@pytest.mark.parametrize("asked", [500, 20_000])
+def test_the_firmwares_own_limits_hold_until_the_file_sets_others(asked: int) -> None:
+    """In both directions."""
+    printer = load("paper")
+    lines = [f"{text}\n".encode() for text in (*HOME, "G1 X1", f"M204 S{asked}", "G1 X2")]
+    found = read(lines, ReadOptions.from_printer(printer))
+    (block,) = (item for item in found if isinstance(item, Moves))
+    assert block.acceleration.tolist() == [10_000, asked]
+    assert (block.corner[0], block.limits.path) == (5.0, 300.0)
 
 
 def test_retraction_and_lift_stand_still() -> None:

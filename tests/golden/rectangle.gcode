@@ -1,6 +1,6 @@
-; processed by hframe-post 0.1.0, printer paper, settings d9bf7795767b
-; hframe-post:
 ;FLAVOR:Marlin
+; processed by hframe-post 0.1.dev1000, printer paper, settings d9bf7795767b
+; hframe-post:
 G28
 G90
 M83

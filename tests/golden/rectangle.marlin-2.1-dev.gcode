@@ -1,5 +1,5 @@
-; hframe-post:
 ;FLAVOR:Marlin
+; hframe-post:
 G28
 G90
 M83

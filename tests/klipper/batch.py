@@ -289,7 +289,7 @@ def offer_live(folder: Path) -> None:
 
         def iter_modules(prefix: str, path: Path) -> Any:
             yield from original(prefix, path)
-            if path.name == "plugins":
+            if path.name == "plugins" and not (path / link.name).exists():
                 klippy_module("plugins").__path__.append(str(link.parent))
                 yield from original(prefix, link.parent)
 

@@ -85,10 +85,8 @@ def settle(owner: Owner, home: Path, measured: bool) -> None:
 
 def lower_belts(limit: float) -> None:
     """Edit the profile as docs/start.md advises where layers shift."""
-    lines = Path(PROFILE).read_text().splitlines()
-    k = next(k for k, line in enumerate(lines) if line.startswith("belt_acceleration"))
-    lines[k] = f"belt_acceleration = {limit:g}  #" + lines[k].partition("#")[2]
-    Path(PROFILE).write_text("\n".join([*lines, ""]))
+    text = Path(PROFILE).read_text()
+    Path(PROFILE).write_text(f"{text}\n[motors]\nbelt_acceleration = {limit:g}\n")
 
 
 def _done(*words: str | Path) -> None:

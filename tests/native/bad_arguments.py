@@ -100,7 +100,7 @@ def right() -> dict[str, Arguments]:
         ],
         "least_squares": [*stop],
         "limit_moves": [
-            floats(6, 4), floats(5), floats(5), floats(5), 5, floats(19), floats(5, 4),
+            floats(6, 4), floats(5), floats(5), floats(5), 5, floats(23), floats(5, 4),
         ],
         "marlin_block_times": [n, steps, *(floats(n) for _ in range(4)), stepper, floats(n)],
         "marlin_blocks": [

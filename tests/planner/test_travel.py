@@ -10,6 +10,7 @@ import pytest
 
 from hframe_post.arrays import Array
 from hframe_post.errors import PrinterError
+from hframe_post.model.kinematics import Kinematics
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
@@ -85,13 +86,15 @@ def test_a_ramp_that_would_never_end_is_refused() -> None:
 
 
 @pytest.mark.parametrize("asked", [math.inf, 1500.0, 600.0])
-def test_a_diagonal_may_have_the_acceleration_of_both_axes(asked: float) -> None:
-    """As a board whose M201 limits each axis, and whose M204 the file sets."""
-    own = replace(LIMITS, acceleration=500.0, acceleration_by_axis=True)
+@pytest.mark.parametrize("kinematics", ["cartesian", "corexy"])
+def test_m201_limits_each_motor(kinematics: str, asked: float) -> None:
+    """On a cartesian printer a diagonal has √2 times as much, on a CoreXY as little less."""
+    (ax, ay), (bx, by) = Kinematics(kinematics).matrix.tolist()
+    own = FileLimits(acceleration=(500.0, 500.0, math.inf, math.inf), belts=((ax, ay), (bx, by)))
     corners = [(0, 0, 0.2, 0), (40, 0, 0.2, 1), (80, 40, 0.2, 2), (80, 80, 0.2, 3)]
-    (planned,) = plan([moves(corners, acceleration=asked)], own)
+    (planned,) = plan([moves(corners, acceleration=asked, limits=own)], LIMITS)
     assert isinstance(planned, Plan)
     line = planned.line[planned.ends[:-1]]
     found = [planned.acceleration[line == k].max() for k in planned.line]
-    diagonal = 500.0 if math.isinf(asked) else min(asked, math.sqrt(2.0) * 500.0)
-    np.testing.assert_allclose(found, [500.0, diagonal, 500.0])
+    along = math.sqrt(2.0) if kinematics == "cartesian" else math.sqrt(0.5)
+    np.testing.assert_allclose(found, [500.0, min(asked, along * 500.0), 500.0])

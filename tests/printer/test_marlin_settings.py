@@ -223,14 +223,6 @@ def test_answers_of_real_boards(answers: Path, board: str) -> None:
     assert read == pytest.approx(READ[board], rel=1e-3)
 
 
-@pytest.mark.parametrize(("kinematics", "diagonal"), [("cartesian", 2.0**0.5), ("corexy", 1.0)])
-def test_m201_limits_each_motor(answers: Path, kinematics: str, diagonal: float) -> None:
-    """On a cartesian printer, x and y each have it. On a CoreXY, a diagonal has no more."""
-    limits = profile(MarlinSettings([answers]), kinematics).limits
-    assert limits.acceleration_by_axis == (diagonal > 1.0)
-    assert limits.deceleration == pytest.approx(diagonal * limits.acceleration, abs=1.0)
-
-
 def test_limits_of_stealth_mode_are_left_out_and_the_owner_knows(answers: Path) -> None:
     mode = "Prusa MK3, stealth mode too"
     answers.write_text(BOARDS[mode])

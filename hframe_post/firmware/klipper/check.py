@@ -13,10 +13,10 @@ from typing import NamedTuple
 from hframe_post.firmware.configuration import Finding
 from hframe_post.firmware.klipper.live import klipper_name
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.klipper.settings import corner_in, extruder
+from hframe_post.firmware.klipper.settings import extruder
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
 from hframe_post.printer.settings import SMOOTH_TIME, Printer
-from hframe_post.printer.setup import Known, as_float, motors
+from hframe_post.printer.setup import Known, as_float
 
 CLOSE = 1e-3  # tolerated difference of two numbers
 SHAPES = re.compile(r"^\s*SET_INPUT_SHAPER\b[^\n]*SHAPER_FREQ", re.MULTILINE | re.IGNORECASE)
@@ -50,7 +50,6 @@ def check(
         *_steps(config, printer),
         *_numbers(config, printer),
         *_travel(config, printer),
-        *_above(config, printer, chosen),
     ):
         where = f"{config.place(section, option)}: [{section}] {text}"
         if key in chosen:
@@ -161,33 +160,6 @@ def _travel(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDifferenc
             if math.isfinite(end) and not inside:
                 text = f"{option}: {bound:g}, but travel.{axis} reaches to {end:g}"
                 yield ConfigDifference(True, section, option, text, f"travel.{axis}")
-
-
-def _above(
-    config: KlipperConfig, printer: Printer, chosen: Collection[str]
-) -> Iterator[ConfigDifference]:
-    """Yield limits above those that `setup` derives from max_velocity and max_accel."""
-    speed, acceleration = (Known(value, "") for value in _speed_and_acceleration(config))
-    belts = motors(printer.kinematics.type, speed, acceleration, corner_in(config))
-    for option, key, known in (
-        ("max_velocity", "velocity", speed),
-        ("max_accel", "acceleration", acceleration),
-    ):
-        limits = (
-            (f"limits.{key}", getattr(printer.limits, key), as_float(known)),
-            (f"motors.belt_{key}", getattr(printer.motors, f"belt_{key}"),
-             as_float(belts[f"belt_{key}"])),
-        )  # fmt: skip
-        for who in ("as you chose", "which nobody chose"):
-            above = [
-                f"{name} = {has:g} (at most {most:g})"
-                for name, has, most in limits
-                if has > (1.0 + CLOSE) * most and (name in chosen) == (who == "as you chose")
-            ]
-            if above:
-                has = config.text("printer", option)
-                text = f"{option}: {has}, but the profile has {' and '.join(above)}, {who}"
-                yield ConfigDifference(who != "as you chose", "printer", option, text)
 
 
 def _stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:

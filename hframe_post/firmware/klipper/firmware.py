@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from hframe_post.firmware.advance import Advance, klipper_advance, klipper_seconds
-from hframe_post.firmware.base import MOST, Firmware, FirmwareLimits, unlimited
+from hframe_post.firmware.base import Firmware, FirmwareLimits, belts, unlimited
 from hframe_post.firmware.configuration import Finding, Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words, object_label
 from hframe_post.firmware.klipper.code import KlipperCode, averaged_shorter, table_of
@@ -15,6 +15,7 @@ from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.model.shapers import Shaping
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import FileLimits
 
 _LABEL = re.compile(  # Klipper's, and comments that hosts replace by them
     rb"EXCLUDE_OBJECT_START\b.*?\bNAME=([^\s;]+)|EXCLUDE_OBJECT_END\b"
@@ -74,13 +75,11 @@ class Klipper(Firmware):
 
     def limits(self, printer: Printer) -> FirmwareLimits:
         table = table_of(printer)
-        own = unlimited(
-            printer.limits, velocity=table.velocity, acceleration=MOST,
-            square_corner_velocity=table.square_corner_velocity,
-        )  # fmt: skip
-        usual = table.acceleration  # a file may set more
-        ratio = table.minimum_cruise_ratio
-        return FirmwareLimits(own, usual, usual, cruise_ratio=ratio)
+        own, usual = unlimited(printer.limits), table.acceleration
+        others = FileLimits(
+            path=table.velocity, cruise_ratio=table.minimum_cruise_ratio, belts=belts(printer)
+        )
+        return FirmwareLimits(own, usual, usual, table.square_corner_velocity, others)
 
     def most(self, printer: Printer) -> tuple[float, float]:
         table = table_of(printer)

@@ -31,6 +31,16 @@ def live_kernel(printer: Printer) -> Kernel:
     return kernel(printer.plant, printer.kinematics, _bounds(printer))
 
 
+def by_itself(printer: Printer, name: str) -> dict[str, Kernel]:
+    """Return the kernel under a name; nothing where there is none."""
+    if printer.firmware.klipper is None:
+        return {}
+    try:
+        return {name: live_kernel(printer)}
+    except ArgumentError:  # the motors cannot follow
+        return {}
+
+
 def _bounds(printer: Printer) -> Bounds:
     table, motors, travel = table_of(printer), printer.motors, printer.travel
     return Bounds(

@@ -13,8 +13,6 @@ from hframe_post.printer.setup import (
     Known,
     Tables,
     as_float,
-    gentle,
-    motors,
     profile_text,
     sweep,
 )
@@ -50,13 +48,11 @@ def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
         "limits": {
             "velocity": velocity,
             "acceleration": acceleration,
-            **gentle(acceleration),
             "square_corner_velocity": corner,
             "z_velocity": _or(config, "printer", "max_z_velocity", velocity),
             "z_acceleration": _or(config, "printer", "max_z_accel", acceleration),
             **extruder(config, velocity, acceleration),
         },
-        "motors": motors(kinematics, velocity, acceleration, corner),
         "steps": _steps(config),
         "retraction": _retraction(config),
         "extruder": _advance(config),

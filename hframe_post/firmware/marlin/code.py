@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -29,6 +30,8 @@ TRAPEZOIDS = "M494 T0 X0 Y0 Z0 E0"  # of 2026; another trajectory leaves ramps u
 @dataclass(frozen=True, slots=True)
 class MarlinCode(Code):
     """Marlin's G-code. limits: the user's."""
+
+    when_stopped: ClassVar[str] = "M501 and M82 (without EEPROM: switch the printer off and on)"
 
     table: MarlinTable
     limits: Limits

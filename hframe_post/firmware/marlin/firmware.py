@@ -5,6 +5,7 @@ These are imported where they are needed: most printers run Klipper.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,13 +13,19 @@ from typing import TYPE_CHECKING
 
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.advance import Advance, marlin_advance
-from hframe_post.firmware.base import MOST, Firmware, FirmwareLimits, unlimited
+from hframe_post.firmware.base import (
+    UNLIMITED_DEVIATION,
+    Firmware,
+    FirmwareLimits,
+    belts,
+    unlimited,
+)
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
 from hframe_post.model.shapers import Shaping
-from hframe_post.native.corners import square_corner_velocity
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import FileLimits
 
 if TYPE_CHECKING:
     from hframe_post.firmware.marlin.code import MarlinCode
@@ -70,14 +77,8 @@ class Marlin(Firmware):
     def reads(self, printer: Printer) -> Dialect:
         """Return what its build reads: one with junction deviation ignores M205 X and Y."""
         table = printer.firmware.marlin
-        if table is None or table.classic_jerk:
-            return self.dialect
-        acceleration = printer.limits.acceleration
-
-        def corner(words: Words, before: float) -> float:
-            return square_corner_velocity(words["J"], acceleration) if "J" in words else before
-
-        return replace(self.dialect, corner=corner)
+        known = table is not None and not table.classic_jerk
+        return replace(self.dialect, has_deviation=known)
 
     def moves(self, printer: Printer) -> MarlinMoves:
         from hframe_post.firmware.marlin.written_moves import MarlinMoves
@@ -93,14 +94,17 @@ class Marlin(Firmware):
         table = printer.firmware.marlin
         if table is None:
             return super().limits(printer)
-        corner = {"square_corner_velocity": min(table.jerk)}
-        if not table.classic_jerk:
-            corner = {"square_corner_velocity": 1e4, "junction_deviation": table.junction_deviation}
-        velocity = min(table.max_velocity)
-        own = unlimited(printer.limits, velocity=velocity, acceleration=MOST, **corner)
+        (v_x, v_y), (a_x, a_y) = table.max_velocity, table.max_acceleration
+        corner, deviation, known = min(table.jerk), math.inf, math.inf
+        if not table.classic_jerk:  # such a board knows no other rule, whatever the file says
+            corner, deviation, known = math.inf, table.junction_deviation, UNLIMITED_DEVIATION
+        others = FileLimits(
+            (v_x, v_y, math.inf, math.inf), (a_x, a_y, math.inf, math.inf), deviation=deviation,
+            belts=belts(printer),
+        )  # fmt: skip
         return FirmwareLimits(
-            own, table.acceleration, table.travel_acceleration, table.max_acceleration,
-            printer.kinematics.matrix, durations=self.code(printer).durations,
+            unlimited(printer.limits, known), table.acceleration,
+            table.travel_acceleration, corner, others, self.code(printer).durations,
         )  # fmt: skip
 
     def shaper_settings(self, shaping: Shaping) -> str:

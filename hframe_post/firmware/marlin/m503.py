@@ -13,10 +13,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hframe_post.errors import HframeError
-from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.corners import square_corner_velocity
 from hframe_post.printer.decoding import file_text
-from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, gentle, motors, sweep
+from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, sweep
 
 MAX_SIZE = 1 << 22  # bytes of a file
 LINE = re.compile(r"(?:^|[\s:>])(M\d+)((?: +[A-Z](?:-?\d+\.?\d*)?(?=\s|$))+)")
@@ -212,16 +211,11 @@ def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Kno
     printing = settings.word("M204", "P")
     acceleration = min(printing, highest, key=as_float)
     corner = _corner(settings, acceleration)
-    diagonal, by_axis = 1.0, dict[str, Known]()
-    if Kinematics(kinematics).bed_moves:  # a motor for each axis
-        diagonal, by_axis = math.sqrt(2.0), {"acceleration_by_axis": Known(True, "as M201 does")}
     tables: Tables = {
         "travel": travel,
         "limits": {
             "velocity": velocity,
             "acceleration": acceleration,
-            **by_axis,
-            **gentle(acceleration, diagonal),
             "square_corner_velocity": corner,
             **_deviation(settings),
             "z_velocity": settings.word("M203", "Z"),
@@ -229,7 +223,6 @@ def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Kno
             "extruder_velocity": settings.word("M203", "E"),
             "extruder_acceleration": settings.word("M204", "R"),
         },
-        "motors": motors(kinematics, velocity, acceleration, corner),
         "steps": _steps(settings),
         "retraction": _retraction(settings),
         "extruder": _advance(settings),

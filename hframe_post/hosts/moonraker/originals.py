@@ -19,8 +19,11 @@ from pathlib import Path
 from .disk import FOLDER, gcode_files, place
 
 STAMP = r"; processed by hframe-post (?P<version>[^\s,]+)"
-SETTINGS = re.compile(rb"; processed by hframe-post [^\n]*, settings (?P<settings>[0-9a-f]+)\r?\n")
+SETTINGS = re.compile(
+    rb"^; processed by hframe-post .*, settings (?P<settings>[0-9a-f]+)\r?$", re.M
+)
 HEAD = 4096  # bytes of a converted file that tell it from others
+COMMENTS = 1 << 20  # bytes in which Moonraker looks for the stamp; previews may precede it
 SUFFIX, PAGE_SUFFIX = ".original", ".html"
 LEAST_FREE = 0.05  # of the disk, that kept files leave
 FREE_FOR_PAGE = 100_000_000  # bytes: with less, the converted file may not fit next to it
@@ -29,7 +32,7 @@ FREE_FOR_PAGE = 100_000_000  # bytes: with less, the converted file may not fit 
 def settings_of(path: Path) -> str:
     """Return the hash of the settings that a file was converted with; empty: it was not."""
     with contextlib.suppress(OSError), path.open("rb") as file:
-        if found := SETTINGS.match(file.read(HEAD)):
+        if found := SETTINGS.search(file.read(COMMENTS)):
             return found["settings"].decode()
     return ""
 

@@ -19,7 +19,7 @@ from typing import IO, Any, NamedTuple
 CONVERTED = "; processed by hframe-post"
 REFUSED = ";NOT COMPENSATED: hframe-post failed: "
 COMMENT = "; hframe-post: "
-HEAD = 16384  # bytes; the summary is at most half of that
+HEAD = 1 << 20  # bytes; previews may precede the summary
 
 
 class Settings(NamedTuple):
@@ -117,19 +117,22 @@ def mark(path: str, reason: str) -> None:
 def summary(path: str) -> dict[str, str] | None:
     """Return what a file's head says of its conversion: a line, and all, or None."""
     with open(path, "rb") as file:
-        first, *lines = file.read(HEAD).decode("utf-8", "replace").splitlines() or [""]
+        head = file.read(HEAD).decode("utf-8", "replace")
+    first = head.partition("\n")[0]
     if first.startswith(REFUSED):
         reason = first[len(REFUSED) :].partition("; ")[0]
         return {"line": f"NOT compensated: {reason}", "all": first[1:]}
-    if not first.startswith(CONVERTED):
+    _, stamp, text = f"\n{head}".partition(f"\n{CONVERTED}")
+    if not stamp:
         return None
+    first, *lines = f"{CONVERTED[2:]}{text}".splitlines()
     said = [line[len(COMMENT) :].rstrip() for line in lines if line.startswith(COMMENT)]
     results = [line for line in said if line.startswith("result")] or ["result"]
     words = re.split("[;(]", results[0].partition("result")[2])[0].split()
     warnings = sum(line.startswith("WARNING") for line in said)
     counted = f"; {warnings} warning{'s' * (warnings > 1)}" if warnings else ""
     return {"line": " ".join(["Compensated:" if words else "Compensated", *words]) + counted,
-            "all": "\n".join([first[2:], *said])}  # fmt: skip
+            "all": "\n".join([first, *said])}  # fmt: skip
 
 
 def show(name: str, lines: list[str]) -> None:

@@ -122,7 +122,7 @@ def summary(printer: Printer, planned: Sequence[SweepRun]) -> str:
         f"{duration(seconds_of(planned))} in all, of strokes as in a print of up to "
         f"{limits.velocity:.0f} mm/s and {limits.acceleration:.0f} mm/s²"
     )
-    if limits.acceleration < printer.limits.acceleration:
+    if limits.acceleration < 0.999 * printer.limits.acceleration:  # rounding of [motors]
         text += (
             f"\nlimits.acceleration, {printer.limits.acceleration:g} mm/s², is more than [motors] "
             "or firmware.klipper.acceleration allow"

@@ -15,12 +15,13 @@ from itertools import chain
 from typing import Any
 
 from hframe_post.arrays import TS
-from hframe_post.compensation.shape import shape
+from hframe_post.compensation.shape import LIVE, Shapes, shape
 from hframe_post.conversion.meters import ErrorMeter
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream, parsed
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
+from hframe_post.firmware.klipper.live import by_itself
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
@@ -63,15 +64,13 @@ def compare_shapers(
     shapings = {found.x.name: found for found in search(printer.plant, pieces)}
     shapings |= {name + CALIBRATED: calibrated_with(printer.plant, name) for name in KLIPPER}
     sliced, meter = AsSliced(firmware(printer).limits(printer)), ErrorMeter(plant)
-    today = shape(sliced.samples(parsed(lines(), printer, options)), shapings)
+    by_firmware: dict[str, Shapes] = {**shapings, **by_itself(printer, LIVE)}
+    today = shape(sliced.samples(parsed(lines(), printer, options)), by_firmware)
     ours = SampleStream(lines(), printer, options, tuple(STRATEGIES)[1:])
     for _ in chain(meter.samples(today), meter.samples(ours)):
         pass
     durations = dict.fromkeys(STRATEGIES, ours.report().time.after) | {"none": sliced.seconds}
-    durations |= {
-        name: sliced.seconds + TS * max(s.x.shaper.reach, s.y.shaper.reach)
-        for name, s in shapings.items()
-    }
+    durations |= {name: sliced.seconds + TS * one.reach for name, one in by_firmware.items()}
     compared = (
         ShaperComparison(name, shapings.get(name), contour, meter.width[name], durations[name])
         for name, contour in meter.contour.items()

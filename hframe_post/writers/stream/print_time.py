@@ -8,29 +8,38 @@ from __future__ import annotations
 import math
 import re
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import IO
 
-ELAPSED = re.compile(rb";\s*TIME_ELAPSED:")
-DURATION = re.compile(  # in slicers' words: of the whole print, or what is left of it
-    rb"\s*;[\s;-]*(?:(?P<left>REMAINING_TIME)|TIME|PRINT\.TIME|estimated_time\(s\)"
-    rb"|(?:total )?estimated (?:print(?:ing)? )?time(?: \([a-z ]+\))?"
-    rb"|model printing time|(?:estimated )?(?:print|build) time)\s*[:=]\s*(?=\d)",
+SUMMARY_ROOM = 4096  # bytes: the summary's length is not known when the body is written after it
+ROOM = 4  # bytes beyond a deferred line's present length, for numbers with more digits
+
+# comments that say a time, in slicers' words: how much has passed, is left, or all of it
+_COMMENT = re.compile(
+    rb"\s*;[\s;-]*(?:(?P<gone>TIME_ELAPSED)|(?P<left>REMAINING_TIME)|TIME|PRINT\.TIME"
+    rb"|estimated(?:_print)?_time(?:_s|\(s\))"
+    rb"|(?:total |model |estimated |calculated-during-export )*(?:print(?:ing)?|build)?[ _]?time"
+    rb"(?: \([a-z ]+\))?)\s*[:=]\s*(?=\d)",
     re.IGNORECASE,
 )
-PROGRESS = re.compile(rb"\s*M73(?!\d)[^;]*[PQRS]\s*\d", re.IGNORECASE)
-SUMMARY_ROOM = 4096  # bytes: the summary's length is not known when the body is written after it
-ROOM = 24  # bytes beyond a deferred line's present length
+_MESSAGE = re.compile(rb"\s*M11[78][^;]*?\b(?P<left>time left|remaining) +(?=\d)", re.IGNORECASE)
+_PROGRESS = re.compile(rb"\s*M73(?!\d)[^;]*?[RS]\s*(?=\d)", re.IGNORECASE)
+_LEFT = re.compile(rb"(?<=[RS])(\s*)(\d+(?:\.\d+)?)(?=[^;]*)", re.IGNORECASE)  # minutes, of M73
+_HEAD = re.compile(
+    rb"(?:[ \t\r]*(?:;[^\n]*|M10086\b[^\n]*)?\n)*"
+)  # M10086: an MKS screen's preview
 
 _NUMBER = rb"\d+(?:\.\d+)?"
-_CLOCK = re.compile(rb"\d+:\d\d(?::\d\d)?(?![\d:])")
-_LONG_SECONDS = re.compile(rb"\d{3,}(?=s\b)")
-_UNITS = re.compile(rb"(?:\d+ ?[dhms](?![a-z]) ?)+(?<! )", re.IGNORECASE)
-_WORDS = re.compile(rb"\d+ hours?,? \d+ min(?:ute)?s?", re.IGNORECASE)
-_MINUTES = re.compile(rb"%b(?= min)" % _NUMBER, re.IGNORECASE)
-_SECONDS = re.compile(rb"%b(?= ?(?:s\b|sec|$|[\r;-]))" % _NUMBER)
-_PROGRESS = re.compile(rb"([PQRS])\s*%b" % _NUMBER, re.IGNORECASE)
+_CLOCK = re.compile(rb"(\d+):(\d\d)(?::(\d\d))?(?![\d:]|\s*[dhms])")
+_UNIT = rb"(?:d(?:ays?)?|h(?:(?:ou)?rs?)?|m(?:in(?:ute)?s?)?|s(?:ec(?:ond)?s?)?)(?![a-z])"
+_UNITS = re.compile(
+    rb"%b ?%b(?:[ ,:]*(?:and )?%b ?%b)*" % (_NUMBER, _UNIT, _NUMBER, _UNIT), re.IGNORECASE
+)
+_SECONDS = re.compile(_NUMBER)
+_IN_UNITS = re.compile(rb"(%b)( ?)(%b)" % (_NUMBER, _UNIT), re.IGNORECASE)
+_PER_UNIT = {b"d": 86400, b"h": 3600, b"m": 60, b"s": 1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +60,7 @@ SUMMARY = DeferredLine(b"; hframe-post:", 0.0, summary=True)
 
 def passed_on(line: bytes, elapsed: float) -> Output:
     """Return a line of the file as output, deferred if it depends on the print's time."""
-    if ELAPSED.match(line) or DURATION.match(line) or PROGRESS.match(line):
+    if any(form.match(line) for form in (_COMMENT, _PROGRESS, _MESSAGE)):
         return DeferredLine(line, elapsed)
     return line + b"\n"
 
@@ -60,17 +69,39 @@ def later(output: Output, seconds: float) -> Output:
     """Return the output of a part of the print that begins this long after the print."""
     if not isinstance(output, DeferredLine):
         return output
-    elapsed = output.elapsed + seconds
-    if ELAPSED.match(output.line):
-        return b";TIME_ELAPSED:%.6f\n" % elapsed
-    return replace(output, elapsed=elapsed)
+    return replace(output, elapsed=output.elapsed + seconds)
+
+
+def after_head(output: Iterable[Output], *added: Output) -> Iterator[Output]:
+    """Yield the output with more behind the comments that it begins with.
+
+    Screens look for a preview in the first bytes of a file, or at a fixed place.
+    """
+    output = iter(output)
+    for piece in output:
+        text = piece.line + b"\n" if isinstance(piece, DeferredLine) else piece
+        head = _HEAD.match(text)
+        if head is not None and head.end() == len(text):
+            yield piece
+            continue
+        if head is not None and head.end():
+            yield text[: head.end()]
+            piece = text[head.end() :]
+        yield from added
+        yield piece
+        yield from output
+        return
+    yield from added
 
 
 def write_output(
-    file: IO[bytes], output: Iterable[Output], total: Callable[[], float],
+    file: IO[bytes], output: Iterable[Output], times: Callable[[], tuple[float, float]],
     summary: Callable[[], str] = str,
 ) -> None:  # fmt: skip
-    """Write the output. total (the print's time, s) and summary are called at its end."""
+    """Write the output.
+
+    times: of the print as sliced and as converted, s. They and the summary are known at its end.
+    """
     places, elapsed = array("q"), array("d")  # a file may have a million deferred lines
     place = file.tell()  # counted from here on: asking the file each time would be slow
     for piece in output:
@@ -81,13 +112,14 @@ def write_output(
             piece = piece.line.ljust(size) + b"\n"
         file.write(piece)
         place += len(piece)
-    for k, after in enumerate(elapsed):
+    before_and_after = times()
+    for k, passed in enumerate(elapsed):
         place, size, is_summary = places[3 * k : 3 * k + 3]
         file.seek(place)
         if is_summary:
             text = commented(summary(), size)
         else:
-            text = with_times(DeferredLine(file.read(size - ROOM), after), total())
+            text = with_times(DeferredLine(file.read(size - ROOM), passed), *before_and_after)
         file.seek(place)
         file.write(text.ljust(size)[:size])
 
@@ -111,50 +143,80 @@ def duration(seconds: float) -> str:
     return f"{h}h {m:02d}m {s:02d}s" if h else f"{m}m {s:02d}s"
 
 
-def with_times(deferred: DeferredLine, total: float) -> bytes:
-    """Return the line with print times for a print that takes total seconds."""
-    left = max(total - deferred.elapsed, 0.0)
-    label = DURATION.match(deferred.line)
-    if label is not None:
-        head, value = deferred.line[: label.end()], deferred.line[label.end() :]
-        return head + _restyled(value, left if label["left"] else total)
-    percent = round(100.0 * deferred.elapsed / total) if total else 100
+def with_times(deferred: DeferredLine, before: float, after: float) -> bytes:
+    """Return the line with its times changed by as much as conversion changes the print's.
 
-    def progress(match: re.Match[bytes]) -> bytes:
-        letter = match[1].upper()
-        return letter + str(percent if letter in b"PQ" else math.ceil(left / 60.0)).encode()
+    before, after: duration of the print as sliced and as converted, s. What only the slicer knows
+    of, such as tool changes, stays in them.
+    """
+    line, share = deferred.line, deferred.elapsed / after if after else 0.0
+    change = {"all": after - before, "gone": (after - before) * share}
+    change["left"] = change["all"] - change["gone"]
+    faster = min(after / before, 1.0) if before else 1.0
 
-    command, semicolon, comment = deferred.line.partition(b";")
-    return _PROGRESS.sub(progress, command) + semicolon + comment
+    def changed(kind: str, seconds: float) -> float:
+        return max(seconds + change[kind], faster * seconds)  # a slicer may expect much less
 
+    if _PROGRESS.match(line):
 
-def _restyled(value: bytes, seconds: float) -> bytes:
-    """Return value with the time that it begins with replaced, in the same style."""
-    hours, minutes = divmod(round(seconds / 60.0), 60)
-    h, left = divmod(math.ceil(seconds), 3600)
-    styles = (
-        (_CLOCK, f"{h}:{left // 60:02d}:{left % 60:02d}"),
-        (_WORDS, f"{hours} hours {minutes} minutes"),
-        (_LONG_SECONDS, str(math.ceil(seconds))),
-        (_UNITS, duration(seconds)),
-        (_MINUTES, f"{seconds / 60.0:.2f}"),
-        (_SECONDS, str(math.ceil(seconds))),
-    )
-    for style, text in styles:
-        if (old := style.match(value)) is not None:
-            rest = value[old.end() :]
-            following = re.match(rb";\s*", rest)
-            if following and (label := DURATION.match(b";" + rest[following.end() :])):
-                # OrcaSlicer: the model alone, then all: what is before the model stays as long
-                start = following.end() + label.end() - 1
-                before = _seconds(rest[start:]) - _seconds(value)
-                rest = rest[:start] + _restyled(rest[start:], seconds + max(before, 0.0))
-            return text.encode() + rest
-    return value
+        def minutes(match: re.Match[bytes]) -> bytes:
+            return match[1] + _rounded(changed("left", 60.0 * float(match[2])), 60, match[2])
+
+        command, semicolon, comment = line.partition(b";")
+        return _LEFT.sub(minutes, command) + semicolon + comment
+    at = 0
+    while label := (_COMMENT.match(line, at) or _MESSAGE.match(line, at)):
+        kind = label.lastgroup or "all"
+        end, text = _restyled(line[label.end() :], partial(changed, kind), before)
+        at, line = label.end() + len(text), line[: label.end()] + text + line[label.end() + end :]
+    return line
 
 
-def _seconds(value: bytes) -> float:
-    units = {b"d": 86400.0, b"h": 3600.0, b"m": 60.0, b"s": 1.0}
-    match = _UNITS.match(value)
-    parts = re.findall(rb"(\d+) ?([dhms])", match[0].lower()) if match else []
-    return sum(float(number) * units[unit] for number, unit in parts)
+def _restyled(
+    value: bytes, changed: Callable[[float], float], expected: float
+) -> tuple[int, bytes]:
+    """Change the time that value begins with, and keep its form.
+
+    Returns how many bytes it has and those that replace them. expected: s; tells m:ss from h:mm.
+    """
+    if clock := _CLOCK.match(value):
+        units = [3600, 60, 1] if clock[3] else [3600, 60]
+        parts = [part for part in clock.groups() if part]
+        if not clock[3]:
+            minutes = 60.0 * int(parts[0]) + int(parts[1])
+            if abs(math.log(max(expected, 1.0) / max(minutes, 1.0))) < math.log(60.0) / 2.0:
+                units = [60, 1]
+        texts = _spread(parts, units, changed)
+        return clock.end(), b":".join([texts[0], *(text.rjust(2, b"0") for text in texts[1:])])
+    if found := _UNITS.match(value):
+        named = _IN_UNITS.findall(found[0])
+        units = [_PER_UNIT[unit[:1].lower()] for *_, unit in named]
+        numbers = iter(_spread([number for number, *_ in named], units, changed))
+        return found.end(), _IN_UNITS.sub(lambda m: next(numbers) + m[2] + m[3], found[0])
+    if (seconds := _SECONDS.match(value)) is None:
+        return 0, b""
+    return seconds.end(), _rounded(changed(float(seconds[0])), 1, seconds[0])
+
+
+def _spread(
+    parts: Sequence[bytes], units: Sequence[int], changed: Callable[[float], float]
+) -> list[bytes]:
+    """Return the changed sum of numbers of units as such numbers; all but the last are whole."""
+    total = sum(float(part) * unit for part, unit in zip(parts, units, strict=True))
+    step = units[-1] / 10 ** len(parts[-1].partition(b".")[2])
+    left, texts = round(changed(total) / step) * step, []
+    for part, unit in zip(parts[:-1], units[:-1], strict=True):
+        count = int((left + 1e-9 * unit) // unit)
+        left -= count * unit
+        texts.append(_padded(b"%d" % count, part))
+    return [*texts, _rounded(left, units[-1], parts[-1])]
+
+
+def _rounded(seconds: float, unit: int, like: bytes) -> bytes:
+    """Return seconds in a unit with as many decimals as ``like``, and its leading zeros."""
+    decimals = len(like.partition(b".")[2])
+    return _padded(f"{max(seconds, 0.0) / unit:.{decimals}f}".encode(), like)
+
+
+def _padded(text: bytes, like: bytes) -> bytes:
+    return text.rjust(len(like), b"0") if like[:1] == b"0" and like[1:2].isdigit() else text

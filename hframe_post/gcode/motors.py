@@ -1,0 +1,72 @@
+"""Motors whose limits nobody stated: what the firmware plays of a file today, they can do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from itertools import chain
+
+import numpy as np
+
+from hframe_post.arrays import Z
+from hframe_post.errors import GcodeError
+from hframe_post.gcode import commands
+from hframe_post.gcode.lexer import Line, command, numbers_among, parameters
+from hframe_post.gcode.state import LimitSource, ReadOptions, State
+from hframe_post.native.corners import square_corner_velocity
+from hframe_post.printer.settings import Printer
+
+BYTES_AHEAD = 1 << 22  # slicers ask for all the accelerations that they use within some layers
+LIMITS = (b"M201", b"M203", b"M204", b"M205", commands.LIMITS.encode())
+
+
+def with_motors(
+    lines: Iterable[bytes], printer: Printer, limits: LimitSource
+) -> tuple[Iterable[bytes], Printer]:
+    """Return the lines, and the printer with motors for the limits that they ask for.
+
+    Only the first BYTES_AHEAD are read, at once. Limits of motors that the profile states stay.
+    limits: see ``ReadOptions``.
+    """
+    stated, kinematics = printer.stated, printer.kinematics
+    own = (
+        printer.limits.velocity,
+        printer.limits.acceleration,
+        printer.limits.square_corner_velocity,
+    )
+    if stated is None or printer.motors != stated.completed(kinematics, *own):
+        return lines, printer
+    rest, head, size = iter(lines), list[bytes](), 0
+    while size < BYTES_AHEAD and (text := next(rest, None)) is not None:
+        head.append(text)
+        size += len(text)
+    options = ReadOptions.from_printer(printer, limits)
+    most = np.max([own, *_asked(head, options)], axis=0).tolist()
+    return chain(head, rest), replace(printer, motors=stated.completed(kinematics, *most))
+
+
+def _asked(lines: Iterable[bytes], options: ReadOptions) -> Iterator[tuple[float, float, float]]:
+    """Yield speed, acceleration and speed through a right angle, once for each change."""
+    state = State(options.dialect, start=options.start)
+    for text in lines:
+        if text.startswith(LIMITS) and options.limits != "printer":
+            line = Line(0, text)
+            with suppress(GcodeError):  # the reader raises it, with its line
+                name, arguments = command(line) or (commands.LIMITS, b"")
+                if options.limits == "file" and name not in options.dialect.obeyed:
+                    continue
+                if name == commands.LIMITS:
+                    words = parameters(line, commands.LIMIT_PARAMETERS)
+                else:
+                    words = numbers_among(line, arguments, commands.LIMIT_WORDS[name])
+                state.set_limits(line, name, words)
+                yield _in_force(state)
+
+
+def _in_force(state: State) -> tuple[float, float, float]:
+    others = state.others
+    hardest = max(state.acceleration, state.travel_acceleration)
+    acceleration = min(hardest, max(others.acceleration[:Z]))
+    corner = min(state.corner, square_corner_velocity(others.deviation, acceleration))
+    return min(others.path, max(others.velocity[:Z])), acceleration, corner

@@ -1,0 +1,197 @@
+"""Live on the real Klipper host: its steps are the kernel's, whatever a print does meanwhile."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_post.firmware.klipper.live import kernel_file, live_kernel
+from hframe_post.hosts.klipper.native import HEADERS, compiled
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Printer
+from tests.klipper.host import KlippyError, Playback, play
+
+PRINTER = replace(load("paper"), invented=False)
+LIMITS = {"max_velocity": 300.0, "max_accel": 10000.0, "square_corner_velocity": 5.0}
+
+
+@pytest.fixture(scope="module")
+def kernel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    data = kernel_file(PRINTER)
+    assert data is not None
+    (path := tmp_path_factory.mktemp("kernel") / "printer.kernel").write_bytes(data)
+    return path
+
+
+def played(lines: list[str], folder: Path, kernel: Path | None, more: str = "") -> Playback:
+    folder.mkdir(exist_ok=True)
+    (file := folder / "file.gcode").write_text("\n".join(["G28", "G90", "M83", *lines, ""]))
+    section = f"\n[hframe_live]\nkernel: {kernel}\n" if kernel is not None else ""
+    return play(file, limits=LIMITS, workdir=folder, sections=section + more)
+
+
+def belts(playback: Playback, t: np.ndarray) -> np.ndarray:
+    """Return positions of A and B by the steps (2, n), mm."""
+    steps = playback.steps()
+    return np.stack([steps[motor].position(t) for motor in "AB"])
+
+
+def wanted(playback: Playback, printer: Printer, t: np.ndarray) -> np.ndarray:
+    """Return where the kernel takes A and B (2, n) for the host's own moves, at whole ms."""
+    command = live_kernel(printer).run(playback.position(t)[:, :2])
+    return printer.kinematics.belts(*command.T)
+
+
+@pytest.mark.slow
+@pytest.mark.klipper
+def test_the_hosts_steps_are_the_kernels(kernel: Path, tmp_path: Path) -> None:
+    lines = [f"G1 X{x} Y{y} F9000 E0.5" for x, y in
+             ((170, 75), (200, 75), (200, 95), (170, 95), (150, 60), (240, 61))]  # fmt: skip
+    playback = played(lines, tmp_path, kernel)
+    assert playback.warnings == ()
+    t = np.arange(int(1e3 * playback.start) - 200, int(1e3 * playback.end) + 100) * 1e-3
+    off = belts(playback, t) - wanted(playback, PRINTER, t)
+    size = playback.steps()["A"].size
+    assert np.abs(off).max() < 0.6 * size + 0.005  # its step compression may be 25 us late
+    bare = played(lines, tmp_path / "bare", None)
+    assert [len(each.steps()["e"].time) for each in (playback, bare)] == [
+        len(bare.steps()["e"].time)
+    ] * 2
+    assert playback.duration == pytest.approx(bare.duration, rel=3e-3)
+
+
+FAULTS = (
+    "SET_KINEMATIC_POSITION X={x:.3f} Y={y:.3f}",
+    "G4 P{ms}",
+    "M400",
+    "M204 S3000",
+    "M84\nSET_KINEMATIC_POSITION X={x:.3f} Y={y:.3f} Z=1",
+    "SET_INPUT_SHAPER SHAPER_FREQ_X=40 SHAPER_FREQ_Y=50",
+    "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
+)
+TOGGLES = (*(f"SET_HFRAME_LIVE ENABLE={on}" for on in (0, 1)),
+           *(f"SET_HFRAME_LIVE TOWER={band}" for band in (0, 1, 2)))  # fmt: skip
+
+
+def drawn(seed: int, count: int, longest: float, faults: float) -> Iterator[str]:
+    """Yield random moves, with a share of faults and toggles between them."""
+    rng = random.Random(seed)
+    x, y = 100.0, 100.0
+    yield f"G1 X{x} Y{y} F9000"
+    for _ in range(count):
+        draw = rng.random()
+        if draw < faults:
+            text = rng.choice(FAULTS if draw < faults / 2.0 else TOGGLES)
+            yield text.format(x=x, y=y, ms=rng.choice([1, 10, 300, 1500]))
+            continue
+        length = rng.uniform(0.02, longest)
+        x = min(max(x + rng.uniform(-length, length), 0.0), 280.0)
+        y = min(max(y + rng.uniform(-length, length), 0.0), 290.0)
+        yield f"G1 X{x:.3f} Y{y:.3f} F{rng.choice([600, 6000, 18000])}"
+    yield "G1 X100 Y100 F6000"
+    yield from ("M400", "G4 P1500")  # a host in batch mode stops before the end of a motion
+
+
+@pytest.mark.slow
+@pytest.mark.klipper
+@pytest.mark.parametrize(
+    ("count", "longest", "faults"), [(2000, 60.0, 0.0), (2000, 30.0, 0.2), (10_000, 1.0, 0.0)]
+)
+def test_no_step_is_lost_and_no_motor_outrun(
+    kernel: Path, tmp_path: Path, count: int, longest: float, faults: float
+) -> None:
+    lines = list(drawn(1, count, longest, faults))
+    live = played(lines, tmp_path / "live", kernel)
+    bare_lines = [line for line in lines if not line.startswith("SET_HFRAME_LIVE")]
+    bare = played(bare_lines, tmp_path / "bare", None)
+    assert live.warnings == ()
+    for motor in "AB":
+        ends = [int(each.steps()[motor].direction.astype(int).sum()) for each in (live, bare)]
+        assert ends[0] == ends[1]
+        trains = live.steps()[motor]
+        t = np.arange(live.start, live.end, 5e-3)
+        speed = np.abs(np.diff(trains.position(t))).max() / 5e-3
+        assert speed <= PRINTER.motors.belt_velocity
+
+
+@pytest.mark.slow
+@pytest.mark.klipper
+def test_a_file_that_turns_the_shaper_off_is_played_as_it_is(kernel: Path, tmp_path: Path) -> None:
+    lines = ["SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0", "G1 X50 Y50 F9000", "G1 X90 Y51"]
+    live, bare = played(lines, tmp_path / "a", kernel), played(lines, tmp_path / "b", None)
+    for motor in "AB":
+        both = [each.steps()[motor] for each in (live, bare)]
+        assert np.array_equal(both[0].direction, both[1].direction)
+        late = both[0].time - both[1].time
+        assert np.ptp(late) < 60e-6  # once more step compression
+
+
+@pytest.mark.slow
+@pytest.mark.klipper
+def test_what_is_wrong_at_the_start_is_an_error_with_the_next_step(
+    kernel: Path, tmp_path: Path
+) -> None:
+    damaged = tmp_path / "damaged.kernel"
+    damaged.write_bytes(kernel.read_bytes().replace(b"x = 80", b"x = 60"))
+    cases = (
+        (damaged, "", "was edited: write it again with 'hframe-post identify'"),
+        (kernel, "[printer]\nkinematics: cartesian\n", "write it with this printer's profile"),
+        (kernel, "[printer]\nkinematics: none\n", "kinematics none is not supported"),
+        (kernel, "[printer]\nmax_accel: 20000\n", "run 'hframe-post setup'"),
+    )
+    for number, (path, more, said) in enumerate(cases):
+        with pytest.raises(KlippyError, match=said):
+            played(["G1 X10 F6000"], tmp_path / str(number), path, more)
+    assert played(["G1 X10 F6000"], tmp_path / "none", tmp_path / "no.kernel").warnings == ()
+
+
+def headers(folder: Path) -> Path:
+    from tests.klipper.batch import klippy_module
+
+    source = Path(klippy_module("chelper").__file__).parent
+    for name in HEADERS:
+        shutil.copy(source / name, folder)
+    return folder
+
+
+def test_an_unknown_klipper_and_a_missing_compiler_are_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(ValueError, match="not known"):
+        compiled(tmp_path / "elsewhere", tmp_path)
+    known = headers(tmp_path)
+    changed = known / "trapq.h"
+    changed.write_text(changed.read_text().replace("half_accel", "jerk"))
+    with pytest.raises(ValueError, match="does not compile"):
+        compiled(known, tmp_path)
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(ValueError, match="gcc is missing"):
+        compiled(known, tmp_path)
+    assert not [*tmp_path.glob("*.tmp"), *tmp_path.glob("*.so")]
+
+
+@pytest.mark.slow
+def test_the_c_is_clean_under_sanitizers() -> None:
+    program = (
+        "import sys, pytest, hframe_post.hosts.klipper.native as n\n"
+        "n.GCC += ('-g', '-fsanitize=address,undefined', '-fno-sanitize-recover')\n"
+        "sys.exit(pytest.main(['-q', '-p', 'no:cacheprovider', 'tests/live/test_native.py']))"
+    )
+    asan = subprocess.check_output(["gcc", "-print-file-name=libasan.so"], text=True).strip()
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=Path(__file__).parents[2],
+        env={"PATH": "/usr/bin:/bin", "LD_PRELOAD": asan, "ASAN_OPTIONS": "detect_leaks=0"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
