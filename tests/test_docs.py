@@ -223,7 +223,8 @@ def test_commands_shown_are_those_of_the_tool(page: Path) -> None:
         assert chosen is not None
         if isinstance(chosen, click.Group):
             continue
-        known = {option for parameter in chosen.params for option in parameter.opts}
+        options = [(*each.opts, *each.secondary_opts) for each in chosen.params]
+        known = {option for names in options for option in names}
         for word in words:
             if word.startswith("-") and word not in ("-", "--help", "-h", "--version"):
                 assert word in known, f"{page.name}: {line}"

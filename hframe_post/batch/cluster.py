@@ -16,6 +16,7 @@ from typing import Any
 from hframe_post.batch.jobs import Conversion, Job, Outcome
 from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError, install_advice
+from hframe_post.printer.model_file import named_model
 from hframe_post.version import __version__
 from hframe_post.writers.files import Outputs
 
@@ -26,13 +27,14 @@ TIMEOUT = 10  # s for the scheduler to answer, and for a worker to appear
 class Task:
     """What a worker is sent: a file's name and content, and the options of its conversion.
 
-    printer: the profile's name; profile: its content, None for a shipped one.
+    printer: the profile's name. profile: its content and that of the model that it names, by the
+    names of these files; none for a shipped one.
     """
 
     name: str
     content: bytes
     printer: str
-    profile: bytes | None
+    profile: dict[str, bytes]
     options: Options
     version: str = __version__
 
@@ -58,11 +60,11 @@ def convert_on_worker(task: Task) -> Result:
         target.parent.mkdir()
         source.write_bytes(task.content)
         printer = task.printer
-        if task.profile is not None:
-            file = Path(folder, "profile", Path(printer).name)
-            file.parent.mkdir()
-            file.write_bytes(task.profile)
-            printer = str(file)
+        if task.profile:
+            Path(folder, "profile").mkdir()
+            for name, content in task.profile.items():
+                Path(folder, "profile", name).write_bytes(content)
+            printer = str(Path(folder, "profile", Path(printer).name))
         options = replace(task.options, jobs=1)  # a worker's thread: a processor
         outcome = Conversion(source, target, printer, options).outcome()
         return Result(outcome, worker, target.read_bytes() if outcome.status == 0 else b"")
@@ -81,7 +83,8 @@ class Cluster:
         self._client = _connect(scheduler)
         self.files = files or sum(self._client.nthreads().values())
         self._printer, self._options, self._first_line = printer, options, first_line
-        self._profile = Path(printer).read_bytes() if Path(printer).is_file() else None
+        own = [Path(printer), *named_model(printer)] if Path(printer).is_file() else []
+        self._profile = {file.name: file.read_bytes() for file in own}
         self._running: set[Any] = set()  # futures of the scheduler
         self._stopped = False
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from hframe_post.cli.json_summary import json_option, open_json
+from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import files_read, printer_option, quoted, say
 from hframe_post.cli.sweep import HEIGHT, chips_option, recordings_argument
 from hframe_post.errors import IdentificationError
-from hframe_post.printer.edit import with_bands
 from hframe_post.printer.profile import load
 from hframe_post.writers.files import Outputs
 
@@ -98,7 +99,7 @@ def _find(
 
     sources = [*files_read(printer), *recordings]
     with Outputs(sources) as profiles:
-        file = profiles.open(output, Path(printer)) if output is not None else None
+        file = ModelOutput(profiles, output, printer) if output is not None else None
         with Outputs([*sources, *([output] if output else [])]) as reports:
             write_json = open_json(reports, json_file)
             motors, aside = shaking(recordings, profile.kinematics)
@@ -110,4 +111,5 @@ def _find(
         if file is not None:
             if not report.avoid:
                 raise IdentificationError("no band was found, so the profile was not changed")
-            file.write(with_bands(printer, report.avoid).encode())
+            avoid = tuple((float(low), float(high)) for low, high in report.avoid)
+            file.write(replace(profile, speed=replace(profile.speed, avoid=avoid)))

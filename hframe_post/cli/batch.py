@@ -17,10 +17,11 @@ from hframe_post.batch.folders import jobs_for, with_targets
 from hframe_post.batch.jobs import Converter, Job, LocalProcesses, State, run
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
+    chosen_printer,
     conversion_options,
     files_read,
-    former_option,
     help_all_option,
+    old_option,
     printer_option,
     say,
 )
@@ -57,7 +58,7 @@ def address(text: str) -> str:
     "--resume", is_flag=True,
     help="Skip files that have been converted with the same settings and have not changed since.",
 )  # fmt: skip
-@former_option("--watch", instead="name the folder with --resume, for example from cron")
+@old_option("--watch", "name the folder with --resume, for example from cron")
 @click.option(
     "--scheduler", type=address, metavar="tcp://HOST:PORT",
     help="Convert on the workers of a Dask cluster; files are sent to them and fetched back. Needs "
@@ -96,7 +97,7 @@ def batch(
     if scheduler is not None:
         converter = Cluster(scheduler, jobs, printer, options, stamped)
     compensates = (options.strategy or profile.compensation.strategy) != "none"
-    results = Results(quiet, profile.warnings() if compensates else [])
+    results = Results(quiet, chosen_printer().why, profile.warnings() if compensates else [])
     interruption = Interruption()
     with Outputs(files_read(*(job.source for job in todo), printer)) as outputs:
         write_json = open_json(outputs, json_file)
@@ -117,11 +118,12 @@ FORESEEN = 0.05  # share of the bytes that must be done before what is left can 
 class Results:
     """Results of the files so far.
 
-    notices: warnings of the profile, which every file has: they are printed once.
+    why: what chose the profile. notices: warnings of the profile, which every file has: they are
+    printed once.
     """
 
-    def __init__(self, quiet: bool, notices: Sequence[str]) -> None:
-        self.quiet = quiet
+    def __init__(self, quiet: bool, why: str, notices: Sequence[str]) -> None:
+        self.quiet, self._why = quiet, why
         self._jobs: dict[Path, Job] = {}
         self._notices = notices
         self._shown = set[str]()  # warnings
@@ -147,7 +149,10 @@ class Results:
 
     def as_json(self) -> dict[str, Any]:
         jobs = self._jobs.values()
-        return {"files": [job.as_json() for job in jobs], "failed": self._count("failed")}
+        files = [job.as_json() for job in jobs]
+        for summary in (file["summary"] for file in files if "summary" in file):
+            summary["profile_chosen_by"] = self._why  # each was converted with -p
+        return {"files": files, "failed": self._count("failed")}
 
     def as_text(self) -> str:
         """Return what needs attention, each with its files, and the counts in the last line."""

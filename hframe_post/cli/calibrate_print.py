@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
+from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import (
     files_read,
     number,
@@ -17,11 +18,10 @@ from hframe_post.cli.options import (
     quoted,
     say,
     share,
-    write_kernel,
 )
 from hframe_post.cli.sweep import FILE
 from hframe_post.errors import HframeError
-from hframe_post.printer.edit import with_plant
+from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.writers.files import Outputs
 
@@ -209,15 +209,9 @@ def _write(
     found = recommend(plant, profile, off)
     if found is None:
         raise HframeError(NO_WINDOW)
-    text = with_plant(printer, plant, found.windows, notes, round(off, 3))
-    _save(output, printer, text)
+    model = with_windows(measured(profile, plant, round(off, 3), None), found.windows)
+    with Outputs(files_read(printer)) as outputs:
+        ModelOutput(outputs, output, printer).write(model, notes)
     for label, row in [("read", "; ".join(notes)), ("uncertainty", f"±{100.0 * off:.0f} %"),
                        *found.rows()]:  # fmt: skip
         say(f"{label:13s}{row}")
-
-
-def _save(output: Path, printer: str, text: str) -> None:
-    """Write a profile, which may replace the one that was read."""
-    with Outputs(files_read(printer)) as outputs:
-        outputs.open(output, Path(printer)).write(text.encode())
-        write_kernel(outputs, output, text)

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from hframe_post.arrays import X, Y
 from hframe_post.cli.json_summary import json_option, open_json
+from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import (
     files_read,
     printer_option,
     say,
-    write_kernel,
 )
 from hframe_post.cli.sweep import (
     axes_option,
@@ -25,7 +25,6 @@ from hframe_post.cli.sweep import (
     write_motion,
 )
 from hframe_post.errors import IdentificationError, PrinterError
-from hframe_post.printer.edit import with_check
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.writers.files import Outputs
 
@@ -99,7 +98,7 @@ def _update(
     files = files_in(recordings)
     sources = [*files_read(printer), *files]
     with Outputs(sources) as profiles:
-        file = profiles.open(output, Path(printer)) if output is not None else None
+        file = ModelOutput(profiles, output, printer) if output is not None else None
         with Outputs([*sources, *([output] if output else [])]) as reports:
             write_json = open_json(reports, json_file)
             gathered = _gathered(recordings, profile, axes)
@@ -117,11 +116,12 @@ def _update(
             say(f"left aside   {one.label}: {one.reason}")
         click.echo(report.as_text(), err=str(json_file) == "-")
         if file is not None:
-            measured = day if report.complete else None
-            written = with_check(printer, report.moved, report.uncertainty, measured)
-            file.write(written.encode())
-            assert output is not None
-            write_kernel(profiles, output, written)
+            measured = day if report.complete else profile.measured
+            moved: dict[str, Any] = report.moved
+            plant = replace(profile.plant, **moved)
+            file.write(
+                replace(profile, plant=plant, uncertainty=report.uncertainty, measured=measured)
+            )
 
 
 def _gathered(recordings: tuple[Path, ...], profile: Printer, axes: str | None) -> Gathered:
@@ -153,5 +153,5 @@ def _age(printer: str, profile: Printer, output: Path | None) -> None:
     click.echo(f"uncertainty  ±{100 * now:.1f} % ({100 * before:.1f} % in the profile)")
     if output is not None:
         with Outputs(files_read(printer)) as outputs:
-            file = outputs.open(output, Path(printer))
-            file.write(with_check(printer, {}, round(now, 4), None).encode())
+            file = ModelOutput(outputs, output, printer)
+            file.write(replace(profile, uncertainty=round(now, 4)))

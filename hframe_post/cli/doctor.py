@@ -14,7 +14,6 @@ from pathlib import Path
 import click
 
 from hframe_post.cli.options import files_read, quoted
-from hframe_post.cli.setup import PROFILE
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
 from hframe_post.firmware.configuration import Finding
@@ -26,10 +25,9 @@ from hframe_post.firmware.klipper.version import log_of
 from hframe_post.firmware.registry import firmware
 from hframe_post.hosts.moonraker.history import events
 from hframe_post.page.history import OLD, history_page
-from hframe_post.printer.choice import VARIABLE, Choice, choose, config_file, presets
-from hframe_post.printer.profile import load, shipped, text_of
+from hframe_post.printer.choice import PROFILE, VARIABLE, Choice, choose, config_file, presets
+from hframe_post.printer.profile import load, shipped
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.update import changed_by_hand
 from hframe_post.version import __version__
 from hframe_post.writers.files import Outputs
 
@@ -251,14 +249,16 @@ def _differences(
     config: KlipperConfig, log: Path | None, profile: Printer, name: str
 ) -> Iterator[Finding]:
     path = Path(name)
+    remedy = f"change it there or in {name}"
+    again = f"run 'hframe-post klipper-macros -p {quoted(name)} > {FILE}'"
     if path.name == PROFILE:
         here = path.absolute().parent == Path.cwd()
         folder = "" if here else f" -o {quoted(path.parent)}"
-        remedy = again = f"run 'hframe-post setup {quoted(config.path)}{folder}' again"
-    else:
-        remedy = f"change it there or in {name}"
-        again = f"run 'hframe-post klipper-macros -p {quoted(name)} > {FILE}'"
-    yield from check(config, profile, remedy, changed_by_hand(text_of(name)))
+        again = f"run 'hframe-post setup {quoted(config.path)}{folder}' again"
+        remedy += (
+            f", or let 'hframe-post setup {quoted(config.path)}{folder} --reset' write that anew"
+        )
+    yield from check(config, profile, remedy)
     yield from check_live(config, profile)
     yield from firmware(profile).host_findings(config.path, log, profile, again)
 

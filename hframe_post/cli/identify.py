@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import click
 
 from hframe_post.cli.json_summary import json_option, open_json
+from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import (
     files_read,
     page_option,
     position,
-    write_kernel,
 )
 from hframe_post.cli.sweep import FILE
 from hframe_post.errors import IdentificationError
@@ -22,7 +22,7 @@ from hframe_post.firmware.klipper.check import warnings
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import kinematics_in, text_from_klipper
 from hframe_post.printer.choice import choose
-from hframe_post.printer.edit import with_plant
+from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.profile import load, parse
 from hframe_post.writers.files import Outputs
 
@@ -124,8 +124,7 @@ def identify(
     pairs = [path for files in nozzle for path in files]
     sources = [*files_read(source, *files_in(recordings)), *pairs]
     with Outputs(sources) as profiles:
-        old = Path(source) if text is None else None
-        file = profiles.open(output, old) if output is not None else None
+        file = ModelOutput(profiles, output, source, text) if output is not None else None
         with Outputs([*sources, *([output] if output else [])]) as reports:
             write_json = open_json(reports, json_file)
             html = reports.open(report_file) if report_file is not None else None
@@ -140,13 +139,11 @@ def identify(
         if report.compensation is None:
             raise IdentificationError(report.identified.refusal or NO_WINDOW)
         if file is not None:
-            windows, error = report.compensation.windows, round(report.identified.model_error, 4)
             day = max(recorded_on(one.path) for one in gathered.used)
-            written = with_plant(source, report.plant, windows, report.origin(), error, text, day)
-            file.write(written.encode())
-            assert output is not None
-            write_kernel(profiles, output, written)
-            if report.plant.Gxtheta is not None and profile.kinematics.type == "corexy":
+            error = round(report.identified.model_error, 4)
+            found = measured(profile, report.plant, error, day)
+            file.write(with_windows(found, report.compensation.windows), report.origin())
+            if found.kinematics != profile.kinematics:
                 click.echo(
                     "note         it racks, so the profile's kinematics.type is hbot", err=True
                 )

@@ -17,7 +17,8 @@ from typing import Any, NoReturn
 import click
 
 from hframe_post import process
-from hframe_post.errors import HframeError, LimitError
+from hframe_post.errors import HframeError, LimitError, PrinterError
+from hframe_post.printer.choice import CHOICE, Choice
 from hframe_post.version import __version__
 from hframe_post.writers.files import FULL
 
@@ -117,7 +118,7 @@ class _Commands(click.Group):
         except (click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except Exception as error:
-            failure = error
+            failure = _naming_the_file(error, context.meta.get(CHOICE))
         if isinstance(failure, click.ClickException):
             shown: click.ClickException = failure
             if isinstance(failure, click.UsageError):
@@ -140,6 +141,13 @@ class _Commands(click.Group):
     def _clamps(self, context: click.Context, name: str) -> bool:
         command = self.get_command(context, name)
         return command is not None and any(each.name == "clamp" for each in command.params)
+
+
+def _naming_the_file(error: Exception, choice: Choice | None) -> Exception:
+    """Return the error of a profile with its file instead of its name."""
+    if isinstance(error, PrinterError) and choice and error.source == Path(choice.profile).stem:
+        return PrinterError(error.cause, error.key, choice.profile)
+    return error
 
 
 def _text(error: Exception) -> str:

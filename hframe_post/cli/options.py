@@ -19,7 +19,7 @@ import click
 
 from hframe_post.conversion.options import SHOWN, Options, Shown
 from hframe_post.errors import ArgumentError, OptionError
-from hframe_post.printer.choice import Choice, choose
+from hframe_post.printer.choice import CHOICE, Choice, choose
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
@@ -27,17 +27,16 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 SPECIAL = re.compile(r"[^\w@%+=:,./\\~-]")  # what a shell would not take as it stands
-_CHOICE = "hframe_post.choice"  # in a context's meta
 
 
 def _choose_printer(context: click.Context, _: click.Parameter, requested: str | None) -> str:
     choice = choose(requested, os.environ)
-    context.meta[_CHOICE] = choice
+    context.meta[CHOICE] = choice
     return choice.profile
 
 
 def chosen_printer() -> Choice:
-    choice: Choice = click.get_current_context().meta[_CHOICE]
+    choice: Choice = click.get_current_context().meta[CHOICE]
     return choice
 
 
@@ -117,16 +116,6 @@ def typed(read: Callable[[str], Any]) -> Callable[[str], Any]:
             raise click.BadParameter(str(error)) from None
 
     return convert
-
-
-def former_option(*names: str, instead: str) -> Callable[[Command], Command]:
-    """Return a decorator for an option that is gone: who gives it is told what replaced it."""
-
-    def refuse(context: click.Context, _: click.Parameter, given: str | None) -> None:
-        if given is not None:
-            raise click.UsageError(f"there is no {names[0]} now: {instead}", context)
-
-    return click.option(*names, expose_value=False, hidden=True, callback=refuse)
 
 
 seed_option = click.option(
@@ -298,14 +287,11 @@ def _print_log(text: str) -> None:
     click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)
 
 
-def write_kernel(outputs: Outputs, profile: Path, text: str) -> None:
-    """Write the kernel of a profile's text next to it, if Klipper may use one."""
+def write_kernel(outputs: Outputs, profile: Path, printer: Printer) -> None:
+    """Write the kernel of a printer next to its profile, if Klipper may use one."""
     from hframe_post.firmware.klipper.live import kernel_file, name_of
-    from hframe_post.printer.profile import parse
 
-    if profile.suffix != ".toml":  # such as /dev/stdout
-        return
-    data = kernel_file(parse(text, profile.stem, str(profile)))
+    data = kernel_file(printer)
     if data is not None:
         outputs.open(name_of(profile)).write(data)
 

@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
+import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
+from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.moonraker import RESTART, Moonraker, agreed, find_printer_cfg, make
 from hframe_post.cli.options import files_read, number, quoted, write_kernel
 from hframe_post.errors import HframeError
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.registry import source_of
-from hframe_post.printer.choice import VARIABLE, set_default
+from hframe_post.printer.choice import PROFILE, VARIABLE, set_default
+from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.profile import parse, text_of
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import AS_BEFORE, Known, profile_text
-from hframe_post.printer.update import Updated, updated
+from hframe_post.printer.setup import Known, Tables, profile_text
 from hframe_post.writers.files import Outputs
 
-PROFILE = "printer.toml"
 CALIBRATE = (
     "Then mount the accelerometer, clear the bed, heat as for a print, and type on the console of "
     "Mainsail or Fluidd: HFRAME_CALIBRATE"
@@ -67,17 +70,22 @@ def _size(text: str) -> tuple[float, float]:
     help="Also let Moonraker, on this computer, measure the printer and convert each upload; or no "
     "longer. printer.cfg is found then.",
 )  # fmt: skip
+@click.option(
+    "--reset", is_flag=True,
+    help=f"Write {PROFILE} anew where it exists. What you changed there goes; the measured model "
+    "stays.",
+)  # fmt: skip
 def setup(
     files: tuple[Path, ...], folder: Path | None, kinematics: str | None,
-    bed: tuple[float, float] | None, connected: bool | None,
+    bed: tuple[float, float] | None, connected: bool | None, reset: bool,
 ) -> None:  # fmt: skip
     """Make this printer's profile from Klipper's printer.cfg or from Marlin's answer to M503.
 
     Writes printer.toml, the profile, and makes it the default. For Klipper it also writes
     hframe.cfg, to include in printer.cfg, which only --moonraker changes. For Marlin, save what the
     printer answers to M503 and M115 in one file; its Configuration.h and Configuration_adv.h may
-    follow. Run setup again after a change: what you changed in the profile stays, as does the
-    measured model.
+    follow. Where printer.toml exists, setup changes nothing in it and lists what differs; --reset
+    writes it anew.
 
     --moonraker is for the printer's computer. On a terminal it asks first whether Klipper itself
     shall compensate, on files as they are sliced. It also links a component into Moonraker, adds a
@@ -109,11 +117,11 @@ def setup(
     before = parse(old, "printer", str(target)) if old else None
     kind = _kinematics(source, kinematics, before)
     tables = {"kinematics": {"type": kind}, **source.tables(str(kind.value), bed or _bed(source))}
-    new = Updated(profile_text(tables, f"made from {files[0].name}"), [], [])
-    if old:
-        new = updated(old, tables, str(target))
+    text = profile_text(tables, f"made from {files[0].name}")
+    if old and not reset:
+        text = _of_kind(old, kinematics, target) if kinematics else old
     # raises before anything is written
-    profile = parse(new.text, target.stem, str(target if old else files[0]))
+    profile = parse(text, target.stem, str(target if old else files[0]))
     companions = source.companions(profile)
     changes = moonraker.connecting(target) if moonraker is not None else []
     if not agreed(changes):
@@ -121,16 +129,19 @@ def setup(
         return
     folder.mkdir(parents=True, exist_ok=True)
     with Outputs(files_read(*files)) as outputs:
-        if new.text != old:
-            outputs.open(target).write(new.text.encode())
-        write_kernel(outputs, target, new.text)
-        for name, text in companions.items():
-            if not _holds(folder / name, text):
-                outputs.open(folder / name).write(text.encode())
+        if text != old and before is not None and reset and not before.invented:
+            ModelOutput(outputs, target, str(target), text).write(_with_model(profile, before))
+        else:
+            if text != old:
+                outputs.open(target).write(text.encode())
+            write_kernel(outputs, target, profile)
+        for name, content in companions.items():
+            if not _holds(folder / name, content):
+                outputs.open(folder / name).write(content.encode())
         done = [*make(changes, outputs), *moonraker.link(create=True)] if moonraker else []
     written = f"{target}, {_made_default(target, source.warnings)}"
     if old:
-        click.echo("\n".join(_differences(new, old, target)))
+        click.echo("\n".join(_differences(tables, old, text, target, quoted(files[0]))))
     click.echo("\n".join(_summary(source, profile, written, kind)))
     if done:
         click.echo("\n".join(["", *done, "", RESTART, CALIBRATE]))
@@ -170,7 +181,7 @@ def _kinematics(source: Source, requested: str | None, before: Printer | None) -
     if requested is not None:
         return Known(requested, "as you said")
     if before is not None and before.kinematics.type in possible:
-        return Known(before.kinematics.type, AS_BEFORE)
+        return Known(before.kinematics.type, f"as {PROFILE} says")
     if sys.stdin.isatty():
         question = QUESTION if source.decided else ANY_KIND
         kinds = click.Choice(possible)
@@ -197,13 +208,49 @@ def _holds(path: Path, text: str) -> bool:
     return path.is_file() and path.read_bytes() == text.encode()
 
 
-def _differences(new: Updated, old: str, target: Path) -> Iterator[str]:
-    """Yield what setup changed in a profile, and what it kept of its owner's."""
-    n = len(new.changes)
-    only = " (comments only)" if new.text != old and not n else ""
-    yield f"{target}: {n or 'no'} change{'s' * (n != 1)}{only}"
-    yield from new.changes
-    yield from new.kept
+def _of_kind(text: str, kinematics: str, target: Path) -> str:
+    """Return a profile's text with this type of kinematics."""
+    changed = re.sub(
+        r'^(\s*(?:kinematics\.)?type\s*=\s*)"[\w-]+"', rf'\1"{kinematics}"', text, count=1,
+        flags=re.MULTILINE,
+    )  # fmt: skip
+    if parse(changed, target.stem, str(target)).kinematics.type != kinematics:
+        raise HframeError(f'{target}: write type = "{kinematics}" below [kinematics]')
+    return changed
+
+
+def _with_model(profile: Printer, before: Printer) -> Printer:
+    """Return a profile with the model of the one that it replaces."""
+    avoiding = replace(profile.speed, avoid=before.speed.avoid)
+    model = measured(profile, before.plant, before.uncertainty, before.measured)
+    model = replace(model, speed=avoiding, verified=before.verified)
+    return with_windows(model, before.compensation.windows)
+
+
+def _differences(tables: Tables, old: str, text: str, target: Path, source: str) -> Iterator[str]:
+    """Yield where a profile and what was found differ."""
+    before = tomllib.loads(old)
+    kept = list[str]()
+    for name, table in tables.items():
+        own = before
+        for part in name.split("."):
+            own = own.get(part, {})
+        if own and not table:
+            kept.append(f"[{name}]: the printer has none any more")
+        for key, known in table.items():
+            value = tomllib.loads(f"value = {known.as_toml()}")["value"]
+            if own.get(key) != value:
+                has = f"it has {own[key]}" if key in own else "it has none"
+                kept.append(f"{name}.{key}: {known.as_toml()} ({known.origin}), {has}")
+    if text != old:
+        yield f"{target}: written anew" if kept else f"{target}: changed"
+    elif not kept:
+        yield f"{target}: no changes"
+    else:
+        yield f"{target} stays as it is, and differs from what was found:"
+    yield from kept
+    if kept and text == old:
+        yield f"To write it anew: hframe-post setup {source} --reset"
 
 
 def _summary(source: Source, profile: Printer, target: str, kind: Known) -> Iterator[str]:

@@ -10,6 +10,7 @@ import click
 
 from hframe_post import library, plotting
 from hframe_post.cli.json_summary import json_option, open_json
+from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import (
     files_read,
     number,
@@ -27,7 +28,7 @@ from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.lines import Input
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.best_shaper import error
-from hframe_post.printer.edit import with_windows
+from hframe_post.printer.model_file import with_windows
 from hframe_post.printer.schema import LARGEST
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
@@ -47,7 +48,7 @@ from hframe_post.studies.tuning.report import (
     trade_off,
     trials_table,
 )
-from hframe_post.studies.tuning.tune import EFFORTS, KNOTS, Trial
+from hframe_post.studies.tuning.tune import EFFORTS, KNOTS
 from hframe_post.writers.files import Outputs
 
 
@@ -125,7 +126,7 @@ def tune(
     _check_figure(figure)
     # The profile is written last: only if there is a recommendation, and after the findings.
     with Outputs(reads) as recommendation:
-        file = recommendation.open(output, Path(printer)) if output is not None else None
+        file = ModelOutput(recommendation, output, printer) if output is not None else None
         with Outputs([*reads, *([output] if output else [])]) as findings:
             write_json = open_json(findings, json_file)
             drawing = findings.open(figure) if figure is not None else None
@@ -153,7 +154,12 @@ def tune(
         if failure is not None:
             raise failure
         if file is not None and best is not None:
-            file.write(_recommended_profile(printer, best, pace).encode())
+            windows = best.windows
+            if pace is not None and pace.chosen is not None:
+                windows = pace.chosen.trial.windows
+                lower = (f"{key} = {value}" for key, value in pace.chosen.settings.items())
+                click.echo(f"Next: below [limits] of {output} write {', '.join(lower)}", err=True)
+            file.write(with_windows(profile, windows))
 
 
 def _check_figure(figure: Path | None) -> None:
@@ -181,12 +187,6 @@ def _tables(profile: Printer, tuned: library.Tuning, pace: pareto.Pareto | None)
     if tuned.stops:
         table += f"\n\n{stops_table(tuned.stops, profile.compensation.stops)}"
     return table
-
-
-def _recommended_profile(printer: str, best: Trial, pace: pareto.Pareto | None) -> str:
-    if pace is None or pace.chosen is None:
-        return with_windows(printer, best.windows)
-    return with_windows(printer, pace.chosen.trial.windows, pace.chosen.settings)
 
 
 def _recommend_shaper(

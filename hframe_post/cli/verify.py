@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from hframe_post.cli.json_summary import json_option, open_json
+from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import files_read, page_option, printer_option, say
 from hframe_post.cli.sweep import (
     FILE,
@@ -19,8 +21,8 @@ from hframe_post.cli.sweep import (
     write_motion,
 )
 from hframe_post.errors import IdentificationError
-from hframe_post.printer.edit import with_verification
 from hframe_post.printer.profile import check_identified, load
+from hframe_post.printer.settings import Verified
 from hframe_post.writers.files import Outputs
 
 if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that takes a second
@@ -120,7 +122,7 @@ def _judge(
     profile = load(printer)
     sources = [*files_read(printer), *read_from]
     with Outputs(sources) as profiles:
-        file = profiles.open(output, Path(printer)) if output is not None else None
+        file = ModelOutput(profiles, output, printer) if output is not None else None
         with Outputs([*sources, *([output] if output else [])]) as reports:
             write_json = open_json(reports, json_file)
             html = reports.open(report_file) if report_file is not None else None
@@ -146,4 +148,7 @@ def _judge(
         click.echo(as_text(moved), err=str(json_file) == "-")
         if file is not None:
             day = max(map(recorded_on, recorded)).isoformat()
-            file.write(with_verification(printer, day, verdict.reduction).encode())
+            mark = Verified(
+                day, round(verdict.reduction, 4), profile.firmware.dialect, profile.model
+            )
+            file.write(replace(profile, verified=mark))

@@ -14,6 +14,7 @@ from hframe_post.compensation.guard import Peaks
 from hframe_post.compensation.shape import SHAPER
 from hframe_post.conversion.meters import InputSummary, PrintTime
 from hframe_post.conversion.path_meter import PathSummary, percent
+from hframe_post.gcode.reader import CHANGE_OF_OBJECT, START_OF_FILE
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.bands import TimeInBands
@@ -30,6 +31,11 @@ OUTRUN = 1.05  # times its limit, the acceleration of an extruder is worth a lin
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
+
+REMEDIES = {  # of extrusion that is not compensated, by causes that are no commands
+    START_OF_FILE: "because its place is not known: begin with a move to X, Y and Z",
+    CHANGE_OF_OBJECT: "because an object begins without a travel to it",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,6 +291,7 @@ class Report:
             f"moves            {self.read.moves} in {self.read.lines} lines; "
             f"{self.lines_written} lines written",
             f"filament         {self.filament_after:.2f} mm, unchanged",
+            *self._predicted(),
             *self._width_as_text(),
             *(self.advance.as_text() if self.advance else []),
             f"belts            at most {self.peaks.belt_velocity:.0f} mm/s, "
@@ -327,6 +334,13 @@ class Report:
         before = f"{self.label(self.strategy)} {1e3 * self.contour['none'].rms:.1f}"
         ours = range_as_text(self.contour[self.strategy], lines)
         return [f"result           {before} → {ours}{steps}{shaper}"]
+
+    def _predicted(self) -> list[str]:
+        """Return on how much of the print the errors are predicted, if not on all."""
+        if self.predicted > 0.995 or not self.contour:
+            return []
+        whole = "'hframe-post simulate' takes all of it"
+        return [f"predicted        on {percent(self.predicted)} of the print; {whole}"]
 
     def _advice(self) -> list[str]:
         """Return what else to do where compensation is not worth it."""
@@ -373,8 +387,11 @@ class Report:
         if self.path.extrusion_share > 0.005 and not self._is_other_tool(cause):
             found.append(
                 f"{100.0 * self.path.extrusion_share:.1f} % of the extrusion is not compensated, "
-                f"mostly after {cause}. If {cause} does not move the head, add it to harmless in "
-                "[firmware] of the profile; if the head comes back, add it to returns"
+                + REMEDIES.get(
+                    cause,
+                    f"mostly after {cause}. If {cause} does not move the head, add it to harmless "
+                    "in [firmware] of the profile; if the head comes back, add it to returns",
+                )
             )
         if self.busiest_second > self.lines_per_second:
             found.append(

@@ -1,7 +1,7 @@
 """What a print has today: the errors of the firmware's own motion of the file as sliced.
 
 They are predicted without compensation and with the firmware's best input shaper, on pieces from
-all over the print: a print of any length needs three minutes of motion at most.
+all over the print: a print of any length needs four minutes of motion at most.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Planned, Samples
 
 PIECE_S = 3.0  # of a piece, which begins and ends at rest; 4 times as long at most
-LEAST_S = 80.0  # to keep of a print; at most twice as much is kept
+LEAST_S = 120.0  # to keep of a print; at most twice as much is kept
 SHAPED = 4  # pieces on which the shaper is chosen: its error is within 5 % of that on all
 
 Piece = tuple[float, tuple[Planned, ...]]  # its seconds, and what it consists of

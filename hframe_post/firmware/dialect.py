@@ -12,6 +12,11 @@ Accelerations = tuple[float, float]  # of moves with and without extrusion, mm/s
 Words = Mapping[str, float]  # of a command: letter → number
 
 
+def no_macros(_: str) -> bool:
+    """Return whether a command may set modes where owners write none: no."""
+    return False
+
+
 _M486 = re.compile(rb"\s*(?:N\d+\s*)?M486\b[^;*]*?S\s*(-?\d+)", re.IGNORECASE)
 
 
@@ -31,10 +36,12 @@ class Dialect:
     right angle.
     g90_sets_e: G90 and G91 set the mode of E as M82 and M83 do. Elsewhere E is relative while
     the file is in G91.
-    saves_factor: M220 B saves the speed factor and M220 R restores it.
+    saves_factor: M220 B saves the speed factor, M220 R restores it, and neither M220 alone changes
+    it. Elsewhere M220 without S means 100 %.
     ignores_zero_feed: F0 means nothing; elsewhere it is an error.
     splines: G5 is supported. cr_ends_lines: a carriage return ends a line, even in a comment.
     retraction_settings: the commands that set what G10 and G11 do.
+    may_set_modes: whether a command that the reader does not know may change modes: a macro may.
     g92_resets: G92 without words sets all coordinates to 0; elsewhere it does nothing.
     advance: what a line sets of pressure advance.
     label: the object that a line says begins, b"" if it says that one ends; None: no label.
@@ -51,5 +58,6 @@ class Dialect:
     splines: bool = False
     cr_ends_lines: bool = False
     g92_resets: bool = False
+    may_set_modes: Callable[[str], bool] = no_macros
     label: Callable[[bytes], bytes | None] = object_label
     advance: Callable[[bytes], AdvanceChange] = no_advance

@@ -15,17 +15,29 @@ from hframe_post.gcode.lexer import Line, command, numbers_among, parameters
 from hframe_post.printer.settings import Retraction
 
 
-def is_absolute(lines: Iterable[Line]) -> bool | None:
-    """Return whether the printing moves of these lines show an absolute E; None if unclear."""
-    table = np.array(list(_extruding_moves(lines))).reshape(-1, 3)
+def is_absolute(lines: Iterable[Line], x: float, y: float, e: float) -> bool | None:
+    """Return whether lines show an absolute E, by moves or a later M82; None if unclear.
+
+    They end at the first M82 or M83. x, y, e: before them as the file names them; nan: unknown.
+    """
+    moves = list(_extruding_moves(lines, {"X": x, "Y": y}, e))
+    mode = moves.pop() if moves and isinstance(moves[-1], bool) else None
+    by_moves = _shown_by(np.array(moves).reshape(-1, 3))
+    return True if by_moves is None and mode else by_moves
+
+
+def _shown_by(table: Array) -> bool | None:
+    """Return whether moves, see ``_extruding_moves``, show an absolute E; None if unclear."""
     if len(table) <= 1:
         return True  # a single E is the same either way
     path, e, before = table[table[:, 0] > 0.05].T  # mm; shorter moves are mostly rounding
     relative = e / path
     absolute = ((e - before) / path)[np.isfinite(before)]
-    if len(absolute) < 3:
+    if len(absolute) < 2:
         return None
     relative_spread, absolute_spread = _spread(relative), _spread(absolute)
+    if len(absolute) == 2:  # a line and its way back
+        return True if absolute_spread < 0.01 < relative_spread else None
     if relative_spread < math.inf and relative_spread <= 0.5 * absolute_spread:
         return False
     if absolute_spread < math.inf and absolute_spread <= 0.5 * relative_spread:
@@ -44,10 +56,14 @@ def _spread(ratio: Array) -> float:
     return float(np.median(np.abs(ratio - median))) / median + float((ratio <= 0.0).mean())
 
 
-def _extruding_moves(lines: Iterable[Line]) -> Iterator[tuple[float, float, float]]:
-    """Yield path length, E and the E before (nan: unknown) of moves with E, up to M82 or M83."""
-    at = {"X": math.nan, "Y": math.nan}
-    absolute, before = True, math.nan
+def _extruding_moves(
+    lines: Iterable[Line], at: dict[str, float], before: float
+) -> Iterator[tuple[float, float, float] | bool]:
+    """Yield path length, E and the E before (nan: unknown) of moves with E, up to M82 or M83.
+
+    The last is then whether that was M82.
+    """
+    absolute = True
     for line in lines:
         try:
             coded = command(line)
@@ -57,6 +73,7 @@ def _extruding_moves(lines: Iterable[Line]) -> Iterator[tuple[float, float, floa
         if coded is None:
             continue
         if coded.name in ("M82", "M83"):
+            yield coded.name == "M82"
             return
         if coded.name in ("G90", "G91"):
             absolute = coded.name == "G90"

@@ -13,6 +13,9 @@ from hframe_post.errors import GcodeError
 
 Words = dict[str, float]  # letter → number
 
+IGNORED = "DHLPQRST"  # in moves; A, B, C, I, J, K, U, V, W may be axes
+_BLANK_OR_IGNORED = b" \t\r\v\f" + IGNORED.encode() + IGNORED.lower().encode()
+
 _BRACKET = re.compile(rb"[()]")
 _COMMAND = re.compile(rb"\s*([Nn]\s*\d+\s*)?([GMTgmt])\s*(\d{1,9})(?!\d)(?:\.(\d{1,9})(?!\d))?")
 _CHECKSUM = re.compile(rb"\*\s*(\d{1,9})\s*$")
@@ -90,17 +93,20 @@ def name_and_arguments(line: Line) -> tuple[str, bytes]:
 def numbers(line: Line, arguments: bytes, letters: str) -> Words:
     """Return letter → number of a command's arguments.
 
-    Raises GcodeError if there is anything but ``letters`` with numbers, each at most once.
+    Raises GcodeError if there is anything but ``letters`` with numbers, each at most once, and
+    words that firmware ignores in moves.
     """
     found: Words = {}
     for word, digits in _WORD.findall(arguments):
         letter = word.decode().upper()
+        if letter in IGNORED and letter not in letters:
+            continue
         if letter not in letters:
             raise line.error(f"unexpected word {letter}")
         if letter in found:
             raise line.error(f"the word {letter} occurs twice")
         found[letter] = float(digits)
-    if _WORD.sub(b"", arguments).strip():
+    if _WORD.sub(b"", arguments).strip(_BLANK_OR_IGNORED):
         raise line.error("a word or number cannot be read")
     return _finite(line, found)
 

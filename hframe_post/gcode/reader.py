@@ -83,7 +83,8 @@ class _Reader:
         self._retraction = FirmwareRetraction(options.retraction, options.dialect)
         self._plain_moves = PlainMoves(source, self._state, self._bed)
         self._any_motion = False  # requested so far, even from unknown positions
-        self._ran_macro = False  # which may have set modes
+        self._macro = ""  # the last one that may have set modes
+        self._e_named = False  # by G92, since the last macro
         self._other_tool = False  # prints, of which the profile has no model
         self._cause = START_OF_FILE  # of the unknown position
         self.items = ItemBuilder(self._state)
@@ -148,6 +149,7 @@ class _Reader:
             state.rename_position(line, words)
             # The stream's E is relative, so a new name of E alone is harmless in it.
             only_e = words.keys() == {"E"}
+            self._e_named |= "E" in words
             self._pass_through(line, Handling.CARRY if only_e else Handling.RELEASE)
             return
         straight = name in ("G0", "G1")
@@ -294,7 +296,8 @@ class _Reader:
             self._state.forget(homed or range(3), homed=True)
         else:
             self._state.forget()
-            self._ran_macro |= name[:1] not in "GMT" or not name[1:].isdigit()
+            if self._dialect.may_set_modes(name):
+                self._macro, self._e_named = name[:40], False
 
     def _apply_retraction(self, line: Line, name: str) -> bool:
         """Turn G10 or G11 into a move of filament; return False if it must pass through."""
@@ -333,7 +336,7 @@ class _Reader:
         """Add a pass-through line; see ``Passthrough`` for the arguments."""
         state = self._state
         self._objects.read(line.text)
-        unclear = self._ran_macro and not state.e_mode_known
+        unclear = self._macro and not state.e_mode_known
         if unclear and self.items.any_motion and handling is Handling.RELEASE:
             # The stream has modes of its own; to leave it, those of the file must be known.
             state.set_e_mode(self._detect_absolute_e(line))
@@ -343,13 +346,20 @@ class _Reader:
         )
 
     def _detect_absolute_e(self, line: Line) -> bool:
-        absolute = is_absolute(chain([line], self._source.ahead()))
-        if absolute is False and self._ran_macro:
+        state = self._state
+        x, y, _, e = (a - b for a, b in zip(state.position, state.offset, strict=True))
+        known = all(state.known[:2]) and state.absolute
+        absolute = is_absolute(
+            chain([line], self._source.ahead()), x if known else math.nan, y if known else math.nan,
+            e if self._e_named else math.nan,
+        )  # fmt: skip
+        if absolute is False and self._macro:
             return False
-        if absolute or (absolute is None and not self._ran_macro):
+        if absolute or (absolute is None and not self._macro):
             return True
+        why = f"{self._macro} may have" if self._macro else "its numbers look relative"
         raise line.error(
             "it is unclear whether E is absolute (M82) or relative (M83): nothing sets it before "
-            "this line, but a macro may have. Add the one that holds above it, or say "
+            f"this line, but {why}. Add the one that holds above it, or say "
             "'hframe-post convert --extrusion absolute' or '… relative'"
         )

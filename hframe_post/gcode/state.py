@@ -216,7 +216,8 @@ class State:
             self._saved_factor = self.factor
         if self._dialect.saves_factor and b"R" in letters:
             self.factor = self._saved_factor
-        factor = words["S"] / 100.0 if "S" in words else self.factor
+        without = self.factor if self._dialect.saves_factor else 1.0
+        factor = words["S"] / 100.0 if "S" in words else without
         if factor < MIN_FEED_FACTOR:
             raise line.error(f"the speed factor must be at least {100.0 * MIN_FEED_FACTOR:g} %")
         self.factor = factor

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
 
 VARIABLE = "HFRAME_PRINTER"
+PROFILE = "printer.toml"  # as `setup` calls it
+CHOICE = "hframe_post.choice"  # in the meta of a command's context
 DEMONSTRATIONS = ("paper", "paper-marlin", "paper-strong")
 OPTION = "option -p"
 PROGRAMS = ("PrusaSlicer", "SuperSlicer", "OrcaSlicer")
@@ -87,7 +89,8 @@ def choose(requested: str | None, environ: Mapping[str, str]) -> Choice:
     """Return the most specific choice there is. Raises HframeError.
 
     A line ``HFRAME_PRINTER=my.toml`` in the printer notes of the slicer holds for that printer, the
-    variable of that name for the whole slicer or shell.
+    variable of that name for the whole slicer or shell. A printer.toml in the present folder comes
+    before the user's default.
     """
     if requested is not None:
         return Choice(requested, OPTION)
@@ -100,7 +103,10 @@ def choose(requested: str | None, environ: Mapping[str, str]) -> Choice:
         return Choice(note[1].strip().strip('"'), "printer notes in the slicer")
     if environ.get(VARIABLE):
         return Choice(environ[VARIABLE], f"environment variable {VARIABLE}")
-    if default := _default():
+    here, default = Path(PROFILE), _default()
+    if here.is_file() and not (default and Path(default).exists() and here.samefile(default)):
+        return Choice(PROFILE, "of this folder")
+    if default:
         if os.path.isabs(default) and not Path(default).is_file():
             raise HframeError(
                 f"{default}: the default profile does not exist any more; choose another with "

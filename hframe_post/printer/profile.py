@@ -44,7 +44,10 @@ from hframe_post.printer.settings import (
 )
 
 T = TypeVar("T")
+MEASURED = ("plant", "compensation", "speed", "verified")  # tables of a model
 PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured", "cross", "moving_mass")
+# a profile without a plant: the nozzle follows the motors exactly
+NOT_MEASURED = {"Ts": TS} | {G: {"gain": 1.0, "zeros": [], "poles": []} for G in ("Gxx", "Gyy")}
 MASS = {"least": 0.05, "most": 50.0}  # kg
 GAIN_TOLERANCE = {1.0: 1e-4, 0.0: 1e-9}  # of axes, whose roots may be rounded, and couplings
 FUNCTION = ("zeros", "poles", "gain")
@@ -92,13 +95,16 @@ def text_of(path: str) -> str:
         raise PrinterError(f"cannot be read: {error}", source=path) from None
 
 
-def parse(text: str, name: str, source: str = "") -> Printer:
-    """Return a profile from its TOML text. Raises PrinterError, which names the bad key."""
+def parse(text: str, name: str, source: str = "", model: str | None = None) -> Printer:
+    """Return a profile from its TOML text. Raises PrinterError, which names the bad key.
+
+    source: its file, beside which the model lies that it names. model: text of that, if it is in
+    no file.
+    """
     try:
-        document = _extended(_loaded(text))
+        document = _document(_loaded(text), source, model)
         known = {key: value for key, value in document.items() if key != "verified"}
-        digest = hashlib.sha256(repr(known).encode()).hexdigest()[:12]
-        return _printer(document, name, digest)
+        return _printer(document, name, _digest(known))
     except RecursionError:
         raise PrinterError("nested too deeply", source=source or name) from None
     except PrinterError as error:
@@ -122,15 +128,46 @@ def _loaded(text: str) -> dict[str, Any]:
         raise PrinterError(f"not valid TOML: {error}") from None
 
 
-def _extended(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the document merged into the shipped profile that it extends, if any."""
-    if "extends" not in document:
-        return document
-    base, profiles = document["extends"], shipped()
-    if not isinstance(base, str) or base not in profiles:
-        raise PrinterError(f"no such profile; shipped are: {', '.join(profiles)}", "extends")
-    changes = {key: value for key, value in document.items() if key != "extends"}
-    return _merged(_extended(tomllib.loads(profiles[base])), changes)
+def _document(own: dict[str, Any], source: str, model: str | None) -> dict[str, Any]:
+    """Return a profile merged into its model, and both into the shipped profile that it extends.
+
+    The model's plant replaces that of the shipped profile as a whole.
+    """
+    document = dict[str, Any]()
+    if "extends" in own:
+        base, profiles = own["extends"], shipped()
+        if not isinstance(base, str) or base not in profiles:
+            raise PrinterError(f"no such profile; shipped are: {', '.join(profiles)}", "extends")
+        document = _document(tomllib.loads(profiles[base]), base, None)
+    if "model" in own:
+        measured = _model(own["model"], source, model)
+        document = {**_merged(document, measured), "plant": measured.get("plant")}
+    own = {key: value for key, value in own.items() if key not in ("extends", "model")}
+    return _merged(document, own) if document else own
+
+
+def _model(name: Any, source: str, text: str | None) -> dict[str, Any]:
+    """Return the tables of the model that a profile names."""
+    if not isinstance(name, str):
+        raise PrinterError('must be the name of a file, such as "printer.model.toml"', "model")
+    path = Path(source).parent / name
+    if text is None and not path.is_file():
+        raise PrinterError(
+            f"there is no {path}, which 'hframe-post identify' writes: copy it here with the "
+            "profile, or leave the line out", "model",
+        )  # fmt: skip
+    try:
+        measured = _loaded(text_of(str(path)) if text is None else text)
+    except PrinterError as error:
+        raise PrinterError(f"{path}: {error.cause}", "model") from None
+    known_keys(measured, MEASURED, "")
+    if not all(isinstance(table, dict) for table in measured.values()):
+        raise PrinterError(f"{path} holds other things than tables", "model")
+    return measured
+
+
+def _digest(tables: object) -> str:
+    return hashlib.sha256(repr(tables).encode()).hexdigest()[:12]
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -144,9 +181,10 @@ def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_tables(document: dict[str, Any]) -> None:
-    needed = ("travel", "limits", "compensation", "firmware", "plant")
+    needed = "travel", "limits", "firmware", "plant"
     optional = (
-        "kinematics", "motors", "steps", "sweep", "speed", "retraction", "extruder", "verified",
+        "kinematics", "motors", "steps", "compensation", "sweep", "speed", "retraction", "extruder",
+        "verified",
     )  # fmt: skip
     known_keys(document, ("description", *optional, *needed), "")
     for section in (*needed, *(name for name in optional if name in document)):
@@ -157,7 +195,9 @@ def _check_tables(document: dict[str, Any]) -> None:
 
 
 def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
+    document = {"plant": NOT_MEASURED, **document}
     _check_tables(document)
+    model = _model_digest(document)
     kinematics = checked(Kinematics, document.get("kinematics", {}), "kinematics")
     limits = checked(Limits, document["limits"], "limits")
     plant = replace(
@@ -187,18 +227,19 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         kinematics,
         motors,
         optional_table(Steps),
-        checked(Compensation, document["compensation"], "compensation"),
+        checked(Compensation, document.get("compensation", {}), "compensation"),
         load_firmware(document["firmware"]),
         plant,
         checked(Sweep, document.get("sweep", {}), "sweep"),
         digest,
-        _verified(document),
+        _verified(document, model),
         checked_value(bool, document["plant"].get("invented", True), {}, "plant.invented"),
         checked(Speed, document.get("speed", {}), "speed"),
         optional_table(Retraction),
         optional_table(Extruder),
         uncertainty,
         _day(document["plant"].get("measured"), "plant.measured"),
+        model,
         None if motors == stated else stated,
     )
     check_needs(printer.firmware, printer.steps is not None)
@@ -212,27 +253,19 @@ def _day(value: Any, key: str) -> date | None:
         raise PrinterError(f'must be a day such as "2026-01-31", it is {value!r}', key) from None
 
 
-def _verified(document: dict[str, Any]) -> Verified | None:
+def _verified(document: dict[str, Any], model: str) -> Verified | None:
     """Return the mark of `verify`, if it was for this plant and window."""
     if "verified" not in document:
         return None
     mark = checked(Verified, document["verified"], "verified")
-    return mark if mark.model == _model_digest(document) else None
+    return mark if mark.model == model else None
 
 
 def _model_digest(document: dict[str, Any]) -> str:
-    plant = {
-        key: value
-        for key, value in document["plant"].items()
-        if key not in ("measured", "moving_mass")
-    }
-    deciding = repr((plant, document["compensation"]))
-    return hashlib.sha256(deciding.encode()).hexdigest()[:12]
-
-
-def model_digest(text: str) -> str:
-    """Return the digest of the plant and window of a profile's text."""
-    return _model_digest(_extended(tomllib.loads(text)))
+    """Return a digest of plant and window."""
+    others = ("measured", "moving_mass")
+    plant = {key: value for key, value in document["plant"].items() if key not in others}
+    return _digest((plant, document.get("compensation")))
 
 
 def played_by(printer: Printer, dialect: str) -> Printer:

@@ -173,10 +173,10 @@ class Compensation:
     Raises ArgumentError if the window is impossible or longer than LONGEST_PREVIEW.
     """
 
-    L: int = positive(most=500)
-    n_C: int = positive(most=1000)
-    n_up: int = positive(most=1000)
-    effort: tuple[float, float] = not_negative()
+    L: int = positive(5, most=500)
+    n_C: int = positive(88, most=1000)
+    n_up: int = positive(44, most=1000)
+    effort: tuple[float, float] = not_negative((10.0, 10.0))
     strategy: str = field(default="racking", metadata={"choices": tuple(STRATEGIES)})
     degree: int = within(2, 9, default=5)
     stops: str = field(default="fast", metadata={"choices": tuple(STOPS)})
@@ -313,7 +313,7 @@ class Printer:
     identifies the contents, apart from ``verified``. verified: None unless this plant and
     window were verified. invented: the plant was not measured on this printer. uncertainty: share
     by which the printer may differ from its plant; None if it was not measured. measured: day of
-    the recordings, if known.
+    the recordings, if known. model: digest of plant and window, which `verify` marks.
     """
 
     name: str
@@ -335,6 +335,7 @@ class Printer:
     extruder: Extruder | None = None
     uncertainty: float | None = None
     measured: date | None = None
+    model: str = ""
     stated: Motors | None = None
 
     def uncertainty_on(self, day: date) -> float:

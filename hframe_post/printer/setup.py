@@ -1,7 +1,6 @@
 """New profiles, from what a firmware says of itself: each number, and where it came from.
 
-A line of such a profile is ``acceleration = 8000    # 8000 (max_accel of [printer])``. The comment
-repeats the value: `update.updated` sees from it what was changed since.
+A line of such a profile is ``acceleration = 8000    # max_accel of [printer]``.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from dataclasses import dataclass
 from hframe_post.printer.firmware_tables import TABLES
 
 SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
-AS_BEFORE = "as before"  # origin of what an earlier setup found
 
 Value = float | tuple[float, ...] | tuple[str] | str | bool
 
@@ -32,9 +30,6 @@ class Known:
             items = (json.dumps(v) if isinstance(v, str) else f"{v:.9g}" for v in self.value)
             return f"[{', '.join(items)}]"
         return f"{self.value:.9g}"
-
-    def comment(self) -> str:
-        return f"{self.as_toml()} ({self.origin})"
 
 
 Tables = dict[str, dict[str, Known]]  # settings by table; a table without any does not exist
@@ -74,16 +69,14 @@ COLUMN = 32
 
 
 def profile_text(tables: Tables, description: str) -> str:
-    """Return a new profile as TOML. It has no plant yet: the nozzle follows the motors exactly."""
+    """Return a new profile as TOML. It has no plant yet: 'identify' writes it."""
     (dialect,) = (name[len(FIRMWARE) :] for name in tables if name.startswith(FIRMWARE))
     others = dict(tables)
     firmware = "".join(f"{_line(*item)}\n" for item in others.pop("firmware", {}).items())
     settings = "\n".join(line for name, table in others.items() for line in _table(name, table))
-    x = tables["travel"]["x"].value
-    assert isinstance(x, tuple)
     return f"""\
-# A profile for hframe-post. Lengths in mm, times in s. A comment that begins with a value shows
-# what was found, and where. Change what you like: 'hframe-post setup' keeps your changes.
+# A profile for hframe-post. Lengths in mm, times in s. A comment shows where a value was found.
+# Change what you like: no command changes it back. What is measured goes into a file beside it.
 
 description = {json.dumps(description, ensure_ascii=False)}
 
@@ -91,19 +84,6 @@ description = {json.dumps(description, ensure_ascii=False)}
 [firmware]
 dialect = "{dialect}"
 {firmware}
-[compensation]          # 'hframe-post identify' chooses these for your printer
-strategy = "racking"    # ringing and, on an H-bot, racking
-L = 5                   # samples between knots
-n_C = 88                # control points in a window
-n_up = 44               # control points kept from each window
-effort = [10, 10]       # weight on the second difference of the command in x and y
-
-[plant]                 # Not measured yet: 'hframe-post identify' writes it (docs/identify.md).
-invented = true         # Until then nothing is compensated.
-Ts = 0.001
-x_c = {sum(map(float, x)) / 2.0:.9g}
-Gxx = {{gain = 1.0, zeros = [], poles = []}}
-Gyy = {{gain = 1.0, zeros = [], poles = []}}
 """
 
 
@@ -121,4 +101,4 @@ def _table(name: str, table: dict[str, Known]) -> Iterator[str]:
 
 
 def _line(key: str, known: Known) -> str:
-    return f"{f'{key} = {known.as_toml()}':{COLUMN}s}# {known.comment()}"
+    return f"{f'{key} = {known.as_toml()}':{COLUMN}s}# {known.origin}"

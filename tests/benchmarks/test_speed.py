@@ -21,7 +21,6 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
@@ -29,6 +28,7 @@ from tests.benchmarks.models import SPREAD, models
 from tests.benchmarks.timing import fastest, processor_and_wall, seconds
 from tests.conftest import SAMPLES
 from tests.modes import deviation_of_mode
+from tests.profiles import with_plant
 
 OPTIONS = Options("racking", ("none", "racking"))
 CURA = Path("/usr/share/cura/resources/definitions")

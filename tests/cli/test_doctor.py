@@ -105,7 +105,7 @@ def test_doctor_finds_each_harm(machine: Path, file: str, old: str, new: str, fo
         path.write_text(before)
     lines = [line for line in printed.splitlines() if found.replace("@", str(machine)) in line]
     assert len(lines) == 1, printed
-    chosen = "as you chose" in found or "replaces the [" in found
+    chosen = "(setup: " in found or "replaces the [" in found
     assert lines[0].startswith("note" if chosen else "PROBLEM")
     assert status == (1 if "PROBLEM" in printed else 0)
 
@@ -144,7 +144,7 @@ def test_doctor_knows_the_klipper_that_does_not_turn_shaping_off(
     cfg = config / "printer.cfg"
     cfg.write_text(cfg.read_text().replace("[input_shaper]", "[input_shaper]\nshaper_freq_x: 51.5"))
     own, home = config / "printer.toml", str(config / "config")
-    run("setup", cfg, "-o", config, XDG_CONFIG_HOME=home)
+    run("setup", cfg, "-o", config, "--reset", XDG_CONFIG_HOME=home)
     doctor = partial(run, "doctor", "-p", own, "--printer-cfg", cfg, HFRAME_PRINTER=str(own))
     unknown = doctor()
     assert unknown.returncode == 0, unknown.stdout
@@ -164,7 +164,7 @@ def test_doctor_knows_the_klipper_that_does_not_turn_shaping_off(
         b"does not show Klipper's version" in doctor("--klippy-log", tmp_path / "other.log").stdout
     )
     cfg.write_text((machine / "printer.cfg").read_text())  # no frequency: nothing to turn off
-    run("setup", cfg, "-o", config, XDG_CONFIG_HOME=home)
+    run("setup", cfg, "-o", config, "--reset", XDG_CONFIG_HOME=home)
     log.write_text(f"Git version: '{version}'\n")
     assert doctor().returncode == 0
 
@@ -173,17 +173,17 @@ def test_doctor_notes_an_old_model(machine: Path, tmp_path: Path) -> None:
     folder = tmp_path / "machine"
     shutil.copytree(machine, folder)
     profile = folder / "printer.toml"
-    measured = profile.read_text().replace("invented = true", "invented = false")
-    profile.write_text(measured)
+    plant = ("[plant]", "invented = false", "Ts = 0.001", "Gxx = {gain=1.0, zeros=[], poles=[]}",
+             "Gyy = {gain=1.0, zeros=[], poles=[]}", "")  # fmt: skip
+    profile.write_text(profile.read_text() + "\n".join(plant))
     assert "days ago" not in findings(folder)[1]
     long_ago = time.time() - 200.0 * 86400.0
     os.utime(profile, (long_ago, long_ago))
     _, printed = findings(folder)
     assert "note     " in printed
     assert "was written 200 days ago" in printed
-    profile.write_text(
-        measured.replace("invented = false", 'invented = false\nmeasured = "2020-01-31"')
-    )
+    with profile.open("a") as file:
+        file.write('measured = "2020-01-31"\n')
     assert "was measured" in findings(folder)[1]
 
 

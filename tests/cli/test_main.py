@@ -163,7 +163,11 @@ def test_printers_are_listed_and_shown(tmp_path: Path) -> None:
 
 def test_version_and_help() -> None:
     assert run("--version").stdout.startswith(b"hframe-post, version ")
-    assert b"--on-limit" in run("convert", "--help").stdout
+    usual = run("convert", "--help").stdout
+    assert b"--on-limit" not in usual
+    assert b"--on-limit" in run("convert", "--help-all").stdout
+    assert usual.count(b"\n") < 40
+    assert run("--help").stdout.count(b"\n") <= 30
     assert b"printers" in run("--help").stdout
 
 

@@ -17,12 +17,12 @@ import pytest
 
 from hframe_post.cli.integrations import program
 from hframe_post.cli.moonraker import SECTIONS, update_lines
-from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import JERK, Extruder, Motors
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT
 from tests.printers import M503, REAL
+from tests.profiles import with_plant
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_limits_are_those_of_printer_cfg_and_belts_allow_its_diagonal(config: Pa
     assert (own.limits.jerk, own.limits.deceleration) == (JERK, math.inf)
     assert own.sweep.amplitude == 5000.0
     edited(config, "max_accel: 10000", "max_accel: 3000")
-    set_up(config)
+    set_up(config, "--reset")
     assert load(str(config.parent / "printer.toml")).sweep.amplitude == 3000.0
 
 
@@ -102,29 +102,27 @@ belt_acceleration = 31113       # 31113 (√2 × 22000, which compensation may n
 
 [steps]"""
     edited(own, "\n[steps]", motors)
-    for _ in range(2):
-        old = load(str(own))
-        assert (old.limits.deceleration, old.limits.jerk) == (math.inf, 2e6)
-        assert old.stated == Motors()
-        set_up(config)
-    assert "[motors]" not in own.read_text()
-    assert "jerk = 2e6" in own.read_text()
+    old = load(str(own))
+    assert (old.limits.deceleration, old.limits.jerk) == (math.inf, 2e6)
+    assert old.stated == Motors()
 
 
-def test_again_it_says_what_changed_and_keeps_what_was_changed_by_hand(config: Path) -> None:
+def test_again_it_changes_nothing_and_says_what_differs(config: Path) -> None:
     own = config.parent / "printer.toml"
     set_up(config)
     assert "no changes" in set_up(config)
     edited(own, "z_velocity = 20", "z_velocity = 15")
     edited(own, "dialect = ", 'harmless = ["BEEP"]\ndialect = ')
     edited(config, "max_accel: 10000", "max_accel: 8000")
+    before = own.read_bytes()
     printed = set_up(config)
-    assert "limits.acceleration = 8000 (max_accel of [printer]): it was 10000" in printed
-    assert "limits.z_velocity = 15: kept, because it was changed by hand" in printed
+    assert own.read_bytes() == before
+    assert "limits.acceleration: 8000 (max_accel of [printer]), it has 10000" in printed
+    assert "limits.z_velocity: 20" in printed
+    assert f"To write it anew: hframe-post setup {config} --reset" in printed
+    set_up(config, "--reset")
     profile = load(str(own))
-    assert (profile.limits.acceleration, profile.limits.z_velocity) == (8000.0, 15.0)
-    assert profile.firmware.harmless == ("BEEP",)
-    assert "limits.z_velocity = 15: kept" in set_up(config)
+    assert (profile.limits.acceleration, profile.firmware.harmless) == (8000.0, ())
 
 
 def test_a_second_setup_changes_no_byte(config: Path) -> None:
@@ -137,51 +135,8 @@ def test_a_second_setup_changes_no_byte(config: Path) -> None:
         before = [(path.read_bytes(), path.stat().st_mtime_ns) for path in (*written, default)]
         printed = set_up(config)
         assert "no changes" in printed
-        assert "kept" not in printed
         after = [(path.read_bytes(), path.stat().st_mtime_ns) for path in (*written, default)]
         assert after == before
-        edited(own, "z_acceleration = 500", "z_acceleration = 400")  # kept, once it is noted
-        set_up(config)
-        edited(own, "z_acceleration = 400", "z_acceleration = 500")
-
-
-@pytest.mark.parametrize(
-    ("key", "by_hand", "printers"),
-    [
-        ("limits.z_velocity", "z_velocity = 15", "z_velocity = 20"),
-        ("travel.x", "x = [0, 300]", "x = [0, 280]"),
-        ("firmware.klipper.acceleration", "acceleration = 4000", "acceleration = 10000"),
-    ],
-)
-def test_the_printers_value_comes_back_where_one_was_changed_by_hand(
-    config: Path, key: str, by_hand: str, printers: str
-) -> None:
-    """What doctor and setup advise ends the difference that doctor finds."""
-    with config.open("a") as file:
-        file.write("[include hframe.cfg]\n")
-    set_up(config)
-    own = config.parent / "printer.toml"
-    table = f"[{key.rpartition('.')[0]}]"
-    head, rest = own.read_text().split(table)
-    own.write_text(head + table + rest.replace(printers, by_hand, 1))
-
-    def doctor() -> list[str]:
-        done = run("doctor", "-p", own, "--printer-cfg", config,
-                   XDG_CONFIG_HOME=str(config.parent / "config"), HFRAME_PRINTER="")  # fmt: skip
-        return [line for line in done.stdout.decode().splitlines() if line.startswith("PROBLEM")]
-
-    (problem,) = doctor()
-    assert "changed by hand: write the printer's value into the profile" in problem
-    assert "run 'hframe-post setup" not in problem
-    kept = set_up(config)
-    assert f"{key} = {by_hand.split(' = ')[1]}: kept, because it was changed by hand" in kept
-    value = printers.split(" = ")[1]
-    assert f"to take the printer's, write {value} (" in kept
-    head, rest = own.read_text().split(table)
-    own.write_text(head + table + rest.replace(by_hand, printers, 1))
-    assert doctor() == []
-    assert "no changes" in (again := set_up(config))
-    assert "kept" not in again
 
 
 def test_a_marlin_with_two_carriages_compensates_the_first(tmp_path: Path) -> None:
@@ -214,8 +169,8 @@ def test_what_the_printer_has_no_more_goes(config: Path) -> None:
     assert has.firmware.klipper.shaper_freq_x == 51.5
     assert has.retraction is not None
     config.write_text(before.replace("[firmware_retraction]", "[unused]"))
-    printed = set_up(config)
-    assert "[retraction]: removed, because the printer has none any more" in printed
+    printed = set_up(config, "--reset")
+    assert "[retraction]: the printer has none any more" in printed
     has = load(str(own))
     assert has.firmware.klipper is not None
     assert has.firmware.klipper.shaper_freq_x == 0.0
@@ -409,7 +364,8 @@ def test_again_it_keeps_an_identified_plant(config: Path) -> None:
     paper = load("paper")
     own.write_text(with_plant(str(own), paper.plant, paper.compensation.windows, ["measured"]))
     edited(config, "max_accel: 10000", "max_accel: 8000")
-    set_up(config)
+    set_up(config, "--reset")
+    assert 'model = "printer.model.toml"' in own.read_text()
     profile = load(str(own))
     assert profile.limits.acceleration == 8000.0
     np.testing.assert_allclose(profile.plant.Gxx.deviation, paper.plant.Gxx.deviation, atol=1e-4)
@@ -472,15 +428,17 @@ def test_answers_of_marlin_make_a_profile_without_macros(tmp_path: Path) -> None
     assert "--kinematics corexy" in printed
     edited(own, 'planner = "2.1"', 'planner = "2.0"')
     edited(answers, "J0.08", "J0.02")
-    printed = set_up(answers, "--kinematics", "hbot", "--bed", "300,200")
-    assert 'firmware.marlin.planner = "2.0": kept' in printed
+    set_up(answers, "--kinematics", "hbot")
+    assert load(str(own)).kinematics.racks
+    printed = set_up(answers, "--bed", "300,200", "--reset")
+    assert 'firmware.marlin.planner: "2.1"' in printed
     profile = load(str(own))
     assert profile.kinematics.racks
     assert (profile.travel.x, profile.travel.y) == ((0.0, 300.0), (0.0, 200.0))
     assert profile.firmware.marlin is not None
     assert (profile.firmware.marlin.junction_deviation, profile.firmware.marlin.planner) == (
         0.02,
-        "2.0",
+        "2.1",
     )
     done = run(RECTANGLE, "-n", "-p", own)
     assert done.returncode == 0, done.stderr

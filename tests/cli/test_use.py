@@ -7,9 +7,11 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from hframe_post.cli.convert import slicer_warnings
-from hframe_post.printer.choice import choose
+from hframe_post.cli.main import main
+from hframe_post.printer.choice import choose, set_default
 from hframe_post.printer.settings import Printer
 from tests.command_line import RECTANGLE, run
 
@@ -99,3 +101,19 @@ def test_more_acceleration_than_in_the_profile_is_a_warning(paper: Printer) -> N
     (line,) = slicer_warnings(environ, paper.limits)
     assert "10000 mm/s² (infill_acceleration 12000)" in line
     assert not slicer_warnings({}, paper.limits)
+
+
+def test_the_profile_of_this_folder_comes_before_the_default(
+    own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its errors name its file."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.delenv("HFRAME_PRINTER")
+    set_default(str(own))
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert choose(None, {}).profile == str(own)
+    Path("printer.toml").write_text('extends = "paper"\n[plant]\ninvented = true\n')
+    assert choose(None, {}).as_text() == "profile          printer.toml (of this folder)"
+    done = CliRunner().invoke(main, [str(RECTANGLE), "-o", "out.gcode"])
+    assert "Error: printer.toml: plant.invented: " in done.stderr

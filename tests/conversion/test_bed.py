@@ -20,12 +20,12 @@ from hframe_post.errors import HframeError, PrinterError
 from hframe_post.model.lpfbs import Lpfbs
 from hframe_post.model.plant import Bed, heavier
 from hframe_post.prediction.predict import contour_error
-from hframe_post.printer.edit import with_plant
-from hframe_post.printer.profile import load, model_digest, parse
+from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
 from tests.gcode_tools import converted
 from tests.native.oracles import in_motion
 from tests.plants import Filter
+from tests.profiles import with_plant
 from tests.quantities import below
 
 FBS = Options("fbs", limits="printer")
@@ -214,7 +214,8 @@ def test_a_profile_knows_its_bed() -> None:
     assert plant.bed is not None
     assert plant.bed.mass == 0.8
     assert plant.bed.filament == pytest.approx(1.27e-6 * math.pi * 1.75**2 / 4.0)
-    assert model_digest(MINE) == model_digest(MINE.replace("moving_mass = 0.8\n", ""))
+    heavier = MINE.replace("moving_mass = 0.8\n", "")
+    assert parse(heavier, "mine").model == parse(MINE, "mine").model
 
 
 def test_a_bed_that_does_not_move_has_no_moving_mass() -> None:

@@ -204,6 +204,36 @@ def test_a_macro_may_have_set_what_the_next_one_finds() -> None:
         assert left.state.absolute_e == absolute
 
 
+PURGE = ("G92 E0", "G1 X0.1 Y20 Z0.3 F5000", "BED_MESH_CALIBRATE", "G1 Z0.3 F5000",
+         "G1 X0.1 Y20 F5000", "G1 X0.1 Y200 F1500 E15", "G1 X0.4 Y20 F1500 E30")  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ((*START[:2], *PURGE), 30.0),  # two lines of one length
+        ((*PURGE[:-1], "G1 X0.4 Y100 E18", "M82"), 18.0),
+        ((*START[:2], *PURGE[:-1], "G1 X0.4 Y100 E18", "M82"), 18.0),  # by the mode that follows
+        ((*START[1:], "Z_TILT_ADJUST", START[-1], *GROWING), 4.0),
+    ],
+)
+def test_what_else_shows_that_e_is_absolute(text: tuple[str, ...], expected: float) -> None:
+    assert filament(*text) == expected
+
+
+@pytest.mark.parametrize("own", ["BED_MESH_CALIBRATE", "SET_KINEMATIC_POSITION X=0 Y=0 Z=10"])
+def test_commands_of_klippers_own_set_no_mode(own: str) -> None:
+    """A macro may; so what looks relative after these is asked for, not believed."""
+    with pytest.raises(GcodeError, match="its numbers look relative"):
+        filament(own, *START[1:], *EQUAL)
+    assert filament("MY_OWN", *START[1:], *EQUAL) == 4.0
+
+
+@pytest.mark.parametrize("words", ["S1", "P2 Q3", "S", "T0 R1.5 H1 D L"])
+def test_words_that_firmware_ignores_in_moves_are_ignored(words: str) -> None:
+    assert filament("G90", "M83", "G1 X10 Y10 Z.2 F6000", f"G1 X20 {words} E1") == 1.0
+
+
 def test_one_e_is_the_same_either_way() -> None:
     assert filament(*START, "G1 X20 E1") == 1.0
 

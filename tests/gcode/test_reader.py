@@ -255,7 +255,7 @@ def test_klipper_macros_pass() -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "G1 XNaN", "G1 X1.2.3", "G1 Xabc", "G1 X", "G1 X1 F0", "G1 X1 F-5", "G1 X1 X2", "G1 S5",
+        "G1 XNaN", "G1 X1.2.3", "G1 Xabc", "G1 X", "G1 X1 F0", "G1 X1 F-5", "G1 X1 X2",
         "G1 A5", "G1 X99999999", "G53 G1 X1", "G54", "G59", "G5.1 X1", "G92.1",
         "N3 G1 X5*9", "M204 S-1", "M204 S0", "M220 S0", "G2 X5 Y5", "G2 X50 I1 J0", "G2 X9 R1",
         "; processed by hframe-post 0.1.0",

@@ -18,9 +18,9 @@ from hframe_post.cli.main import main
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer import profile as profiles
-from hframe_post.printer.edit import with_plant
 from tests.command_line import run
 from tests.klipper.host import play
+from tests.profiles import with_plant
 from tests.recordings import Sensor, moved, write_klipper
 
 QUICK = """

@@ -22,10 +22,10 @@ from hframe_post.identification.verification import motion as verification
 from hframe_post.identification.verification.drifted import drifted
 from hframe_post.identification.verification.verdict import compare_runs
 from hframe_post.model.impulse_response import Elsewhere, ImpulseResponse
-from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.identification.drifting import STEP, checked
+from tests.profiles import with_plant
 from tests.random_printers import drawn, printer, traced
 from tests.recordings import write_klipper
 from tests.simulator import Axis, Chip, Machine, Mode

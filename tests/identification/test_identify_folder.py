@@ -21,10 +21,10 @@ from hframe_post.identification.recordings.excitation import read_command
 from hframe_post.identification.recordings.orientation import QUIET
 from hframe_post.identification.responses.measured import MeasurementSettings
 from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
-from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
 from tests.identification.bench import AXES, Recorded, check_refused, invoked
+from tests.profiles import with_plant
 from tests.recordings import SV08_CONFIG, write_klipper
 from tests.resonance_recordings import LIS2DW, drawn_sensor, klipper, linear_printer
 

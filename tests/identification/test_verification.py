@@ -16,13 +16,13 @@ from hframe_post.identification.recordings.accelerometer import oriented
 from hframe_post.identification.verification.drifted import drifted
 from hframe_post.identification.verification.motion import runs
 from hframe_post.identification.verification.verdict import Verdict, compare_runs
-from hframe_post.printer.edit import with_plant, with_verification
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.conftest import SAMPLES
 from tests.coupled_printers import CoupledMachine, SharedMode
 from tests.identification.drifting import STEP
 from tests.page.pages import data_of
+from tests.profiles import with_plant, with_verification
 from tests.random_printers import judged, printer, traced
 from tests.recordings import write_klipper
 from tests.simulator import Axis, Chip, Machine, Mode, Playing
@@ -259,12 +259,15 @@ def test_motions_that_cannot_be_a_test_are_errors() -> None:
 
 
 def test_a_mark_holds_for_its_model_alone(tmp_path: Path) -> None:
-    text = with_verification("paper", "2026-01-02", 0.9)
+    (tmp_path / "plain.toml").write_text('extends = "paper"\n')
+    text = with_verification(str(tmp_path / "plain.toml"), "2026-01-02", 0.9)
     (tmp_path / "mine.toml").write_text(text)
     mine = load(str(tmp_path / "mine.toml"))
     assert mine.verified is not None
-    assert mine.digest == load("paper").digest
-    (tmp_path / "other.toml").write_text(text + "\n[compensation]\nL = 8\nn_C = 55\nn_up = 27\n")
+    unmarked = text.partition("[verified]")[0]
+    (tmp_path / "plain.toml").write_text(unmarked)
+    assert mine.digest == load(str(tmp_path / "plain.toml")).digest
+    (tmp_path / "other.toml").write_text(text.replace("n_up = 44", "n_up = 43"))
     assert load(str(tmp_path / "other.toml")).verified is None
 
 

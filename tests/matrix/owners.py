@@ -19,9 +19,9 @@ from hframe_post.arrays import Array
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.recordings.accelerometer import GRAVITY
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
-from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load
 from tests.command_line import run
+from tests.profiles import with_plant
 from tests.recordings import write_klipper
 from tests.resonance_recordings import SENSORS, X, Y, recorded
 from tests.simulator import Axis, Chip, Machine, Mode

@@ -13,11 +13,11 @@ from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import from_klipper
 from hframe_post.model.kinematics import TYPES
-from hframe_post.printer.edit import with_plant
 from hframe_post.printer.profile import load, parse, shipped
 from hframe_post.printer.setup import Known, profile_text
 from tests.command_line import RECTANGLE, run
 from tests.printers import REAL
+from tests.profiles import with_plant
 
 STARTS = ("example-voron", "example-ender", "example-hbot")
 

@@ -340,7 +340,6 @@ def test_a_gantry_at_rest_does_not_rack() -> None:
 @pytest.mark.parametrize(
     ("pattern", "key"),
     [
-        (r"^effort[^\n]*\n", "compensation.effort"),
         (r"^x = [^\n]*\n", "travel.x"),
         (r"^Ts = [^\n]*\n", "plant.Ts"),
         (r"^x_c = [^\n]*\n", "plant.x_c"),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from hframe_post.firmware.configuration import Finding
@@ -23,40 +23,29 @@ SHAPES = re.compile(r"^\s*SET_INPUT_SHAPER\b[^\n]*SHAPER_FREQ", re.MULTILINE | r
 
 
 class ConfigDifference(NamedTuple):
-    """A difference of printer.cfg from the profile, and whether it is wrong.
-
-    key: of the profile, if `setup` finds its value in printer.cfg.
-    """
+    """A difference of printer.cfg from the profile, and whether it is wrong."""
 
     wrong: bool
     section: str
     option: str
     text: str
-    key: str = ""
 
 
-def check(
-    config: KlipperConfig, printer: Printer, remedy: str, chosen: Collection[str] = ()
-) -> Iterator[Finding]:
+def check(config: KlipperConfig, printer: Printer, remedy: str) -> Iterator[Finding]:
     """Yield the differences of a printer.cfg from a profile. Raises HframeError.
 
-    remedy: what to do where they differ. chosen: settings of the profile that its owner chose, such
-    as "motors.belt_acceleration", which setup keeps.
+    remedy: what to do where they differ.
     """
     if config.unsaved:
         yield Finding(True, config.unsaved)
-    for wrong, section, option, text, key in (
+    for wrong, section, option, text in (
         *_kinematics(config, printer),
         *_steps(config, printer),
         *_numbers(config, printer),
         *_travel(config, printer),
     ):
         where = f"{config.place(section, option)}: [{section}] {text}"
-        if key in chosen:
-            where += ", which was changed by hand: write the printer's value into the profile"
-            yield Finding(wrong, f"{where}, or the profile's into printer.cfg")
-        else:
-            yield Finding(wrong, f"{where}: {remedy}" if wrong else where)
+        yield Finding(wrong, f"{where}: {remedy}" if wrong else where)
     yield from _stream(config, printer)
     for warning in warnings(config):
         yield Finding(False, warning)
@@ -67,7 +56,7 @@ def _kinematics(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDiffe
     needs = klipper_name(kind := printer.kinematics.type)
     if has != needs:
         text = f'kinematics: {has}; a profile with kinematics.type = "{kind}" needs {needs}'
-        yield ConfigDifference(True, "printer", "kinematics", text, "kinematics.type")
+        yield ConfigDifference(True, "printer", "kinematics", text)
 
 
 def _speed_and_acceleration(config: KlipperConfig) -> tuple[float, float]:
@@ -135,7 +124,7 @@ def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDifferen
         elif not math.isclose(has, wanted, rel_tol=CLOSE, abs_tol=1e-9):
             given = "" if config.text(section, option) else " (by default)"
             text = f"{option}: {has:g}{given}, but {key} = {wanted:g}"
-            yield ConfigDifference(True, section, option, text, key)
+            yield ConfigDifference(True, section, option, text)
 
 
 def _steps(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDifference]:
@@ -144,7 +133,7 @@ def _steps(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDifference
         step = config.step(motor)
         if not math.isnan(step) and not math.isclose(step, expected, rel_tol=0.01):
             text = f"steps are of {step:.5g} mm, the profile's steps.belt is {expected:.5g}"
-            yield ConfigDifference(True, motor, "rotation_distance", text, "steps.belt")
+            yield ConfigDifference(True, motor, "rotation_distance", text)
 
 
 def _travel(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDifference]:
@@ -159,7 +148,7 @@ def _travel(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDifferenc
         ):
             if math.isfinite(end) and not inside:
                 text = f"{option}: {bound:g}, but travel.{axis} reaches to {end:g}"
-                yield ConfigDifference(True, section, option, text, f"travel.{axis}")
+                yield ConfigDifference(True, section, option, text)
 
 
 def _stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:

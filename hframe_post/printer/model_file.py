@@ -1,0 +1,238 @@
+"""The model of a machine in a file of its own: what identify, check and calibrate-print measured.
+
+A profile, ``printer.toml``, belongs to its owner, and its keys count. It names its model, a file
+beside it such as ``printer.model.toml``, which these commands write anew each time.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from hframe_post.arrays import TS, Array
+from hframe_post.errors import PrinterError
+from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.lpfbs import Window
+from hframe_post.model.plant import Coupling, Plant
+from hframe_post.printer.profile import AXES, MICRORAD, parse, shipped, text_of
+from hframe_post.printer.settings import Printer
+
+DIGITS, IN_A_LINE = 4, 10  # after the point of a response's µm or µrad; numbers
+WINDOW = ("L", "n_C", "n_up", "effort")  # of [compensation]
+
+
+def model_path(profile: str | Path) -> Path:
+    """Return the file beside a profile in which its model is written."""
+    return Path(profile).with_suffix(".model.toml")
+
+
+@dataclass(frozen=True, slots=True)
+class Texts:
+    """A profile that names its model, that model, and the printer that both describe."""
+
+    profile: str
+    model: str
+    printer: Printer
+
+
+def measured(
+    printer: Printer, plant: Plant, uncertainty: float | None, day: date | None
+) -> Printer:
+    """Return a printer with a plant that was measured on it; the mass of its bed stays.
+
+    uncertainty: share by which the printer may differ from the plant. A printer that compensated
+    nothing compensates racking, and one whose plant racks is an H-bot, which Klipper calls corexy,
+    too.
+    """
+    kinematics, compensation = printer.kinematics, printer.compensation
+    if plant.Gxtheta is not None and kinematics.type == "corexy":
+        kinematics = replace(kinematics, type="hbot")
+    if compensation.strategy == "none":
+        compensation = replace(compensation, strategy="racking")
+    return replace(
+        printer, plant=replace(plant, bed=printer.plant.bed), kinematics=kinematics,
+        compensation=compensation, invented=False, uncertainty=uncertainty, measured=day,
+        verified=None,
+    )  # fmt: skip
+
+
+def with_windows(printer: Printer, windows: tuple[Window, Window]) -> Printer:
+    """Return a printer that is compensated with these windows."""
+    x, y = windows
+    effort = float(x.effort), float(y.effort)
+    chosen = replace(printer.compensation, L=x.L, n_C=x.n_C, n_up=x.n_up, effort=effort)
+    return replace(printer, compensation=chosen)
+
+
+def texts(
+    printer: Printer, source: str, target: str | Path, notes: Sequence[str] | None = None,
+    text: str | None = None,
+) -> Texts:  # fmt: skip
+    """Return a profile's text that names its model, and the text of the model.
+
+    printer: has the plant and the windows to write. source: name or file of the profile that it
+    was loaded from; a shipped one is extended, not copied. target: file that the profile will be.
+    notes: comments of the plant; None keeps those of the present model. text: of the source, if
+    it is in no file. Raises PrinterError if the source cannot be changed safely.
+    """
+    before, newline = _text_and_newline(source) if text is None else (text, "\n")
+    if notes is None:
+        notes = list(_notes(source))
+    profile = _naming(before, model_path(target).name, printer, source)
+    model = "".join(_lines(printer, notes))
+    loaded = parse(profile, Path(target).stem, str(target), model)
+    if printer.verified is not None:
+        mark = replace(printer.verified, model=loaded.model)
+        model += "\n" + tomlkit.dumps({"verified": {
+            "date": mark.date, "reduction": mark.reduction, "firmware": mark.firmware,
+            "model": mark.model,
+        }})  # fmt: skip
+    return Texts(profile.replace("\n", newline), model, loaded)
+
+
+def _text_and_newline(source: str) -> tuple[str, str]:
+    """Return the text of a profile and its line end. A shipped profile is extended."""
+    if source in shipped():
+        return f'extends = "{source}"\n', "\n"
+    text = text_of(source)
+    if 0 < text.count("\n") == text.count("\r\n"):
+        return text.replace("\r\n", "\n"), "\r\n"
+    return text, "\n"
+
+
+def named_model(profile: str) -> list[Path]:
+    """Return the file of the model that a profile names, if it names one."""
+    name = tomllib.loads(text_of(profile)).get("model")
+    return [] if name is None else [Path(profile).parent / name]
+
+
+def _notes(source: str) -> Iterator[str]:
+    """Yield the comments of the plant in a model, or in a profile that contains its plant."""
+    if source in shipped():
+        return
+    text = text_of(str([Path(source), *named_model(source)][-1]))
+    _, _, plant = text.partition("\n[plant]")
+    for line in plant.splitlines()[1:]:
+        if not line.startswith("#"):
+            return
+        yield line[1:].removeprefix(" ")
+
+
+def _naming(text: str, model: str, printer: Printer, source: str) -> str:
+    """Return a profile's text that names a model, without what the model contains."""
+    now, before = printer, parse(text, source, source)
+    try:
+        document: Any = tomlkit.parse(text)
+        for name in ("model", "plant", "verified"):
+            document.pop(name, None)
+        for table, keys in (("compensation", WINDOW), ("speed", ("avoid",))):
+            for key in keys if table in document else ():
+                document[table].pop(key, None)
+            if table in document and not document[table] and "#" not in document[table].as_string():
+                document.pop(table)
+        for table, key, value, old in (
+            ("kinematics", "type", now.kinematics.type, before.kinematics.type),
+            ("compensation", "strategy", now.compensation.strategy, before.compensation.strategy),
+        ):
+            if value != old:
+                if table not in document:
+                    document.append(table, tomlkit.table())
+                document[table][key] = value
+        named = f'model = "{model}"\n{document.as_string().rstrip()}\n'
+        changed = tomllib.loads(named) != tomllib.loads(text)
+    except (TOMLKitError, ValueError, RecursionError):
+        advice = f'this file cannot be changed safely: write model = "{model}" in its first line'
+        raise PrinterError(advice, "model", source) from None
+    return named if changed else text
+
+
+def _lines(printer: Printer, notes: Sequence[str]) -> Iterator[str]:
+    """Yield the text of a model.
+
+    Without racking it has a gain of zero, since the profile that is extended may rack.
+    """
+    plant, found = printer.plant, printer.compensation
+    yield "# Written by hframe-post: what it measured. The profile's own keys count more.\n\n"
+    yield f"[compensation]\nL = {found.L}\nn_C = {found.n_C}\nn_up = {found.n_up}\n"
+    yield f"effort = {[*found.effort]}\n"
+    if printer.speed.avoid:
+        yield f"\n[speed]\navoid = {[[*band] for band in printer.speed.avoid]}\n"
+    yield "\n[plant]\n"
+    for note in notes:
+        yield f"# {note}".rstrip() + "\n"
+    yield f"invented = {str(printer.invented).lower()}\n"
+    if printer.uncertainty is not None:
+        yield f"uncertainty = {printer.uncertainty!r}\n"
+    if printer.measured is not None:
+        yield f'measured = "{printer.measured}"\n'
+    if plant.bed is not None:
+        yield f"moving_mass = {plant.bed.mass!r}\n"
+    yield f"Ts = {TS}\nx_c = {plant.x_c!r}\n"
+    no_racking = ImpulseResponse(np.zeros(1), 0, rest=0.0)
+    functions = {"Gxx": plant.Gxx, "Gyy": plant.Gyy, "Gxtheta": plant.Gxtheta or no_racking}
+    for name, G in functions.items():
+        yield f"\n[plant.{name}]\n{_linear(G, f'plant.{name}', angle=name == 'Gxtheta')}"
+    yield from map(_coupling, plant.cross)
+
+
+def _coupling(coupling: Coupling) -> str:
+    names = {axis: name for name, axis in AXES.items()}
+    axes = f'answer = "{names[coupling.answer]}"\ncommand = "{names[coupling.command]}"\n'
+    if coupling.along is not None:
+        axes += f'along = "{names[coupling.along]}"\ncentre = {coupling.centre!r}\n'
+    return (
+        f"\n[[plant.cross]]\n{axes}{_linear(coupling.G, 'plant.cross', coupling.along is not None)}"
+    )
+
+
+def _linear(G: ImpulseResponse, table: str, angle: bool) -> str:
+    """Return the lines of a response; angle: one in rad.
+
+    table: its name in the profile.
+    """
+    unit, name = (MICRORAD, "µrad") if angle else (1.0, "µm")
+    comment = f"{name} at each ms, by a pulse of 1000 mm/s² for 1 ms"
+    lines = f"lead = {G.lead}\n"
+    for key, value in _known(G, unit).items():
+        if isinstance(value, list):
+            lines += _list(key, value, "standard deviation of what is not known, likewise")
+        else:
+            late = f"{name} behind at 1 mm/s"
+            meaning = late if key == "lag" else "standard deviation of all frequencies"
+            lines += f"{key} = {value!r}  # {meaning}\n"
+    lines += f"x = {G.x!r}  # mm, where it holds\n" if G.elsewhere else ""
+    lines += _list("deviation", _rounded(G.deviation, unit), comment)
+    for one in G.elsewhere:
+        lines += f"\n[[{table}.places]]\nx = {one.x!r}\nfrequency = {one.frequency!r}\n"
+        lines += _linear(one.G, table, angle)
+    return lines
+
+
+def _known(G: ImpulseResponse, unit: float) -> dict[str, Any]:
+    """Return a response's lag, drift and unknown in the profile's units, those that are not 0."""
+    (lag,) = _rounded(np.array([G.lag]), unit)
+    known = {"lag": lag, "drift": G.drift, "unknown": _rounded(G.unknown, unit)}
+    return {key: value for key, value in known.items() if value}
+
+
+def _rounded(values: Array, unit: float) -> list[float]:
+    """Return values in the profile's units, to DIGITS."""
+    return [float(value) for value in np.round(values / unit, DIGITS) + 0.0]
+
+
+def _list(key: str, values: Sequence[float], comment: str) -> str:
+    return f"{key} = [  # {comment}\n{_rows(values)}]\n"
+
+
+def _rows(values: Sequence[float]) -> str:
+    shown = [f"{value:.{DIGITS}f}" for value in values]
+    rows = (", ".join(shown[k : k + IN_A_LINE]) for k in range(0, len(shown), IN_A_LINE))
+    return "".join(f"    {row},\n" for row in rows)

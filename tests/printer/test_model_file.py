@@ -1,0 +1,163 @@
+"""A measured model in a file of its own, beside the profile that names it."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_post.errors import PrinterError
+from hframe_post.model.lpfbs import Window
+from hframe_post.printer.model_file import measured, model_path, texts, with_windows
+from hframe_post.printer.profile import load, parse
+from hframe_post.printer.settings import Printer, Verified
+from tests.coupled import coupled_plant
+from tests.profiles import in_two
+
+WINDOWS = Window(8, 55, 27, 30.0), Window(8, 55, 27, 58.75)
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    return tmp_path / "mine.toml"
+
+
+def identified(source: str, plant_of: str = "paper-strong") -> Printer:
+    plant = load(plant_of).plant
+    return with_windows(measured(load(source), plant, 0.03, date(2026, 7, 1)), WINDOWS)
+
+
+def test_a_profile_names_its_model_and_keeps_its_text(mine: Path) -> None:
+    before = 'extends = "paper"  # mine\n[limits] # L = 3\njerk = 1e6 # slow\n'
+    mine.write_text(before)
+    in_two(mine, identified(str(mine)), str(mine), ["found today", ""])
+    assert mine.read_text() == f'model = "mine.model.toml"\n{before}'
+    assert "# found today\n#\ninvented = false" in model_path(mine).read_text()
+    found = load(str(mine))
+    assert found.compensation.windows == WINDOWS
+    assert found.plant.x_c == load("paper-strong").plant.x_c
+    assert (found.uncertainty, found.measured, found.invented) == (0.03, date(2026, 7, 1), False)
+    assert found.limits.jerk == 1e6
+
+
+def test_the_owners_keys_count_more_than_the_models(mine: Path) -> None:
+    mine.write_text('extends = "paper"\n')
+    in_two(mine, identified(str(mine)), str(mine))
+    with mine.open("a") as file:
+        file.write("[compensation]\neffort = [1.0, 2.0]\n[plant]\nuncertainty = 0.2\n")
+    found = load(str(mine))
+    assert found.compensation.effort == (1.0, 2.0)
+    assert found.compensation.n_C == 55
+    assert found.uncertainty == 0.2
+    assert found.measured == date(2026, 7, 1)
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n"], ids=["unix", "windows"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[plant]\nx_c = 3 # old\n[limits]\njerk = 1e6 # mine\n[plant.Gyy]\ngain = 0.5\n"
+        "zeros = []\npoles = [[0.5, 0.0]]\n[motors]\nbelt_velocity = 600 # theirs\n"
+        "[compensation]\nL = 5 # old\nstops = 'exact'\n",
+        "plant.x_c = 3 # old\nlimits.jerk = 1e6 # mine\nmotors = { belt_velocity = 600 }#theirs\n"
+        "compensation = { L = 5, stops = 'exact' }\n",
+    ],
+    ids=["scattered", "dotted"],
+)
+def test_a_plant_in_the_profile_goes_wherever_it_is_written(
+    mine: Path, text: str, newline: str
+) -> None:
+    mine.write_bytes(f'extends = "paper"\n{text}'.replace("\n", newline).encode())
+    made = texts(identified(str(mine)), str(mine), mine, [])
+    mine.write_bytes(made.profile.encode())
+    model_path(mine).write_text(made.model)
+    found = load(str(mine))
+    assert found.compensation.windows == WINDOWS
+    assert found.compensation.stops == "exact"
+    ours, theirs = (one.plant.Gyy.deviation for one in (found, load("paper-strong")))
+    np.testing.assert_allclose(ours, theirs, atol=1e-4)
+    assert (found.limits.jerk, found.motors.belt_velocity) == (1e6, 600.0)
+    assert "# mine" in made.profile
+    assert "theirs" in made.profile
+    assert "old" not in made.profile
+    assert made.profile.count("\r") == (made.profile.count("\n") if newline == "\r\n" else 0)
+
+
+def test_what_is_measured_again_keeps_the_comments_and_the_profiles_bytes(mine: Path) -> None:
+    mine.write_text('extends = "paper"\n')
+    in_two(mine, identified(str(mine)), str(mine), ["found today", "by me"])
+    profile, first = mine.read_bytes(), model_path(mine).read_text()
+    in_two(mine, replace(load(str(mine)), uncertainty=0.04), str(mine))
+    assert mine.read_bytes() == profile
+    assert model_path(mine).read_text() == first.replace("0.03", "0.04")
+
+
+def test_a_mark_holds_for_this_model_and_window_alone(mine: Path) -> None:
+    mine.write_text('extends = "paper"\n')
+    in_two(mine, identified(str(mine)), str(mine))
+    before = load(str(mine))
+    mark = Verified("2026-07-02", 0.9, "klipper", before.model)
+    in_two(mine, replace(before, verified=mark), str(mine))
+    assert load(str(mine)).verified == mark
+    with mine.open("a") as file:
+        file.write("[compensation]\nL = 9\n")
+    assert load(str(mine)).verified is None
+
+
+def test_a_copy_elsewhere_gets_a_model_of_its_own(mine: Path) -> None:
+    mine.write_text('extends = "paper"\n')
+    in_two(mine, identified(str(mine)), str(mine))
+    other = mine.with_name("other.toml")
+    in_two(other, load(str(mine)), str(mine))
+    assert tomllib.loads(other.read_text())["model"] == "other.model.toml"
+    model_path(mine).unlink()
+    assert load(str(other)).compensation.windows == WINDOWS
+
+
+def test_bands_and_the_mass_of_a_bed_are_part_of_the_model(mine: Path) -> None:
+    mine.write_text('extends = "example-cartesian"\n[plant]\nmoving_mass = 0.8\n')
+    before = identified(str(mine), "example-cartesian")
+    avoiding = replace(before, speed=replace(before.speed, avoid=((38.0, 46.0),)))
+    in_two(mine, avoiding, str(mine))
+    found = load(str(mine))
+    assert found.speed.avoid == ((38.0, 46.0),)
+    assert found.plant.bed is not None
+    assert found.plant.bed.mass == 0.8
+
+
+def test_couplings_are_written_as_they_are_read(mine: Path) -> None:
+    mine.write_text('extends = "paper"\n')
+    plant = coupled_plant(1, racks=True)
+    in_two(mine, measured(load(str(mine)), plant, None, None), str(mine))
+    found = load(str(mine)).plant
+    assert len(found.cross) == len(plant.cross) == 4
+    for one, other in zip(found.couplings, plant.couplings, strict=True):
+        assert (one.answer, one.command) == (other.answer, other.command)
+        assert (one.along, one.centre) == (other.along, other.centre)
+        np.testing.assert_allclose(one.G.deviation, other.G.deviation, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("model", "cause"),
+    [
+        (None, "there is no .*gone.toml, which 'hframe-post identify' writes"),
+        ("[plant\n", "gone.toml: not valid TOML"),
+        ("[limits]\n", "unknown key"),
+        ("plant = 3\n", "other things than tables"),
+        ("[compensation]\n", "plant: the table is missing"),
+    ],
+)
+def test_a_model_that_is_missing_or_broken_is_named(
+    mine: Path, model: str | None, cause: str
+) -> None:
+    mine.write_text('extends = "paper"\nmodel = "gone.toml"\n')
+    if model is not None:
+        mine.with_name("gone.toml").write_text(model)
+    with pytest.raises(PrinterError, match=cause):
+        load(str(mine))
+    with pytest.raises(PrinterError, match="name of a file"):
+        parse('extends = "paper"\nmodel = 3\n', "mine")
