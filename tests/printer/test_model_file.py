@@ -93,7 +93,7 @@ def test_what_is_measured_again_keeps_the_comments_and_the_profiles_bytes(mine: 
     profile, first = mine.read_bytes(), model_path(mine).read_text()
     in_two(mine, replace(load(str(mine)), uncertainty=0.04), str(mine))
     assert mine.read_bytes() == profile
-    assert model_path(mine).read_text() == first.replace("0.03", "0.04")
+    assert model_path(mine).read_text() == first.replace("= 0.03", "= 0.04")
 
 
 def test_a_mark_holds_for_this_model_and_window_alone(mine: Path) -> None:
