@@ -2,7 +2,7 @@ PYTHON ?= python3
 # Without bytecode, each process that a test starts would compile the package again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: check lint test bytes slow hosts programs debian docs bench fuzz guided random-printers audit
+.PHONY: check lint test bytes slow hosts programs debian docs results bench fuzz guided random-printers audit
 
 # both at once: mypy needs one core for as long as a sixth of the tests take on two
 check:
@@ -66,6 +66,10 @@ $(HOSTS)/%/ready:
 docs:
 	@$(PYTHON) -c 'import mkdocstrings' 2>/dev/null || { echo "pip install -e '.[docs]' first"; exit 1; }
 	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --quiet
+
+# docs/results.md: what the sample prints take and leave here
+results:
+	$(PYTHON) -m tools.results
 
 bench:
 	$(PYTHON) -m pytest tests/benchmarks -o addopts='' --benchmark-only

@@ -13,7 +13,14 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import NoReturn
 
-LENGTH = struct.Struct("=q")  # of the request; also the status that answers it
+LENGTH = struct.Struct("=q")  # of the request
+ANSWER = struct.Struct("=qd")  # status, and processor time, s
+_spent = [0.0]
+
+
+def spent() -> float:
+    """Return the processor time of all commands so far, s."""
+    return _spent[0]
 
 
 def ask(
@@ -23,7 +30,9 @@ def ask(
     request = json.dumps([arguments, environment, os.getcwd()]).encode()
     socket.send_fds(server, [LENGTH.pack(len(request))], streams)
     server.sendall(request)
-    return int(LENGTH.unpack(_received(server, LENGTH.size))[0])
+    status, seconds = ANSWER.unpack(_received(server, ANSWER.size))
+    _spent[0] += seconds
+    return int(status)
 
 
 def _received(connection: socket.socket, count: int) -> bytes:
@@ -49,8 +58,9 @@ def serve(connection: socket.socket) -> None:
             _run(request, streams)
         for stream in streams:
             os.close(stream)
-        _, status = os.waitpid(pid, 0)
-        connection.sendall(LENGTH.pack(os.waitstatus_to_exitcode(status)))
+        _, status, used = os.wait4(pid, 0)
+        seconds = used.ru_utime + used.ru_stime
+        connection.sendall(ANSWER.pack(os.waitstatus_to_exitcode(status), seconds))
 
 
 def _run(request: tuple[list[str], dict[str, str], str], streams: Sequence[int]) -> NoReturn:

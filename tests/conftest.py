@@ -25,6 +25,12 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.stream.types import Samples
+from tests.budgets import (  # noqa: F401
+    pytest_runtest_logreport,
+    pytest_runtest_makereport,
+    pytest_runtest_protocol,
+    pytest_terminal_summary,
+)
 
 settings.register_profile(
     "repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]

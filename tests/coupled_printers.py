@@ -236,7 +236,7 @@ def runs_of_days(
                 found = find(it.recording, test)
                 clock = found.start - float(it.recording.t[0]), found.drift
                 name, command = f"{'xy'[direction == Y]}-{place:g}-{day}", found.test.command()
-                runs.append(Run(name, command, it.recording, calibrated=False, rough_clock=clock))
+                runs.append(Run(name, command, it.recording, rough_clock=clock))
     return runs
 
 

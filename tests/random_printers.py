@@ -1,7 +1,8 @@
-"""Simulated printers with random parameters and faults: swept, identified and judged."""
+"""Simulated printers with random parameters and faults: measured, identified and judged."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,10 +12,10 @@ from hframe_post.arrays import Array, Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.identification.identify import Identified, MeasurementSettings, Run, identify
-from hframe_post.identification.recordings.accelerometer import oriented
-from hframe_post.identification.recordings.sweep import positions
-from hframe_post.identification.recordings.sweep import runs as planned
-from hframe_post.identification.verification.motion import motion_of
+from hframe_post.identification.recordings.clock import KnownStart
+from hframe_post.identification.recordings.runs import PlannedRun
+from hframe_post.identification.recordings.strokes import runs
+from hframe_post.identification.verify import motion_of
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import contour_error
@@ -29,46 +30,38 @@ CUBE = Path(__file__).parent.parent / "sample_gcode" / "cube.gcode"
 CUBE_LINES = 1200  # of its G-code: two layers
 
 
-def printer(machine: Machine, rate: float = 4.0) -> Printer:
-    """Return the paper's bed and limits with the machine's kinematics and a quick sweep."""
+def printer(machine: Machine) -> Printer:
+    """Return the paper's bed and limits with the machine's kinematics."""
     paper = load("paper")
     racks = machine.kinematics == "hbot"
     plant = paper.plant if racks else replace(paper.plant, Gxtheta=None)
-    return replace(
-        paper,
-        plant=plant,
-        kinematics=Kinematics(machine.kinematics),
-        sweep=replace(paper.sweep, rate_hz_per_s=rate),
-    )
+    return replace(paper, plant=plant, kinematics=Kinematics(machine.kinematics))
 
 
-def swept(
-    machine: Machine,
-    chip: Chip,
-    x: tuple[float, ...],
-    y: tuple[float, ...],
-    seed: int,
-    rate: float = 4.0,
-    step: float = 0.0,
+BEGUN, SD = 1234.5, 2e-5  # s of print time at which the simulator's motions begin
+
+
+def recorded(
+    machine: Playing, chip: Chip, planned: Sequence[PlannedRun], seed: int, step: float = 0.0
 ) -> list[Run]:
-    """Return the runs of sweeps, recorded by a sensor on the nozzle.
+    """Return runs of known start. step: mm of belt that a motor step moves."""
+    start = KnownStart(BEGUN, SD)
+    return [
+        Run(
+            run.name,
+            run.command,
+            chip.record(machine, run.command, 100 * seed + k, step),
+            start=start,
+        )
+        for k, run in enumerate(planned)
+    ]
 
-    step: mm of belt that a motor step moves.
-    """
-    profile = printer(machine, rate)
-    runs = []
-    for axis, places in ((0, x), (1, y)):
-        for k, run in enumerate(planned(profile, axis, [(place, 147.5) for place in places])):
-            recording = chip.record(machine, run.command, 1000 * seed + 10 * axis + k, step)
-            runs.append(Run(run.name, run.command, oriented(recording, quiet=0.5)))
-    return runs
 
-
-def places(machine: Machine) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the x (mm) of the runs in x and in y, as `sweep` chooses them."""
-    profile = printer(machine)
-    x, y = (tuple(place for place, _ in positions(profile, axis)) for axis in (0, 1))
-    return x, y
+def struck(
+    machine: Machine, chip: Chip, seed: int, seconds: float = 60.0, step: float = 0.0
+) -> list[Run]:
+    """Return recordings of the strokes of `measure` at the default places."""
+    return recorded(machine, chip, runs(printer(machine), seconds=seconds), seed, step)
 
 
 def identified(machine: Machine, runs: list[Run]) -> Identified:

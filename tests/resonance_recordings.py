@@ -109,7 +109,5 @@ def runs_of_tests(
             found = find(it.recording, klipper(direction, point=point))
             clock = found.start - float(it.recording.t[0]), found.drift
             name = f"{'xy'[direction == Y]}-{place:g}"
-            runs.append(
-                Run(name, found.test.command(), it.recording, calibrated=False, rough_clock=clock)
-            )
+            runs.append(Run(name, found.test.command(), it.recording, rough_clock=clock))
     return runs

@@ -9,14 +9,16 @@ import unicodedata
 from pathlib import Path
 
 import click
-import numpy as np
 import pytest
 
 from hframe_post.cli.main import COMMANDS, main
-from hframe_post.identification.recordings import excitation
+from hframe_post.identification.recordings.formats import command_csv
+from hframe_post.identification.recordings.strokes import runs
+from hframe_post.printer.profile import load
 from tests.conftest import ROOT, SAMPLES
-from tests.recordings import Sensor, moved, sweep, write_klipper
-from tests.simulator import Axis, Machine, Mode
+from tests.recordings import write_klipper
+from tests.simulator import Axis, Chip, Machine, Mode
+from tools import site
 
 PAGES = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
@@ -41,25 +43,22 @@ SNIPPETS = {
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Make the files that snippets read: a print, and sweeps of a printer with recordings."""
+    """Make the files that snippets read: a print, and strokes of a printer with recordings."""
     folder = tmp_path_factory.mktemp("snippets")
     shutil.copy(SAMPLES / "rectangle.gcode", folder / "in.gcode")
     (folder / "sample_gcode").symlink_to(SAMPLES)
     axes = Axis((Mode(30.0, 0.05),), 1e-3), Axis((Mode(40.0, 0.08),), 1e-3)
-    plant, swept = Machine(*axes, racking=2e-8).exact(), sweep(rate=8.0)
-    for seed, (axis, place) in enumerate((("x", 80), ("x", 140), ("x", 200), ("y", 140))):
-        xy = np.zeros((len(swept), 2))
-        xy[:, "xy".index(axis)] = swept
-        xy += (place, 150.0)
-        name = f"{axis}-at-{place}"
-        command = b"".join(excitation.command_csv(xy))
-        (folder / f"sweep.{name}.csv").write_bytes(command)
-        recording = Sensor(noise=0.0).record(moved(plant, xy), (len(xy) - 1) * 1e-3, seed)
-        write_klipper(folder / f"adxl345-{name}.csv", recording)
+    machine, chip = Machine(*axes, racking=2e-8), Chip(noise=0.1)
+    held = folder / "recordings"
+    held.mkdir()
+    for seed, run in enumerate(runs(load("paper"), seconds=15.0)):
+        (held / f"m.{run.name}.csv").write_bytes(b"".join(command_csv(run.command)))
+        recording = chip.record(machine, run.command, seed)
+        write_klipper(held / f"adxl345-{run.name}.csv", recording)
     return folder
 
 
-LONG = "api.md"  # it converts, simulates, tunes and identifies
+LONG = "interfaces.md"  # it converts, simulates, tunes and identifies
 
 
 @pytest.mark.parametrize(
@@ -79,7 +78,7 @@ def test_snippets_run(page: Path, files: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_snippets_are_there_and_can_fail(files: Path) -> None:
-    assert SNIPPETS[ROOT / "docs" / "api.md"]
+    assert SNIPPETS[ROOT / "docs" / "interfaces.md"]
     with pytest.raises(AttributeError):
         exec("import hframe_post as hp\nhp.compensat", {})
 
@@ -140,7 +139,7 @@ MEMBER = re.compile(r"`(\w+)\.(?!py|toml|md|csv|gcode|npz)(\w+)[`(\[]")
 TYPE = re.compile(r"`([A-Z][a-z]+[A-Z]?\w*)`")
 SOURCES = {path: path.read_text("utf-8") for path in (ROOT / "hframe_post").rglob("*.py")}
 HOUSE = pytest.mark.parametrize(
-    "name", ["architecture.md", "derivations.md", "api.md", "../CONTRIBUTING.md"]
+    "name", ["architecture.md", "derivations.md", "interfaces.md", "../CONTRIBUTING.md"]
 )
 
 
@@ -182,9 +181,7 @@ JOINT = re.compile(r'"\s*\n\s*f?"')
 def test_messages_shown_are_those_of_the_tool() -> None:
     """The messages in the first column, as far as they do not vary."""
     source = JOINT.sub("", "\n".join(SOURCES.values()))
-    rows = re.findall(
-        r"^\| ([^|]*\*[^|]*) \|", prose(ROOT / "docs" / "troubleshooting.md"), re.MULTILINE
-    )
+    rows = re.findall(r"^\| ([^|]*\*[^|]*) \|", prose(ROOT / "docs" / "start.md"), re.MULTILINE)
     pieces = [
         piece.strip(" .,")
         for row in rows
@@ -228,3 +225,12 @@ def test_commands_shown_are_those_of_the_tool(page: Path) -> None:
         for word in words:
             if word.startswith("-") and word not in ("-", "--help", "-h", "--version"):
                 assert word in known, f"{page.name}: {line}"
+
+
+def test_pages_made_from_the_code_have_all_keys_and_options() -> None:
+    keys, options = site.keys(), site.options()
+    rows = set(re.findall(r"^\| `(\w+)` \|", keys, re.MULTILINE))
+    assert {"belt_acceleration", "effort", "junction_deviation", "max_error"} <= rows
+    assert "| `n_C` | `int` | > 0, ≤ 1000 | `88` |" in keys
+    assert all(f"\n## {name}\n" in options for name in COMMANDS)
+    assert "--max-error" in options

@@ -11,11 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 import hframe_post
 from hframe_post.errors import HframeError
-from tests.command_line import run
 
 SAMPLES: dict[str, Any] = {
     "str": "a cause", "bytes": b"G1 X1", "int": 12, "int | None": 34, "float": 5.5,
@@ -73,21 +70,3 @@ G1 X120 E4 F3000
 G1 Y120 E4
 G1 X180 E4
 """
-
-
-@pytest.mark.parametrize("jobs", ["2", "1"])
-def test_what_the_motors_cannot_follow_is_reported_with_line_and_cause(
-    tmp_path: Path, jobs: str
-) -> None:
-    """In the second of two spans, each of which another process computes."""
-    (tmp_path / "weak.toml").write_text(WEAK)
-    source = tmp_path / "part.gcode"
-    source.write_text(SPANS)
-    how = ("-p", tmp_path / "weak.toml", "--on-limit", "error", "--jobs", jobs)
-    done = run(source, *how, "-o", tmp_path / "out.gcode")
-    assert done.returncode == 1
-    assert done.stderr.startswith(b"Error: line 10: belt acceleration (mm/s\xc2\xb2) would be ")
-    assert done.stderr.count(b"\n") == 1
-    assert done.stderr.endswith(b", or use --on-limit clamp\n")
-    assert source.read_text() == SPANS
-    assert {path.name for path in tmp_path.iterdir()} == {"weak.toml", "part.gcode"}

@@ -28,7 +28,7 @@ def drawn_in(folder: Path) -> dict[str, str]:
 @pytest.mark.paper
 @pytest.mark.slow
 def test_the_papers_figures(tmp_path: Path) -> None:
-    """Those of docs/paper.md, but for the measured times in Fig. 8 and the prism."""
+    """Those of docs/derivations.md, but for the measured times in Fig. 8 and the prism."""
     printed_by("paper.figures", tmp_path / "out")
     drawn = drawn_in(tmp_path / "out")
     assert set(drawn) == {"fig04.svg", "fig05.svg", "fig08.svg", "fig09.svg", "corner.svg"}

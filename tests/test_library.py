@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
-from inspect import isclass, isfunction
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +14,9 @@ import pytest
 import hframe_post as hp
 from examples.paper.results import path
 from hframe_post.arrays import TS, Array
-from hframe_post.conversion.pipeline import first_line
-from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.plant import Plant
-from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.simulation.uncertainty import draws
-from hframe_post.writers.files import Outputs
 from tests.conftest import MEASURED, SAMPLES
-from tests.modes import deviation_of_mode
 
-DESCRIPTORS = (property, classmethod, staticmethod)
-VERBS = """Add Certify Check Compensate Compute Convert Find Identify Load Predict Raise Read
-Recommend Return Run Simulate Solve Write Yield""".split()  # noqa: SIM905
 RECTANGLE = SAMPLES / "rectangle.gcode"
 
 
@@ -70,27 +59,6 @@ def test_every_name_offered_is_there_and_says_what_it_is(name: str) -> None:
         assert not offered.__doc__.startswith(f"{name}("), f"{name} has only a generated docstring"
 
 
-@pytest.mark.parametrize("name", hp.__all__)
-def test_functions_and_methods_are_documented_by_an_imperative_verb(name: str) -> None:
-    offered = getattr(hp, name)
-    functions = {name: offered} if isfunction(offered) else {}
-    if isclass(offered):
-        functions = {
-            each: getattr(member, "fget", None) or getattr(offered, each)
-            for each, member in vars(offered).items()
-            if not each.startswith("_") and (callable(member) or isinstance(member, DESCRIPTORS))
-        }
-    for each, function in functions.items():
-        doc = function.__doc__
-        assert doc, f"{name}: {each} has no docstring"
-        assert doc.split()[0] in VERBS, f"{name}: {each}: {doc.splitlines()[0]}"
-
-
-def test_what_is_not_offered_is_no_attribute() -> None:
-    with pytest.raises(AttributeError, match="has no attribute 'compensation_of_all'"):
-        _ = hp.compensation_of_all
-
-
 # ---------------------------------------------------------------------- arrays
 
 
@@ -105,21 +73,6 @@ def test_fig_9_through_arrays(paper: Printer) -> None:
     assert off["none"] == pytest.approx(242, abs=8)
     assert off["fbs"] == pytest.approx(117, abs=5)
     assert off["racking"] < 9.5
-
-
-@pytest.mark.parametrize("strategy", ["none", "fbs", "racking"])
-def test_command_begins_and_ends_at_rest_on_the_path(paper: Printer, strategy: str) -> None:
-    xy = np.concatenate([stroke((60, 60), (140, 0), 700), stroke((200, 60), (0, 90), 500)])
-    command = hp.compensate(xy.tolist(), paper, strategy)
-    r, odd = divmod(len(command) - len(xy), 2)
-    assert not odd
-    assert r > 400  # the settling of the shipped printer's fastest stop
-    for end, place in ((0, xy[0]), (-1, xy[-1])):
-        assert np.abs(command[end] - place).max() <= 0.01
-    if strategy == "none":
-        np.testing.assert_array_equal(command[r:-r], xy)
-    else:
-        assert np.abs(command[r:-r] - xy).max() > 0.1
 
 
 @pytest.mark.parametrize("name", ["paper", "example-corexy", "example-cartesian"])
@@ -141,12 +94,6 @@ def test_strokes_get_as_much_rest_as_compensation_can_use(name: str, acceleratio
         assert worse < 1e-3, f"{1e3 * worse:.2f} µm"
 
 
-def test_a_single_place_is_a_path(paper: Printer) -> None:
-    command = hp.compensate([[100.0, 50.0]], paper)
-    np.testing.assert_allclose(command, np.tile([100.0, 50.0], (len(command), 1)), atol=1e-9)
-    assert hp.contour_error(hp.predict(command, paper), [[100.0, 50.0]]).tolist() == [0.0]
-
-
 def test_contour_error_is_the_distance_to_the_path_and_rests_do_not_count() -> None:
     xy = stroke((0, 0), (30, 40), 200)
     beside = xy + 0.1 * np.array([-0.8, 0.6])
@@ -157,12 +104,6 @@ def test_contour_error_is_the_distance_to_the_path_and_rests_do_not_count() -> N
     np.testing.assert_allclose(
         hp.contour_error(np.concatenate([far, beside, far]), xy), 0.1, atol=1e-9
     )
-
-
-@pytest.mark.parametrize("n", [199, 201, 203])
-def test_nozzle_that_does_not_belong_to_the_path_is_refused(n: int) -> None:
-    with pytest.raises(hp.HframeError, match=f"{n} samples of the nozzle"):
-        hp.contour_error(np.zeros((n, 2)), np.zeros((200, 2)))
 
 
 @pytest.mark.parametrize(
@@ -189,21 +130,6 @@ def test_mistakes_in_arguments_are_value_errors_of_the_tool(paper: Printer) -> N
         with pytest.raises(hp.HframeError) as raised:
             mistake()
         assert isinstance(raised.value, ValueError)
-
-
-def test_unknown_strategies_and_profiles_are_the_tools_errors(paper: Printer) -> None:
-    with pytest.raises(hp.HframeError, match="unknown strategy 'raking'"):
-        hp.compensate(np.zeros((5, 2)), paper, "raking")
-    with pytest.raises(hp.HframeError, match="no such profile"):
-        hp.load_printer("nobody")
-
-
-def test_another_printer_is_another_prediction(paper: Printer) -> None:
-    xy = path(paper)
-    command = hp.compensate(xy, paper)
-    other = replace(paper, plant=draws(paper.plant, 0.05, 1, seed=0)[0])
-    own, others = (hp.contour_error(hp.predict(command, p), xy) for p in (paper, other))
-    assert rms(others) > 1.2 * rms(own)
 
 
 # ---------------------------------------------------------------------- files
@@ -240,46 +166,6 @@ def test_convert_does_all_that_the_command_line_can(paper: Printer, tmp_path: Pa
     assert b"printed on the big one" in page.read_bytes()
 
 
-def test_a_dry_run_writes_nothing(paper: Printer, tmp_path: Path) -> None:
-    assert hp.convert(RECTANGLE, None, paper).lines_written
-    assert not list(tmp_path.iterdir())
-
-
-def test_the_first_line_is_known_before_the_conversion(paper: Printer, tmp_path: Path) -> None:
-    out = tmp_path / "out.gcode"
-    options = hp.Options("fbs", clamp=False)
-    hp.convert(RECTANGLE, out, paper, options)
-    assert first_line(paper, options.resolved(paper)) in out.read_bytes()
-    assert first_line(paper, replace(options, clamp=True)) not in out.read_bytes()
-
-
-def test_files_that_belong_together_appear_together(paper: Printer, tmp_path: Path) -> None:
-    out = tmp_path / "out.gcode"
-    with Outputs([RECTANGLE]) as outputs:
-        hp.convert(RECTANGLE, out, paper, outputs=outputs)
-        assert not out.exists()
-    assert out.exists()
-
-
-def test_other_formats_do_not_replace_the_source(paper: Printer, tmp_path: Path) -> None:
-    part = tmp_path / "part.gcode"
-    part.write_bytes(RECTANGLE.read_bytes())
-    with pytest.raises(hp.HframeError, match="steps would replace the G-code"):
-        hp.convert(part, part, paper, hp.Options(format="steps"))
-
-
-def test_convert_takes_lines_and_writes_what_the_suffix_says(
-    paper: Printer, tmp_path: Path
-) -> None:
-    lines = RECTANGLE.read_bytes().splitlines(keepends=True)
-    hp.convert(lines, tmp_path / "out.csv", paper, hp.Options("fbs", ()))
-    assert b"\n#printer,paper\n" in (tmp_path / "out.csv").read_bytes()
-    report = hp.convert(lines, tmp_path / "out.npz", paper, hp.Options("none"))
-    assert set(report.contour) == {"none"}
-    with np.load(tmp_path / "out.npz") as table:
-        np.testing.assert_array_equal(table["x_dm"], table["x_d"])
-
-
 def test_convert_that_fails_leaves_the_target(paper: Printer, tmp_path: Path) -> None:
     target = tmp_path / "part.gcode"
     target.write_bytes(b"G1 X10 Y10 Z1 F6000\nG1 X1000\n")
@@ -306,28 +192,9 @@ def test_simulate_judges_every_strategy_and_drawn_printers(paper: Printer) -> No
     assert max(five.rms("racking")) < max(twenty.rms("racking"))
 
 
-def test_whole_steps_need_their_table(paper: Printer) -> None:
-    with pytest.raises(hp.HframeError, match="steps: the table is missing"):
-        hp.simulate(RECTANGLE, replace(paper, steps=None), steps=True)
-    assert hp.simulate(RECTANGLE, paper, steps=True).quantised
-
-
 def test_tune_recommends_among_what_it_tried(paper: Printer) -> None:
     tuned = hp.tune(RECTANGLE, paper, knots=(5,), efforts=(30.0, 96.0), draws=1)
     assert [trial.windows[0].effort for trial in tuned.trials] == [30.0, 96.0]
     assert tuned.best in tuned.trials
     weak = replace(paper, motors=replace(paper.motors, belt_velocity=10.0))
     assert hp.tune(RECTANGLE, weak, knots=(5,), efforts=(96.0,), draws=0).best is None
-
-
-def test_tune_needs_no_random_printers_where_the_model_says_how_well_it_is_known() -> None:
-    """Its median and worst are then those of the range, unless a model error is asked for."""
-    printer = load("example-corexy")
-    x, y = (ImpulseResponse(deviation_of_mode(hz, 0.08, 400), 0, drift=0.02) for hz in (45.0, 38.0))
-    known = replace(printer, plant=Plant(x, y, None, 0.0))
-    (trial,) = hp.tune(RECTANGLE, known, knots=(5,), efforts=(10.0,)).trials
-    assert not trial.drawn
-    assert trial.contour.rms < trial.robust < trial.worst
-    (asked,) = hp.tune(RECTANGLE, known, knots=(5,), efforts=(10.0,), model_error=0.05).trials
-    assert len(asked.drawn) == 10
-    assert asked.contour.range is None

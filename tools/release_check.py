@@ -2,7 +2,7 @@
 
     python tools/release_check.py
 
-Each line is one thing to do; docs/releasing.md says what to write. Exit status 1 if there is any.
+Each line is one thing to do; CONTRIBUTING.md says what to write. Exit status 1 if there is any.
 The workflow that releases a tag begins with it.
 """
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 LABELS = ("Homepage", "Repository", "Changelog")  # OctoPrint and Moonraker show them
-PAGES = ("README.md", "docs/install.md", "docs/start.md")
+PAGES = ("README.md", "docs/start.md")
 FROM_FOLDER = re.compile(
     r"(pipx|uv tool|pip) install (--force )?\.(?![\w/])|(not in an|in no) index"
 )

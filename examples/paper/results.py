@@ -207,10 +207,8 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
     if printed_window:
         window, compensator = "printed", Compensator(printer.plant, PRINTED_WINDOW)
     strategies = "none", "fbs", "racking"
-    options = Options("racking", strategies, limits="printer")
-    commands = SampleStream(
-        lines, printer, options, compensator=compensator, strategies=strategies
-    ).computed()
+    options = Options("racking", strategies, limits="printer", picture=True)  # computes "none", too
+    commands = SampleStream(lines, printer, options, compensator=compensator).computed()
     error: dict[str, list[Array]] = {name: [] for name in strategies}
     for walls in _outer_walls(predict(commands, printer.plant)).values():
         wanted = _width(walls["path"], walls["path"])

@@ -61,7 +61,7 @@ def bands(
 
 
 def _write(target: Path, printer: str, profile: Printer, chips: tuple[str, ...]) -> None:
-    from hframe_post.identification.bands.run import gcode, runs, seconds_of, sensors_of
+    from hframe_post.identification.bands import gcode, runs, seconds_of, sensors_of
     from hframe_post.writers.stream.print_time import duration
 
     planned = runs(profile)
@@ -94,8 +94,7 @@ def _find(
     recordings: tuple[Path, ...], printer: str, profile: Printer, json_file: Path | None,
     output: Path | None,
 ) -> None:  # fmt: skip
-    from hframe_post.identification.bands.report import BandsReport
-    from hframe_post.identification.bands.shaking import shaking
+    from hframe_post.identification.bands import BandsReport, shaking
 
     sources = [*files_read(printer), *recordings]
     with Outputs(sources) as profiles:

@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hframe_post.arrays import X, Y
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import (
     files_read,
+    old_option,
     printer_option,
     say,
 )
 from hframe_post.cli.sweep import (
-    axes_option,
     chips_option,
     next_steps,
     recordings_argument,
@@ -40,11 +39,8 @@ if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that t
     "--gcode", type=click.Path(path_type=Path, dir_okay=False), metavar="CHECK.GCODE",
     help="Write the run; the command of each axis is written next to it.",
 )  # fmt: skip
-@click.option(
-    "--axis", type=click.Choice(["x", "y"]),
-    help="With --gcode: this axis only, such as x of a printer whose bed moves in y.",
-)  # fmt: skip
-@axes_option
+@old_option("--axis", "the run moves both axes; where the bed moves, there is a file for each")
+@old_option("--axes", "the recordings show how the sensor is mounted")
 @chips_option
 @json_option
 @click.option(
@@ -52,13 +48,14 @@ if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that t
     help="Write the profile with the model and the uncertainty of today.",
 )  # fmt: skip
 def check(
-    recordings: tuple[Path, ...], printer: str, gcode: Path | None, axis: str | None,
-    axes: str | None, chips: tuple[str, ...], json_file: Path | None, output: Path | None,
+    recordings: tuple[Path, ...], printer: str, gcode: Path | None, chips: tuple[str, ...],
+    json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
     """Measure in 20 s what drifted, before a print or once a week: first --gcode, then the files.
 
-    The run shakes each axis for 5 s, in the middle of the bed. Its file is written once; where the
-    bed moves and one sensor records both axes, there are two, and the sensor is moved in between.
+    The run is that of `measure` for 20 s, in the middle of the bed. Its file is written once; where
+    the bed moves and one sensor records both axes, there are two, and the sensor is moved in
+    between.
     The recordings then update the profile's response; one of poles and zeros becomes a measured
     one. A recording of another printer is refused with status 1. Without
     recordings, the age of the model raises its uncertainty.
@@ -68,30 +65,31 @@ def check(
       hframe-post check -p my.toml --gcode check.gcode
       hframe-post check -p my.toml check.check-*.csv adxl345-check-*.csv -o my.toml
     """
-    from hframe_post.identification.checking.run import runs
-    from hframe_post.identification.recordings.sweep import moves_sensor
+    from hframe_post.identification.check import runs
+    from hframe_post.identification.recordings.runs import moves_sensor
 
     profile = load(printer)
     check_identified(profile)
     if gcode is not None:
-        planned = runs(profile, [X, Y] if axis is None else ["xy".index(axis)])
+        planned = runs(profile)
         jobs = {}
         if moves_sensor(profile, planned, chips):
-            jobs = {gcode.with_name(f"{gcode.stem}.{run.name}.gcode"): [run] for run in planned}
+            jobs = {
+                gcode.with_name(f"{gcode.stem}-{'xy'[run.axis]}.gcode"): [run] for run in planned
+            }
         write_motion(gcode, printer, profile, planned, chips, jobs)
         say(next_steps("check", gcode, printer, planned, list(jobs)))
     elif recordings:
-        _update(printer, profile, recordings, axes, json_file, output)
+        _update(printer, profile, recordings, json_file, output)
     else:
         _age(printer, profile, output)
 
 
 def _update(
-    printer: str, profile: Printer, recordings: tuple[Path, ...], axes: str | None,
-    json_file: Path | None, output: Path | None,
+    printer: str, profile: Printer, recordings: tuple[Path, ...], json_file: Path | None,
+    output: Path | None,
 ) -> None:  # fmt: skip
-    from hframe_post.identification.checking.drift import drifts
-    from hframe_post.identification.checking.report import CheckReport
+    from hframe_post.identification.check import CheckReport, drifts
     from hframe_post.identification.recordings.folder import files_in
     from hframe_post.identification.recordings.names import recorded_on
 
@@ -101,8 +99,8 @@ def _update(
         file = ModelOutput(profiles, output, printer) if output is not None else None
         with Outputs([*sources, *([output] if output else [])]) as reports:
             write_json = open_json(reports, json_file)
-            gathered = _gathered(recordings, profile, axes)
-            runs = list({run.axis: run for run in gathered.runs}.values())  # the last of each axis
+            gathered = _gathered(recordings, profile)
+            runs = list({run.axes: run for run in gathered.runs}.values())  # the last of each
             labels = {label: path for path, label in files.items()}
             day = max(recorded_on(labels[run.name]) for run in runs)
             if profile.measured is not None and day < profile.measured:
@@ -124,20 +122,21 @@ def _update(
             )
 
 
-def _gathered(recordings: tuple[Path, ...], profile: Printer, axes: str | None) -> Gathered:
-    """Return the runs, sorted by date, with recordings along the printer's axes."""
-    from hframe_post.identification.gather import along_printer, from_folders
+def _gathered(recordings: tuple[Path, ...], profile: Printer) -> Gathered:
+    """Return the runs of `check`, sorted by date."""
+    from hframe_post.identification.gather import from_folders
+    from hframe_post.identification.recordings.folder import CHECK
 
     sweep = profile.sweep
     chips = {axis: chip.lower() for axis, chip in (("x", sweep.chip_x), ("y", sweep.chip_y))}
-    found = from_folders(recordings, None, profile.travel, chips=chips)
-    found = replace(found, runs=[run for run in found.runs if run.calibrated])
+    found = from_folders(recordings, None, profile.travel, chips=chips, kinds=[CHECK])
+    found = replace(found, runs=[run for run in found.runs if run.start])
     if not found.runs:
         raise IdentificationError(
             "no recording of the run that 'hframe-post check --gcode' writes. Give its recordings "
-            "and its commands, such as check.check-x.csv"
+            "and its commands, such as check.check-at-150.csv"
         )
-    return along_printer(found, axes)
+    return found
 
 
 def _age(printer: str, profile: Printer, output: Path | None) -> None:

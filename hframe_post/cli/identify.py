@@ -13,6 +13,7 @@ from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import (
     files_read,
+    old_option,
     page_option,
     position,
 )
@@ -64,14 +65,10 @@ def _columns(text: str) -> tuple[str, ...]:
 )  # fmt: skip
 @click.option(
     "-n", "--nozzle", type=(FILE, FILE), multiple=True, metavar="COMMAND RECORDING",
-    help="A sweep's command (.csv, written by `sweep`), and what the sensor on the nozzle recorded "
+    help="A command (.csv, written by `sweep`), and what the sensor on the nozzle recorded "
     "of it, where their names do not show that they belong together. May be repeated.",
 )  # fmt: skip
-@click.option(
-    "--axes", metavar="MAP",
-    help="The printer's axes as the sensor names them, such as x=-y,y=x,z=z. Default: as the "
-    "recordings show.",
-)  # fmt: skip
+@old_option("--axes", "the recordings show how the sensor is mounted")
 @click.option(
     "--columns", type=_columns, metavar="T,X,Y,Z",
     help="Names of time (s) and accelerations in recordings not written by Klipper.",
@@ -94,7 +91,7 @@ def _columns(text: str) -> tuple[str, ...]:
 )  # fmt: skip
 def identify(
     recordings: tuple[Path, ...], printer: str | None, config_file: Path | None,
-    nozzle: tuple[tuple[Path, Path], ...], axes: str | None, columns: tuple[str, ...] | None,
+    nozzle: tuple[tuple[Path, Path], ...], columns: tuple[str, ...] | None,
     band: tuple[float, float], offset: tuple[float, float], report_file: Path | None,
     json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
@@ -109,7 +106,7 @@ def identify(
     Example:
       hframe-post identify recordings/ --printer-cfg printer.cfg -o mine.toml
     """
-    from hframe_post.identification.gather import along_printer, gather
+    from hframe_post.identification.gather import gather
     from hframe_post.identification.pages import identification_page
     from hframe_post.identification.recordings.folder import files_in
     from hframe_post.identification.recordings.names import recorded_on
@@ -129,7 +126,6 @@ def identify(
             write_json = open_json(reports, json_file)
             html = reports.open(report_file) if report_file is not None else None
             gathered = gather(recordings, nozzle, config, profile.travel, columns)
-            gathered = along_printer(gathered, axes)
             settings = _settings(profile, config if text else None, band, offset)
             report = conclude(gathered, profile, settings)
             write_json(report.as_json())

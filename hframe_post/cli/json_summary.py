@@ -1,4 +1,4 @@
-"""The option --json: a summary of what a command did, or of why it failed (docs/json.md)."""
+"""The option --json: a summary of what a command did, or of why it failed (docs/interfaces.md)."""
 
 from __future__ import annotations
 

@@ -43,6 +43,7 @@ LIVE_SECTION = (
     f"# added by hframe-post setup --moonraker: compensation in Klipper\n[{LIVE}]\n"
     "kernel: printer.kernel\n"
 )
+LEAVE = "uploads: leave\n"  # of our section of moonraker.conf
 LIVE_QUESTION = (
     "Compensate inside Klipper, on files as they are sliced? Otherwise each upload is converted"
 )
@@ -104,8 +105,7 @@ class Moonraker:
         ours = program()
         command = f"{ours} -p {shlex.quote(str(profile.absolute()))}"
         installed = metadata.distribution("hframe-post")
-        uploads = "uploads: leave\n" if self._live else ""
-        wanted = {NAME: f"command: {command}\n{uploads}", UPDATES: update_lines(installed)}
+        wanted = {NAME: f"command: {command}\n", UPDATES: update_lines(installed)}
         text, known = _text(self._config), "\n".join(_with_includes(self._config))
         new, added = text, []
         if (gone := COMMAND.search(text)) and not shutil.which(gone[3]):
@@ -115,6 +115,10 @@ class Moonraker:
             if lines and not re.search(rf"^\[{name}\]", known, re.MULTILINE):
                 new = f"{new.rstrip()}\n\n[{name}]\n{lines}"
                 added.append(f"section [{name}] added")
+        header = f"\n[{NAME}]\n"
+        if self._klippy is not None and self._live != (LEAVE in new) and header in new:
+            new = new.replace(LEAVE, "") if LEAVE in new else new.replace(header, header + LEAVE)
+            added.append(LEAVE.strip() if self._live else "uploads are converted")
         changes = [Change(self._config, text, new, ", ".join(added))] if added else []
         here = profile.absolute().parent == self._printer.absolute().parent
         config = KlipperConfig(self._printer)

@@ -13,14 +13,22 @@ from typing import TYPE_CHECKING
 import click
 
 from hframe_post.arrays import X, Y
-from hframe_post.cli.options import files_read, position, printer_option, quoted, say
+from hframe_post.cli.options import (
+    files_read,
+    old_option,
+    position,
+    printer_option,
+    quoted,
+    say,
+)
+from hframe_post.errors import PrinterError
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import CHIP_NAME
 from hframe_post.writers.files import Outputs
 from hframe_post.writers.stream.print_time import write_output
 
 if TYPE_CHECKING:
-    from hframe_post.identification.recordings.sweep import SweepRun
+    from hframe_post.identification.recordings.runs import PlannedRun
     from hframe_post.printer.settings import Printer
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
@@ -39,11 +47,6 @@ recordings_argument = click.argument(
     "recordings", nargs=-1, metavar="[FOLDER|FILES]...",
     type=click.Path(path_type=Path, exists=True),
 )  # fmt: skip
-axes_option = click.option(
-    "--axes", metavar="MAP",
-    help="The printer's axes as the nozzle's sensor names them, such as x=-y,y=x,z=z. Default: as "
-    "the recordings show.",
-)  # fmt: skip
 chips_option = click.option(
     "--chip", "chips", type=_chip, multiple=True, metavar="NAME",
     help="Accelerometer to record, by its name in Klipper; may be repeated. Default: sweep.chip_x "
@@ -57,15 +60,15 @@ places_option = click.option(
 
 
 def write_motion(
-    target: Path, printer: str, profile: Printer, planned: list[SweepRun], chips: tuple[str, ...],
-    jobs: Mapping[Path, list[SweepRun]] | None = None,
+    target: Path, printer: str, profile: Printer, planned: list[PlannedRun], chips: tuple[str, ...],
+    jobs: Mapping[Path, list[PlannedRun]] | None = None,
 ) -> None:  # fmt: skip
     """Write the runs as G-code, and next to it each command as TARGET.RUN.csv.
 
     jobs: the runs of each file of G-code, if they are not all in ``target``.
     """
-    from hframe_post.identification.recordings.excitation import command_csv
-    from hframe_post.identification.recordings.sweep import gcode
+    from hframe_post.identification.recordings.formats import command_csv
+    from hframe_post.identification.recordings.runs import gcode
 
     with Outputs(files_read(printer)) as outputs:
         motions = [(outputs.open(path), runs) for path, runs in (jobs or {target: planned}).items()]
@@ -80,13 +83,11 @@ def write_motion(
 
 
 def write_moves(
-    target: Path, printer: str, profile: Printer, planned: list[SweepRun]
-) -> list[SweepRun]:
+    target: Path, printer: str, done: Sequence[tuple[PlannedRun, list[str]]]
+) -> list[PlannedRun]:
     """Write a file of moves for each run, TARGET.RUN.gcode, with its command; return the runs."""
-    from hframe_post.identification.recordings.excitation import command_csv
-    from hframe_post.identification.recordings.written_sweep import played
+    from hframe_post.identification.recordings.formats import command_csv
 
-    done = [played(profile, run, HEIGHT) for run in planned]
     with Outputs(files_read(printer)) as outputs:
         for run, lines in done:
             named = target.with_name(f"{target.stem}.{run.name}")
@@ -96,7 +97,7 @@ def write_moves(
 
 
 def next_steps(
-    command: str, target: Path, printer: str, planned: list[SweepRun], jobs: Sequence[Path] = (),
+    command: str, target: Path, printer: str, planned: list[PlannedRun], jobs: Sequence[Path] = (),
     recorded: str = "",
 ) -> str:  # fmt: skip
     """Return what to do with a file of runs: print it, fetch what was recorded, and judge that.
@@ -113,8 +114,7 @@ def next_steps(
         )
     folder = target.parent
     inside = "" if folder == Path() else quoted(f"{folder}/")  # quotes stop a shell from matching *
-    ends = "*.csv" if any(run.timed for run in planned) else ".csv"
-    both = (f"{inside}*{run.name}{ends}" for run in planned)  # the command and the recording
+    both = (f"{inside}*{run.name}*.csv" for run in planned)  # the command and the recording
     profile = Path(printer if Path(printer).is_file() else "printer.toml")
     return "\n".join(
         [
@@ -130,8 +130,7 @@ def next_steps(
 @click.command()
 @click.option(
     "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False),
-    metavar="SWEEP.GCODE", help="G-code file; each run's command is written next to it, as CSV. "
-    "For Marlin each run has a file of its own, SWEEP.RUN.gcode.",
+    metavar="SWEEP.GCODE", help="Each run has a file, SWEEP.RUN.gcode, and a command, a CSV.",
 )  # fmt: skip
 @printer_option
 @click.option(
@@ -139,16 +138,15 @@ def next_steps(
     help="Sweep this axis only. Default: both, one after the other.",
 )  # fmt: skip
 @places_option
-@chips_option
+@old_option("--chip", "Klipper records its accelerometers with the file of 'hframe-post measure'")
 @click.option("-q", "--quiet", is_flag=True, help="No summary.")
 def sweep(
     output: Path, printer: str, axis: str | None, places: tuple[tuple[float, float], ...],
-    chips: tuple[str, ...], quiet: bool,
+    quiet: bool,
 ) -> None:  # fmt: skip
-    """Write G-code that shakes the printer, and with Klipper also records its accelerometers.
+    """Write G-code that shakes a printer with Marlin, to be recorded by any program.
 
-    Each position is one run of 40 s: a sine of rising frequency between two short equal marks, or,
-    for Marlin, moves whose speed pulses ever faster, which any program may record. The exact
+    Each position is one run of half a minute: moves whose speed pulses ever faster. The exact
     command of a run is written next to the G-code, as SWEEP.RUN.csv; identify needs it. The
     profile's table [sweep] sets the frequencies and the acceleration, [limits] the most that they
     may be. Home the printer first.
@@ -157,23 +155,23 @@ def sweep(
     Example:
       hframe-post sweep -p my.toml -o sweep.gcode
     """
-    from hframe_post.identification.recordings import written_sweep
-    from hframe_post.identification.recordings.sweep import positions, runs, summary
+    from hframe_post.identification.recordings.runs import positions
+    from hframe_post.identification.recordings.written_sweep import runs, summary
 
     profile = load(printer)
+    if profile.firmware.kind.records:
+        raise PrinterError(
+            "Klipper records by itself what 'hframe-post measure' writes, which tells more than a "
+            "sweep", "firmware.dialect", profile.name,
+        )  # fmt: skip
     planned = [
         run
         for each in ((X, Y) if axis is None else ("xy".index(axis),))
-        for run in runs(profile, each, list(places) or positions(profile, each))
+        for run in runs(profile, each, list(places) or positions(profile, each), HEIGHT)
     ]
-    if profile.firmware.kind.records:
-        write_motion(output, printer, profile, planned, chips)
-        text = summary(profile, planned)
-    else:
-        planned = write_moves(output, printer, profile, planned)
-        text = written_sweep.summary(output.stem, planned, profile.kinematics.type == "cartesian")
+    done = write_moves(output, printer, planned)
     if not quiet:
-        say(text)
+        say(summary(output.stem, done, profile.kinematics.type == "cartesian"))
 
 
 @click.command()
@@ -206,12 +204,12 @@ def measure(
       hframe-post measure -p my.toml -o measure.gcode
     """
     from hframe_post.identification.recordings.folder import STROKES
+    from hframe_post.identification.recordings.runs import moves_sensor
     from hframe_post.identification.recordings.strokes import runs, summary
-    from hframe_post.identification.recordings.sweep import moves_sensor
 
     profile = load(printer)
     planned = runs(profile, places)
-    jobs: dict[Path, list[SweepRun]] = {}
+    jobs: dict[Path, list[PlannedRun]] = {}
     if moves_sensor(profile, planned, chips):
         for run in planned:
             file = output.with_name(f"{output.stem}-{'xy'[run.axis]}.gcode")

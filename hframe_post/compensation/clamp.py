@@ -27,7 +27,8 @@ LONGER_REACHES = (2 * REACH, 4 * REACH)  # where that itself would be too fast: 
 # still cannot follow; and over which that fades in and out. A corner at 20 mm/s that is averaged
 # over 33 ms is cut by 0.1 mm; what needs more is a path that the motors cannot follow
 AVERAGED, FADE = (1, 2, 4, 8, 16), 40
-AROUND = REACH + 2 * sum(LONGER_REACHES) + sum(AVERAGED) + (len(AVERAGED) + 2) * (FADE + 2)
+NEAR_DWELL = 5  # samples of fading where a command must dwell and nothing else was enough
+AROUND = REACH + 2 * sum(LONGER_REACHES) + 2 * (sum(AVERAGED) + (len(AVERAGED) + 2) * (FADE + 2))
 MARGIN = 0.9  # share of the admissible compensation that a clamp keeps
 
 
@@ -68,6 +69,7 @@ class Clamp:
                 path = wide.xyze[:, :Z]
                 safe = self._averaged(self._reduced(path, command), _dwelling(wide))
                 safe = self._removed(path, safe)
+                safe = self._averaged(safe, _dwelling(wide), NEAR_DWELL)
                 changed = np.abs(safe - command)[where].max(axis=1, initial=0.0) > SLACK
                 safe = np.where(changed[:, None], safe[where], chunk.commands[strategy])
                 if changed.any():
@@ -114,12 +116,13 @@ class Clamp:
             share[1:] = np.minimum(share[1:], _share_within(*pair, -limit, limit, MARGIN))
         return share
 
-    def _averaged(self, command: Array, dwelling: Flags) -> Array:
+    def _averaged(self, command: Array, dwelling: Flags, fade: int = FADE) -> Array:
         """Return the command (n, 2) averaged where the belts would accelerate too hard.
 
-        dwelling (n,): samples that must stay. Means of places on the bed are on it, too.
+        dwelling (n,): samples that must stay, from which the averaging fades in over ``fade``
+        samples. Means of places on the bed are on it, too.
         """
-        free = 1.0 - _near(dwelling)
+        free = 1.0 - _near(dwelling, fade)
         for reach in AVERAGED:
             hard = self._too_hard(command)
             if not hard.any():
@@ -160,15 +163,15 @@ def _dwelling(chunk: Samples) -> Flags:
     return dwelling
 
 
-def _near(flags: Flags) -> Array:
-    """Return a smooth share (n,), 1 where flagged and 0 from FADE samples away on."""
+def _near(flags: Flags, fade: int = FADE) -> Array:
+    """Return a smooth share (n,), 1 where flagged and 0 from ``fade`` samples away on."""
     at, k = np.flatnonzero(flags), np.arange(len(flags))
     if not len(at):
         return np.zeros(len(flags))
     following = np.searchsorted(at, k)
     after = at[np.minimum(following, len(at) - 1)]
     away = np.minimum(np.abs(after - k), np.abs(k - at[np.maximum(following - 1, 0)]))
-    return np.where(away > FADE, 0.0, _ramp(FADE)[FADE + np.minimum(away, FADE)])
+    return np.where(away > fade, 0.0, _ramp(fade)[fade + np.minimum(away, fade)])
 
 
 def _mean(command: Array, reach: int) -> Array:

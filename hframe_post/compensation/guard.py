@@ -141,19 +141,17 @@ class Guard:
         """Yield the chunks. Raise LimitError for an unsafe command, HframeError for a bug."""
         end: int | None = None  # of the last chunk of the stretch
         for stretch in stretches(chunks):
-            differences, of_path = (Differences(self._kinematics) for _ in range(2))
+            differences = Differences(self._kinematics)
             for chunk in stretch:
-                command, path = chunk.commands[strategy], chunk.xyze[:, :Z]
+                command = chunk.commands[strategy]
                 _check_order(chunk, end)
                 # samples of slow motion and of dwells may be left out after a stretch
                 end = None if chunk.ends_stretch else chunk.end
-                if len(chunk) and self._safe(chunk, command, differences):
-                    of_path.skip(path)
-                elif len(chunk):
+                if len(chunk) and not self._safe(chunk, command, differences):
                     _check_finite(chunk, command)
                     _check_travel(chunk, command, self._travel)
-                    rates, sliced = differences.rates(command), of_path.rates(path)
-                    _check_motors(chunk, rates, sliced, self._motors, self._clamped)
+                    rates = differences.rates(command)
+                    _check_motors(chunk, rates, self._motors, self._clamped)
                     here = rates.belt_velocity, rates.belt_acceleration, *rates.axis_acceleration
                     self._peaks = np.maximum(self._peaks, [_greatest(rate) for rate in here])
                 yield chunk
@@ -206,20 +204,11 @@ def _check_travel(chunk: Samples, command: Array, travel: Travel) -> None:
         )  # fmt: skip
 
 
-def _check_motors(
-    chunk: Samples, rates: Rates, sliced: Rates, motors: Motors, clamped: bool
-) -> None:
-    """Raise LimitError where a command outruns the motors. sliced: rates of the path itself.
-
-    A clamp that has removed the compensation may leave corners that the path itself turns harder
-    than the limit. The printer turns them so without compensation, too: only what is added counts.
-    """
-    acceleration = np.abs(rates.belt_acceleration)
-    if clamped:
-        acceleration = np.maximum(acceleration - np.abs(sliced.belt_acceleration), 0.0)
+def _check_motors(chunk: Samples, rates: Rates, motors: Motors, clamped: bool) -> None:
+    """Raise LimitError where a command outruns the motors."""
     for name, unit, asked, limit in (
         ("velocity", "mm/s", rates.belt_velocity, motors.belt_velocity),
-        ("acceleration", "mm/s²", acceleration, motors.belt_acceleration),
+        ("acceleration", "mm/s²", rates.belt_acceleration, motors.belt_acceleration),
     ):
         if _greatest(asked) > limit * LEEWAY:
             magnitude = np.abs(asked).max(axis=0)

@@ -13,6 +13,7 @@ from hframe_post.arrays import TS, E, Z
 from hframe_post.compensation.advance import AdvanceSummary
 from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
+from hframe_post.conversion.path_meter import percent
 from hframe_post.model.kinematics import Differences
 from hframe_post.model.plant import Plant
 from hframe_post.model.responses import Plants
@@ -104,13 +105,15 @@ class Meter(Protocol):
 class PrintTime:
     """Duration of the print, s: as the firmware plays the sliced file, and as converted.
 
-    ramps: of the converted path if nothing limited its jerk; resting: added at stops.
+    ramps: of the converted path if nothing limited its jerk; resting: added at stops. slowed: share
+    of the path that is slower so that the motors can follow.
     """
 
     before: float = 0.0
     after: float = 0.0
     ramps: float = 0.0
     resting: float = 0.0
+    slowed: float = 0.0
 
     @property
     def costs(self) -> dict[str, float]:
@@ -121,12 +124,16 @@ class PrintTime:
             "stops": self.resting,
         }
 
+    @property
+    def _motors(self) -> str:
+        return f" ([motors]: {percent(self.slowed)} of the path)" if self.slowed else ""
+
     def as_text(self) -> str:
         """Return both times, and what costs the difference."""
         change = 100.0 * (self.after / self.before - 1.0) if self.before else 0.0
         text = f"{duration(self.before)} → {duration(self.after)} ({change:+.1f} %)"
         causes = [
-            f"{s:.0f} s for {COSTS[cause]}"
+            f"{s:.0f} s for {COSTS[cause]}{self._motors if cause == 'limits' else ''}"
             for cause, s in sorted(self.costs.items(), key=lambda each: -each[1])
             if s >= max(0.5, WORTH_SAYING * self.before)
         ]

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -49,20 +50,23 @@ from hframe_post.model.strategies import Compensator
 from hframe_post.planner.bands import TimeInBands, avoid_bands
 from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
+from hframe_post.planner.motors import WithinMotors
 from hframe_post.planner.pacing import PieceStart, pace
 from hframe_post.planner.sampling import sample
 from hframe_post.planner.sliced import seconds_of_ramps
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import Labels
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Motors, Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
 from hframe_post.stream.running import StageTimes, joined, prefetch
-from hframe_post.stream.types import Item, Plan, Planned, Samples
+from hframe_post.stream.types import Item, Moves, Passthrough, Plan, Planned, Samples
 from hframe_post.version import __version__
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
+
+MOVES_AHEAD = 300_000  # read before the first is planned, of 64 bytes: 20 MB
 
 # ---------------------------------------------------------------------- the stages
 
@@ -74,6 +78,25 @@ def parsed(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterat
 
 def _read(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Item]:
     return read(lines, ReadOptions.from_printer(printer, options.limits, options.extrusion))
+
+
+def read_ahead(items: Iterator[Item]) -> Iterator[Item]:
+    """Yield the items once many have been read: a file's faults come before the work.
+
+    A move of its end code that leaves the bed is refused at once, unless the print is very long.
+    """
+    waiting, moves = deque[Item](), 0
+    for item in items:
+        waiting.append(item)
+        if isinstance(item, Moves):
+            moves += len(item.line) + 4 * len(item.marks)
+        else:
+            moves += 8 + (len(item.text) // 64 if isinstance(item, Passthrough) else 0)
+        if moves >= MOVES_AHEAD:
+            break
+    while waiting:
+        yield waiting.popleft()
+    yield from items
 
 
 def paced(items: Iterator[Item], options: Options) -> Iterator[Item]:
@@ -88,15 +111,17 @@ def planned(lines: Iterable[bytes], printer: Printer, options: Options) -> Itera
 
 def scheduled(
     items: Iterable[Item], printer: Printer, start: PieceStart | None = None,
-    followed: FollowedAdvance | None = None,
+    followed: FollowedAdvance | None = None, within: WithinMotors | None = None,
 ) -> Iterator[Planned]:  # fmt: skip
-    """Plan the speeds of moves, so that the extruder can follow its advance.
+    """Plan the speeds of moves, so that the motors can follow, and the extruder its advance.
 
     They keep out of the bands that the profile's motors avoid. start: place of the first item in
-    the print. followed: lowers the accelerations, as ``following`` gives it.
+    the print. followed: lowers the accelerations, as ``following`` gives it. within: slows moves
+    down for the motors.
     """
     followed = followed or following(printer)
     items = items if followed is None else followed.items(items)
+    items = (within or WithinMotors(printer)).items(items)
     return plan(avoid_bands(items, printer, start), firmware(printer).caps(printer))
 
 
@@ -143,7 +168,9 @@ class Stages:
         self._printer, self._options, self._compensator = printer, options, compensator
         self._strategies = strategies or options.strategies
         self._at_stops = at_stops or StopSolvers(compensator, self._strategies, printer)
-        checked = (printer.travel, printer.motors, printer.kinematics)
+        # without compensation a file moves as the firmware plays it today
+        motors = printer.motors if options.strategy != "none" else Motors()
+        checked = (printer.travel, motors, printer.kinematics)
         self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
         self._clock = Clock()
         picture = _picture(printing or Place()) if options.picture else None
@@ -247,6 +274,7 @@ class PlannedFile:
         self._path = PathMeter(printer.limits, options.paces is not None)
         self._firmware, self._sliced = firmware(printer), SlicedFile(printer)
         self._times, self._following, self._ramps = StageTimes(), following(printer), 0.0
+        self._within = WithinMotors(printer)
 
     @property
     def sliced_seconds(self) -> float:
@@ -256,10 +284,11 @@ class PlannedFile:
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         items = _read(self._input.lines(self._lines), self._printer, self._options)
-        items = self._times.timed("read", self._input.items(items))
+        items = read_ahead(self._times.timed("read", self._input.items(items)))
         items = paced(self._sliced.items(items), self._options)
         items = self._path.items(items)
-        plans = self._timed(scheduled(items, self._printer, followed=self._following))
+        plans = scheduled(items, self._printer, followed=self._following, within=self._within)
+        plans = self._timed(plans)
         return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))
 
     def report(self, motion: MotionSummary) -> Report:
@@ -295,7 +324,11 @@ class PlannedFile:
     def _print_time(self, motion: MotionSummary) -> PrintTime:
         own = self._sliced.own
         return PrintTime(
-            own.seconds, motion.duration, own.standing + self._ramps, TS * motion.resting
+            own.seconds,
+            motion.duration,
+            own.standing + self._ramps,
+            TS * motion.resting,
+            self._within.share,
         )
 
     def advance(self, found: AdvanceSummary) -> AdvanceReport | None:

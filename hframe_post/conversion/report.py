@@ -227,6 +227,7 @@ class Report:
                 "before": round(self.time.before, 3),
                 "after": round(self.time.after, 3),
             },
+            "slowed_for_motors_percent": round(100.0 * self.time.slowed, 2),
             "time_costs_s": {cause: round(s, 3) for cause, s in self.time.costs.items()},
             "filament_mm": {k: round(mm, 5) for k, mm in filament.items() if mm is not None},
             "contour_error_um": {n: self._errors_as_json(n) for n in sorted(self.strategies)},

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from typing import ClassVar
 
 from hframe_post.arrays import Array
-from hframe_post.stream.types import ModalState
+from hframe_post.stream.types import ModalState, Passthrough
 
 
 class Code(ABC):
@@ -38,6 +38,13 @@ class Code(ABC):
     @abstractmethod
     def end(self, state: ModalState, at: Array) -> list[bytes]:
         """Return the lines that restore the user's limits and the file's modes and places."""
+
+    def around(self, move: Passthrough) -> tuple[bytes, bytes] | None:
+        """Return lines before and after a move of the file between which the user's limits hold.
+
+        It is made as written, although the stream's modes hold. None: the machine must be released.
+        """
+        return None
 
     def modes_after(self, name: str, text: bytes) -> bytes:
         """Return lines that restore the stream's modes after a command of the file.

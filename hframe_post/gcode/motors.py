@@ -29,21 +29,18 @@ def with_motors(
     Only the first BYTES_AHEAD are read, at once. Limits of motors that the profile states stay.
     limits: see ``ReadOptions``.
     """
-    stated, kinematics = printer.stated, printer.kinematics
-    own = (
-        printer.limits.velocity,
-        printer.limits.acceleration,
-        printer.limits.square_corner_velocity,
-    )
-    if stated is None or printer.motors != stated.completed(kinematics, *own):
+    if printer.stated is None:
         return lines, printer
     rest, head, size = iter(lines), list[bytes](), 0
     while size < BYTES_AHEAD and (text := next(rest, None)) is not None:
         head.append(text)
         size += len(text)
     options = ReadOptions.from_printer(printer, limits)
+    usual = printer.limits
+    own = usual.velocity, usual.acceleration, usual.square_corner_velocity
     most = np.max([own, *_asked(head, options)], axis=0).tolist()
-    return chain(head, rest), replace(printer, motors=stated.completed(kinematics, *most))
+    motors = printer.stated.completed(printer.kinematics, *most)
+    return chain(head, rest), replace(printer, motors=motors)
 
 
 def _asked(lines: Iterable[bytes], options: ReadOptions) -> Iterator[tuple[float, float, float]]:

@@ -222,8 +222,10 @@ class _Reader:
                 if letter in words:
                     self._bed.check(line, axis, end[axis])
         path, filament = math.dist(state.position[:3], end[:3]), end[3] - state.position[3]
-        seconds = self._seconds(path) if cause == CHANGE_OF_OBJECT else 0.0
-        self._pass_through(line, Handling.RELEASE, seconds, filament, path, cause)
+        known = cause == CHANGE_OF_OBJECT
+        seconds = self._seconds(path) if known else 0.0
+        place = end if known else None
+        self._pass_through(line, Handling.RELEASE, seconds, filament, path, cause, place)
         if path:
             self._objects.moved()
         state.arrive(end, words)
@@ -331,7 +333,7 @@ class _Reader:
 
     def _pass_through(
         self, line: Line, handling: Handling, seconds: float = 0.0, filament: float = 0.0,
-        path: float = 0.0, cause: str = "",
+        path: float = 0.0, cause: str = "", end: Position | None = None,
     ) -> None:  # fmt: skip
         """Add a pass-through line; see ``Passthrough`` for the arguments."""
         state = self._state
@@ -342,7 +344,9 @@ class _Reader:
             state.set_e_mode(self._detect_absolute_e(line))
         modes = state.modal_state()
         self.items.add_line(
-            Passthrough(line.number, line.text, handling, modes, seconds, filament, path, cause)
+            Passthrough(
+                line.number, line.text, handling, modes, seconds, filament, path, cause, end
+            )
         )
 
     def _detect_absolute_e(self, line: Line) -> bool:

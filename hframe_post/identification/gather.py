@@ -1,8 +1,8 @@
 """Runs to identify a printer from: recordings, each with the motion that was played.
 
-    folders, pairs → runs → with recordings along the printer's axes
+    folders, pairs → runs
 
-The motion of a sweep, or of strokes, is in its command's file. That of a test of resonances
+The motion of strokes, or of Marlin's sweep, is in its command's file. That of a test of resonances
 follows from [resonance_tester] of printer.cfg, corrected by what the recording shows.
 """
 
@@ -14,27 +14,21 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.recordings import accelerometer
+from hframe_post.identification.recordings.clock import QUIET, known_start, on_command_clock
 from hframe_post.identification.recordings.folder import (
+    CHECK,
+    STROKES,
     Aside,
     Measurement,
     RunMotion,
     contents,
     digest_of,
 )
-from hframe_post.identification.recordings.known_start import known_start, on_command_clock
 from hframe_post.identification.recordings.names import parsed
-from hframe_post.identification.recordings.orientation import (
-    QUIET,
-    has_marks,
-    nearest_map,
-    sensor_axes,
-)
 from hframe_post.identification.recordings.resonance_search import find
 from hframe_post.identification.recordings.resonance_test import (
     DEFAULTS,
@@ -45,7 +39,6 @@ from hframe_post.identification.recordings.resonance_test import (
 from hframe_post.identification.responses.measured import Run
 from hframe_post.printer.settings import Travel
 
-SAME_AXES = "x=x,y=y,z=z"
 ALIKE = 0.9  # cosine between two sensors' views of one axis, from which they are mounted alike
 
 
@@ -126,31 +119,33 @@ def gather(
 def from_folders(
     paths: Sequence[Path], config: KlipperConfig | None, travel: Travel,
     columns: Sequence[str] | None = None, chips: Mapping[str, str] = MappingProxyType({}),
+    kinds: Sequence[str] = (STROKES, CHECK),
 ) -> Gathered:  # fmt: skip
     """Return the runs in files and folders, with recordings in the sensors' axes.
 
     config: printer.cfg, which describes the tests of resonances; Klipper's defaults without it.
     columns: names of time, x, y, z in files that do not say it. chips: by x and y, the sensors
-    where no config names them. Raises OSError, and IdentificationError if no recording can be used.
+    where no config names them. kinds: of our own motions that are wanted. Raises OSError, and
+    IdentificationError if no recording can be used.
     """
     held = contents(paths, columns, _chips(config) or chips)
     made, aside = [], list(held.aside)
     aside += [Aside(one.label, SECOND.format(one.name.chip)) for one in held.second]
     for one in held.measurements:
+        if one.command is not None and (kind := one.command.kind) and kind not in kinds:
+            aside.append(Aside(one.label, f"a motion that 'hframe-post {kind}' judges"))
+            continue
         try:
             run, record = _run(one, config, travel)
             made.append((one, run, record))
         except HframeError as error:
             aside.append(Aside(one.label, str(error)))
     made = _exchanged(made)
-    swept = {one.direction for one, run, _ in made if run.calibrated}
     struck = {axis for _, run, _ in made if run.start for axis in run.axes}
     runs, used = [], []
     for one, run, record in made:
         if not run.start and struck.intersection(run.axes):
             aside.append(Aside(one.label, "strokes along the same axis are more like a print"))
-        elif one.direction in swept and not (run.calibrated or run.start):
-            aside.append(Aside(one.label, "our own sweep along the same axis tells more"))
         else:
             runs.append(run)
             used.append(record)
@@ -185,20 +180,18 @@ def _run(one: Measurement, config: KlipperConfig | None, travel: Travel) -> tupl
         shown, motion, axis = _described(found.test, config), found.test.command(), found.axis
         rough = found.start - float(recording.t[0]), found.drift
         seen = _in_sensor_axes(one, config)
-        run = Run(label, motion, seen, calibrated=False, rough_clock=rough)
-    elif command.of_strokes:
-        motion, shown = command.motion, f"strokes {command.path.name}"
+        run = Run(label, motion, seen, rough_clock=rough)
+    elif command.kind:
+        motion, shown = command.motion, f"{command.kind} {command.path.name}"
         check_travel(motion, travel)
         start, unusual = known_start(recording, len(motion), one.name.ended)
-        run = Run(label, motion, recording, calibrated=False, start=start)
+        run = Run(label, motion, recording, start=start)
         on_command_clock(motion, recording, start)  # raises if another motion was recorded
         notes = [*unusual, *notes]
     else:
         motion, shown = command.motion, f"sweep {command.path.name}"
         check_travel(motion, travel)
-        calibrated = has_marks(motion)
-        seen = recording if calibrated else _in_sensor_axes(one, config)
-        run = Run(label, motion, seen, calibrated=calibrated)
+        run = Run(label, motion, _in_sensor_axes(one, config))
     return run, Used(label, shown, one.digest, one.path, one.session, tuple(notes), axis)
 
 
@@ -289,48 +282,3 @@ def from_pair(command: Path, path: Path, travel: Travel, columns: Sequence[str] 
     except IdentificationError as error:
         raise IdentificationError(f"{path.name}: {error}") from None
     return Gathered([run], [record], [])
-
-
-# ---------------------------------------------------------------------- axes
-
-
-def along_printer(gathered: Gathered, axes: str | None = None) -> Gathered:
-    """Return the same with the recordings of our own sweeps along the printer's axes.
-
-    axes: map of the sensor, by default what the recordings show. In a run of x the sign of y is
-    that which a run of y by the same sensor shows, and the other way round: an owner may have
-    mirrored an axis in printer.cfg. Raises IdentificationError.
-    """
-    found = {}
-    for run in gathered.runs:
-        if run.calibrated and axes is None:
-            try:
-                found[run.name] = sensor_axes(run.command, run.nozzle)
-            except IdentificationError as error:
-                raise IdentificationError(f"{run.name}: {error}") from None
-    shown = {run.axis: found[run.name][run.axis] for run in gathered.runs if run.name in found}
-    maps = {}
-    for run in gathered.runs:
-        if run.name in found:
-            across = 1 - run.axis
-            maps[run.name] = nearest_map(_mirrored(found[run.name], across, shown.get(across)))
-    runs = [_along(run, axes or maps.get(run.name)) for run in gathered.runs]
-    return replace(gathered, runs=runs)
-
-
-def _mirrored(axes: Array, across: int, shown: Array | None) -> Array:
-    """Return axes (3, 3) with the sign of one that a run along it shows, if mounted alike."""
-    if shown is None or abs(shown @ axes[across]) < ALIKE:
-        return axes
-    turned = axes.copy()
-    turned[across] *= np.sign(shown @ axes[across])
-    return turned
-
-
-def _along(run: Run, axes: str | None) -> Run:
-    if axes is None:
-        return run
-    try:
-        return replace(run, nozzle=accelerometer.oriented(run.nozzle, axes, QUIET))
-    except IdentificationError as error:
-        raise IdentificationError(f"{run.name}: {error}") from None

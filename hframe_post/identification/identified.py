@@ -7,13 +7,13 @@ from itertools import chain
 
 import numpy as np
 
-from hframe_post.identification.diagnosis.coupling import MeasuredCoupling
-from hframe_post.identification.diagnosis.scatter import DAY_TO_DAY, MOST, ModeShift
-from hframe_post.identification.estimation.axes import Excited, Fit
-from hframe_post.identification.responses.frequency_response import FrequencyResponse
+from hframe_post.identification.coupling import MeasuredCoupling
+from hframe_post.identification.estimation.axes import Fit, Measured
+from hframe_post.identification.places import DAY_TO_DAY, MOST, ModeShift
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 
+STROKES_OFF, OFF = 0.075, 0.35  # of a sensor's gain: accel_per_hz may be wrong, too
 MOST_LEFT = 0.6  # of a measurement, by the model: of an SV08 after ten weeks 0.52
 OTHER_PRINTER = 0.4  # spread of an axis; a printer that was used for ten weeks: 0.3
 LEAST_CHANGE = 0.02  # relative, that is assumed of a printer that repeats itself
@@ -27,39 +27,6 @@ DRIFT_ALONE = 0.03
 BY_SHIFT = 5.0  # times the relative shift of a mode is the change of the response, usually
 AXIS = {"Gxx": "x", "Gyy": "y"}
 RIGID = ImpulseResponse(np.zeros(1), 0)
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """A transfer function as measured.
-
-    places: the response at each position (mm of x). mean: their average. spread: RMS difference of
-    the positions from the mean, relative; repeated: likewise of runs in one direction.
-    delay_bounds: of the recording, s. excited_hz:
-    lowest and highest frequency that is excited. resonance_hz: the lowest strong resonance, if the
-    recordings are not calibrated. known_start: whether they are of strokes.
-    """
-
-    places: list[tuple[float, FrequencyResponse]]
-    mean: FrequencyResponse
-    spread: float
-    repeated: float
-    delay_bounds: tuple[float, float]
-    excited_hz: tuple[float, float] = (0.0, np.inf)
-    resonance_hz: float | None = None
-    known_start: bool = False
-
-    @property
-    def runs(self) -> list[FrequencyResponse]:
-        return [response for _, response in self.places]
-
-    def excited(self, band_hz: tuple[float, float]) -> Excited | None:
-        """Return what was excited within the band; None if the recordings are calibrated."""
-        if self.resonance_hz is None:
-            return None
-        low, high = self.excited_hz
-        band = max(band_hz[0], low), min(band_hz[1], high)
-        return Excited([run.within(band) for run in self.runs], self.resonance_hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,9 +96,8 @@ class Identified:
                     "by itself"
                 )
         for name in AXIS.keys() & self.fits.keys():
-            calibrated = self.measured[name].resonance_hz is None
-            off = abs(self.fits[name].gain - 1.0)
-            if off > (0.075 if calibrated else 0.35):
+            off, struck = abs(self.fits[name].gain - 1.0), self.measured[name].known_start
+            if off > (STROKES_OFF if struck else OFF):
                 return (
                     f"the sensor would have to read {100 * off:.0f} % wrong in {AXIS[name]}, more "
                     f"than sensors do: {self._cause}"

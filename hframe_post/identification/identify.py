@@ -14,22 +14,21 @@ import numpy as np
 
 from hframe_post.arrays import Flags, X
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.diagnosis.coupling import MeasuredCoupling, find_coupling
-from hframe_post.identification.diagnosis.scatter import ModeShift, find_mode_shift
-from hframe_post.identification.estimation.along_x import (
-    fit_places,
-)
+from hframe_post.identification.coupling import Crossed, MeasuredCoupling, crossed, find_coupling
 from hframe_post.identification.estimation.axes import (
     Fit,
-    Swept,
+    Measured,
     fit_known_start,
-    fit_swept,
     fit_unknown_start,
     response_again,
 )
-from hframe_post.identification.identified import AXIS, Identified, Measured, Repetition
-from hframe_post.identification.racking import find_racking
-from hframe_post.identification.responses.crossed import Crossed, crossed
+from hframe_post.identification.identified import AXIS, Identified, Repetition
+from hframe_post.identification.places import (
+    ModeShift,
+    find_mode_shift,
+    find_racking,
+    fit_places,
+)
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     average,
@@ -40,9 +39,8 @@ from hframe_post.identification.responses.measured import (
     MeasurementSettings,
     Run,
     RunGroup,
-    nozzle_responses,
+    stroke_responses,
 )
-from hframe_post.identification.responses.strokes import stroke_responses
 from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
 from hframe_post.stream.running import one_blas_thread
 
@@ -104,15 +102,10 @@ def _along_x(
 
 
 def _groups(runs: Sequence[Run], settings: MeasurementSettings) -> dict[str, RunGroup]:
-    """Return the runs of each axis: of strokes, of our own sweep, or of others, the first found."""
+    """Return the runs of each axis: of strokes, or else of others."""
     strokes = stroke_responses([run for run in runs if run.start], settings)
     groups = {tuple(AXIS)[axis]: group for axis, group in strokes.items()}
-    calibrated = [run for run in runs if run.calibrated]
-    for axis, name in enumerate(AXIS):
-        chosen = [run for run in calibrated if run.axis == axis]
-        if chosen and name not in groups:
-            groups[name] = nozzle_responses(chosen, settings)
-    others = [run for run in runs if not (run.calibrated or run.start)]
+    others = [run for run in runs if not run.start]
     for axis, group in uncalibrated_responses(others, settings).items():
         groups.setdefault(tuple(AXIS)[axis], group)
     if not groups:
@@ -137,14 +130,9 @@ def _measured(group: RunGroup, settings: MeasurementSettings) -> Measured:
 def _fit_all(measured: Mapping[str, Measured], settings: MeasurementSettings) -> dict[str, Fit]:
     excited = {name: one.excited(settings.band_hz) for name, one in measured.items()}
     fits = fit_unknown_start({name: one for name, one in excited.items() if one is not None})
-    swept = dict[str, Swept]()
     for name, one in measured.items():
-        inside = one.mean.within(settings.band_hz)
         if one.known_start:
-            fits[name] = fit_known_start(inside)
-        elif name not in fits:
-            swept[name] = Swept(inside, one.delay_bounds)
-    fits |= fit_swept(swept)
+            fits[name] = fit_known_start(one.mean.within(settings.band_hz))
     return {name: fits[name] for name in measured}
 
 

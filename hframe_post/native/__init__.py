@@ -23,5 +23,5 @@ except ImportError:
 if kernels is None or kernels.BUILT_FOR != BUILT_FOR:
     raise ImportError(
         "the compiled part of hframe-post is missing or belongs to another version: install it "
-        "again, with 'pipx install --force .' or 'pip install -e .' (docs/install.md)"
+        "again, with 'pipx install --force .' or 'pip install -e .' (docs/start.md)"
     )

@@ -238,7 +238,7 @@ class _Sampler:
         """Add what the machine does at a line while the command dwells."""
         released = action.handling is Handling.RELEASE
         n, out = samples_until(action.seconds), self.output
-        apart = (released and not action.path) or n >= self._rules.long_from
+        apart = (released and action.end is None) or n >= self._rules.long_from
         yield from self.come_to_rest(apart)
         out.line = action.line
         if out.last is None:  # nothing to sample where the position is unknown

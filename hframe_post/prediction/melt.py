@@ -4,7 +4,7 @@
 
 q is the flow (filament, mm/s), K the time that pressure advance is set to, A how far the extruder
 is ahead. Retractions are left out: they take back what they give. The simplest model is also the
-best that measurements of step responses support; see docs/limits.md.
+best that measurements of step responses support; see docs/identify.md.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ SHARE = {"least": 0.0, "most": 0.99}
 BANDS = {"least": 0.1, "most": 1e4, "ascending": True, "count": 16}  # mm/s of the motors
 STOPS = {"fast": 2, "exact": 8}  # samples for which the path rests before and after a stop
 LONGEST_RAMP = 60.0  # s
-# mm/s³ of the path: real slices take the time that the firmware needs (docs/performance.md)
+# mm/s³ of the path: real slices take the time that the firmware needs (docs/reliability.md)
 JERK = 1e7
 LONGEST_PREVIEW = 2000  # samples; the matrix of a window has as many rows and columns
 HIGHEST_HZ = 200.0  # of a sweep: five samples per period, joined by straight lines

@@ -122,7 +122,8 @@ class Passthrough:
     """A pass-through line, which reaches the output byte for byte.
 
     seconds: known duration. For a move from an unknown position, filament and path are what it
-    extrudes and moves (mm), and cause is the command that made the position unknown.
+    extrudes and moves (mm), and cause is the command that made the position unknown. end: where a
+    move ends (mm) whose beginning was known.
     """
 
     line: int
@@ -133,6 +134,7 @@ class Passthrough:
     filament: float = 0.0
     path: float = 0.0
     cause: str = ""
+    end: Position | None = None
 
 
 Item = Moves | MoveAtRest | Passthrough

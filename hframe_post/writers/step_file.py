@@ -1,6 +1,6 @@
 """Step files: their items, and their text with one row a step.
 
-docs/formats.md describes the format.
+docs/interfaces.md describes the format.
 """
 
 from __future__ import annotations

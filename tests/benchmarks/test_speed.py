@@ -10,25 +10,19 @@ import os
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
-from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 from tests.benchmarks.models import SPREAD, models
 from tests.benchmarks.timing import fastest, processor_and_wall, seconds
 from tests.conftest import SAMPLES
-from tests.modes import deviation_of_mode
-from tests.profiles import with_plant
 
 OPTIONS = Options("racking", ("none", "racking"))
 CURA = Path("/usr/share/cura/resources/definitions")
@@ -73,22 +67,6 @@ def converted(lines: list[bytes], printer: Printer) -> Report:
         return conversion.report()
 
 
-@pytest.mark.parametrize("wider", [1, 2, 4])
-def test_stages_by_width_of_the_window(
-    benchmark: BenchmarkFixture, paper: Printer, wider: int
-) -> None:
-    """Processor time of each stage for an hour of print; that of solving grows with the window."""
-    lines = (SAMPLES / "prism.gcode").read_bytes().splitlines(keepends=True)[:5000]
-    compensation = replace(paper.compensation, n_C=paper.compensation.n_C * wider)
-    printer = replace(paper, compensation=compensation)
-    report = benchmark.pedantic(  # type: ignore[no-untyped-call]
-        converted, args=(lines, printer), rounds=1
-    )
-    hours = report.time.after / 3600.0
-    for stage, spent in report.seconds.items():
-        benchmark.extra_info[f"{stage}, s an hour of print"] = spent / hours
-
-
 @pytest.mark.parametrize("name", ["figure", "knot", "gyroid", "vase"])
 def test_conversion_against_slicing(benchmark: BenchmarkFixture, tmp_path: Path, name: str) -> None:
     """Processor time and duration of CuraEngine, and of converting what it slices."""
@@ -119,25 +97,3 @@ def test_start_against_numpy(benchmark: BenchmarkFixture) -> None:
     numpy = seconds(sys.executable, "-c", "import numpy")
     benchmark.extra_info["ratio to import numpy"] = fastest(benchmark) / numpy
     assert fastest(benchmark) <= 3.0 * numpy
-
-
-@pytest.mark.parametrize("base", ["paper", "example-corexy"])
-def test_measured_responses_against_poles(
-    benchmark: BenchmarkFixture, tmp_path: Path, base: str
-) -> None:
-    """Processor time of the prism with responses of 432 ms that begin 32 ms before the command."""
-    printer = load(base)
-    late = np.convolve(deviation_of_mode(45.0, 0.06, 400), np.hanning(65))[:432]
-    response = ImpulseResponse(late / 32.0 * np.linspace(1.0, 0.0, 432), 32)
-    plants = {
-        "poles": printer.plant,
-        "responses": replace(printer.plant, Gxx=response, Gyy=response),
-    }
-    took = {}
-    for name, plant in plants.items():
-        profile = tmp_path / f"{name}.toml"
-        profile.write_text(with_plant(base, plant, printer.compensation.windows, []))
-        convert = command(SAMPLES / "prism.gcode", tmp_path / "out.gcode", "-p", str(profile))
-        took[name] = min(processor_and_wall(*convert, "--jobs", "1")[0] for _ in range(5))
-    benchmark.extra_info["times as long as with poles"] = took["responses"] / took["poles"]
-    benchmark.pedantic(subprocess.run, args=(convert,), kwargs={"check": True}, rounds=1)  # type: ignore[no-untyped-call]

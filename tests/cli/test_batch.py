@@ -53,25 +53,6 @@ def test_one_failure_stops_no_other_and_the_bytes_are_those_of_single_runs(
     assert "\x1b" not in done.stderr.decode()
 
 
-@pytest.mark.slow
-def test_errors_are_ranges_where_the_profile_is_uncertain(tmp_path: Path) -> None:
-    """In the line of a file, in its summary, and in what convert says of it."""
-    profile, summary = tmp_path / "unsure.toml", tmp_path / "s.json"
-    profile.write_text('extends = "paper"\n[plant]\ninvented = false\nuncertainty = 0.05\n')
-    done = run("batch", RECTANGLE, "-p", profile, "-d", tmp_path / "out", "--json", summary)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(summary.read_text())["files"][0]["summary"]["contour_error_um"]
-    um = found["racking"]
-    assert um["from"] < um["median"] < um["to"] < found["none"]["rms"]
-    assert um["rms"] < um["median"]
-    assert f"{um['median']:.1f} µm (up to {um['to']:.1f} as the printer" in done.stderr.decode()
-    shown = run(RECTANGLE, "-n", "-p", profile).stderr.decode()
-    within = (
-        f"{um['median']:.1f} µm RMS ({um['from']:.1f} to {um['to']:.1f} as the printer changes)"
-    )
-    assert f"result           ringing and racking {found['none']['rms']:.1f} → {within}" in shown
-
-
 def test_what_is_not_compensated_is_said_in_the_line_and_at_the_end(tmp_path: Path) -> None:
     for name, share in (("a", 32.9), ("b", 0.1)):
         lines = ("M83", "G1 X100 Y100 Z0.2 F6000", f"G1 X150 E{100 - share} F3000", "A_MACRO")
@@ -116,17 +97,6 @@ def test_two_files_of_one_name_are_both_named(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert f"{paths[0]} and {paths[1]} would both be written to" in done.stderr.decode()
     assert not (tmp_path / "out").exists()
-
-
-def test_names_may_begin_with_a_dash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    shutil.copy(RECTANGLE, "--force.gcode")
-    done = run("batch", "-d", "-out", "--", "--force.gcode")
-    assert done.returncode == 0, done.stderr
-    assert Path("-out", "--force.gcode").is_file()
-    done = run("batch", "-d", "out", "--force.gcode")
-    assert done.returncode == 2
-    assert b"type ./--force.gcode" in done.stderr
 
 
 @pytest.mark.parametrize("number", few([signal.SIGINT, signal.SIGTERM], 1))

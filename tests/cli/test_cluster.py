@@ -112,14 +112,3 @@ def read(path: Path) -> bytes:
         return path.read_bytes()
     except OSError:  # the process is gone
         return b") S 0"
-
-
-def test_wrong_usage(tmp_path: Path) -> None:
-    assert run("batch", RECTANGLE, "-d", tmp_path, "--scheduler", "farm").returncode == 2
-
-
-@pytest.mark.slow
-def test_without_a_cluster_the_error_says_what_to_do(tmp_path: Path) -> None:
-    done = run("batch", RECTANGLE, "-d", tmp_path, "--scheduler", "tcp://127.0.0.1:1")
-    assert done.returncode == 1
-    assert b"dask scheduler" in done.stderr

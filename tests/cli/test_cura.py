@@ -124,38 +124,6 @@ def test_layers_stay_apart_and_are_compensated(own: Any, data: list[str]) -> Non
     assert "HFRAME_POST_PART" not in "".join(after)
 
 
-def exported(own: Any, data: list[str]) -> str:
-    """Return the file that Cura writes after this script. Cura only logs what a script raises."""
-    parts = own.execute(data)
-    parts[0] += ";POSTPROCESSED\n"
-    return "".join(parts)
-
-
-def test_spaces_in_all_paths(own: Any, data: list[str], tmp_path: Path) -> None:
-    folder = tmp_path / "3d tools"
-    folder.mkdir()
-    program, profile = folder / "hframe post", folder / "my printer.toml"
-    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m hframe_post "$@"\n')
-    program.chmod(0o755)
-    profile.write_text('extends = "paper"\n[plant]\ninvented = false\n')
-    report = folder / "the report.txt"
-    own.own = {"program": str(program), "profile": str(profile),
-               "options": f'--limits printer --report "{report}"'}  # fmt: skip
-    text = exported(own, data)
-    assert Message.shown == []
-    assert re.search("^; processed by .* printer my printer", text, re.MULTILINE)
-    assert text.count(";POSTPROCESSED\n") == 1
-    assert "ringing" in report.read_text("utf-8")
-
-
-def test_without_its_settings_the_script_has_those_of_its_installation(
-    own: Any, data: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Cura returns None for settings until the script is in its list."""
-    monkeypatch.setattr(type(own), "getSettingValueByKey", lambda self, key: None)
-    assert "; processed by hframe-post" in exported(own, data)
-
-
 def test_a_failure_is_shown_and_the_file_is_marked(own: Any, data: list[str]) -> None:
     own.own = {"profile": "nobody.toml"}
     after = own.execute(list(data))
@@ -165,18 +133,6 @@ def test_a_failure_is_shown_and_the_file_is_marked(own: Any, data: list[str]) ->
     head, mark = after[0].rstrip("\n").rsplit("\n", 1)
     assert head + "\n" == data[0]
     assert mark.startswith(";NOT COMPENSATED: hframe-post failed: Error: nobody.toml")
-
-
-def test_a_lost_program_and_bad_g_code_are_failures_too(own: Any, data: list[str]) -> None:
-    own.own = {"program": "/nowhere/hframe-post"}
-    assert "\n;NOT COMPENSATED" in own.execute([data[0].rstrip("\n"), *data[1:]])[0]
-    assert "cannot be run" in own.execute(list(data))[0]
-    own.own = {"options": "-c 'unclosed"}
-    assert "NOT COMPENSATED" in own.execute(list(data))[0]
-    own.own = {}
-    data[3] += "G1 X9999\n"
-    assert "line " in own.execute(list(data))[0]
-    assert len(Message.shown) == 4
 
 
 def test_it_is_installed_into_every_version(cura: object, tmp_path: Path) -> None:

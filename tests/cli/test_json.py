@@ -80,7 +80,7 @@ def test_every_command_with_the_option_is_tried_and_documented() -> None:
         if any("--json" in parameter.opts for parameter in command.params)
     }  # fmt: skip
     assert having == set(WITHOUT_INPUT)
-    page = (ROOT / "docs" / "json.md").read_text()
+    page = (ROOT / "docs" / "interfaces.md").read_text()
     assert f'"schema": {SCHEMA}' in page
     assert all(re.search(rf"^\| `{name}`", page, re.MULTILINE) for name in having)
 
@@ -105,7 +105,7 @@ def test_a_failure_replaces_an_earlier_summary_and_nothing_else(
 
 def test_documented_keys_are_those_of_a_conversion(tmp_path: Path) -> None:
     """The page names every key of the summaries of convert, batch and compare."""
-    page = (ROOT / "docs" / "json.md").read_text()
+    page = (ROOT / "docs" / "interfaces.md").read_text()
     batch = tmp_path / "batch.json"
     run("batch", RECTANGLE, "-d", tmp_path / "out", "--json", batch)
     batched = json.loads(batch.read_text())

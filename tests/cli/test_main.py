@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import pty
-import re
 import shutil
 import subprocess
 import sys
@@ -15,27 +14,11 @@ from pathlib import Path
 import pytest
 
 from tests.command_line import RECTANGLE, run
-from tests.conftest import ROOT
 
 
 @pytest.fixture
 def part(tmp_path: Path) -> Path:
     return Path(shutil.copy(RECTANGLE, tmp_path / "part.gcode.pp"))
-
-
-def test_converts_to_a_file_and_leaves_the_input(part: Path, tmp_path: Path) -> None:
-    done = run(part, "-o", tmp_path / "out.gcode")
-    assert done.returncode == 0
-    assert part.read_bytes() == RECTANGLE.read_bytes()
-    assert b"; processed by hframe-post" in (tmp_path / "out.gcode").read_bytes()
-    assert b"result           ringing" in done.stderr
-    assert not done.stdout
-
-
-def test_converts_in_place_without_output_as_slicers_hooks_do(part: Path) -> None:
-    assert run(part).returncode == 0
-    assert b"; processed by hframe-post" in part.read_bytes()
-    assert [path.name for path in part.parent.iterdir()] == [part.name]
 
 
 def test_a_second_pass_changes_nothing_and_succeeds(part: Path, tmp_path: Path) -> None:
@@ -81,14 +64,6 @@ def test_a_file_marked_off_is_left_alone(part: Path) -> None:
     assert run(part, "--report", part.with_name("page.html")).returncode == 1
 
 
-def test_relative_names_work(part: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "hframe_post", part.name], cwd=part.parent, check=False,
-        capture_output=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert done.returncode == 0
-
-
 def test_streams_from_standard_input_to_standard_output(part: Path, tmp_path: Path) -> None:
     run(part, "-o", tmp_path / "out.gcode")
     done = run("-", "-q", stdin=RECTANGLE.read_bytes())
@@ -106,69 +81,6 @@ def test_json_summary_has_its_keys(part: Path, tmp_path: Path) -> None:
     assert {"moves", "lines_written", "peak_belt_speed", "peak_belt_acceleration"} <= set(summary)
     written = (tmp_path / "out.gcode").read_bytes().count(b"\n")
     assert summary["lines_written"] == written
-
-
-def test_prediction_can_be_off_and_of_the_chosen_strategy(part: Path) -> None:
-    off = run(part, "--dry-run", "--predict", "off", "--json", "-", "-q")
-    assert json.loads(off.stdout)["contour_error_um"] == {}
-    fbs = run(part, "--dry-run", "-c", "fbs", "--json", "-", "-q")
-    assert set(json.loads(fbs.stdout)["contour_error_um"]) == {"none", "fbs"}
-
-
-def test_verbose_logs_stages_and_their_time() -> None:
-    done = run(RECTANGLE, "-n", "-v", "-q")
-    lines = re.findall(r"^ +([0-9.]+) s +(\S+)(.*)$", done.stderr.decode(), re.MULTILINE)
-    stages = [stage for _, stage, more in lines if "of the processor" in more]
-    assert stages[:5] == ["read", "plan", "sample", "compensate", "dwell"]
-    assert [float(at) for at, *_ in lines] == sorted(float(at) for at, *_ in lines)
-    assert run(RECTANGLE, "-n", "-q").stderr == b""
-
-
-@pytest.mark.slow
-def test_verbose_logs_the_progress_of_a_print_that_never_stops(part: Path) -> None:
-    """Threads read and compute it, while others are read before processes compute them."""
-    moves = (f"G1 X{60 + k % 2} E0.01 ;{'-' * 200}\n" for k in range(9000))
-    part.write_text("G28\nG1 Z0.3 F600\nM83\nG1 X60 Y60 F6000\nG1 F114\n" + "".join(moves))
-    done = run(part, "-n", "-v", "-q", "--predict", "off")
-    assert done.returncode == 0, done.stderr
-    assert re.findall(r"(\d+) % is read", done.stderr.decode())[-1] == "100"
-
-
-def test_dry_run_writes_nothing(part: Path) -> None:
-    assert run(part, "--dry-run").returncode == 0
-    assert part.read_bytes() == RECTANGLE.read_bytes()
-
-
-def test_a_tolerance_of_zero_writes_a_line_per_millisecond(part: Path) -> None:
-    few = json.loads(run(part, "-n", "-q", "--json", "-").stdout)
-    many = json.loads(run(part, "-n", "-q", "--json", "-", "--tolerance", "0").stdout)
-    assert many["lines_written"] > 3 * few["lines_written"]
-    assert many["lines_written"] > 0.8e3 * many["print_time_s"]["before"]
-
-
-def test_profile_from_a_file_and_from_the_environment(part: Path, tmp_path: Path) -> None:
-    own = tmp_path / "own.toml"
-    own.write_text('extends = "paper"\n[compensation]\nstrategy = "none"\n')
-    for done in (run(part, "-n", "-p", own), run(part, "-n", HFRAME_PRINTER=str(own))):
-        assert done.returncode == 0
-        assert b"ringing" not in done.stderr
-
-
-def test_printers_are_listed_and_shown(tmp_path: Path) -> None:
-    assert b"paper-strong" in run("printers").stdout
-    shown = run("printers", "show", "paper")
-    (tmp_path / "mine.toml").write_bytes(shown.stdout)
-    assert run(RECTANGLE, "-n", "-p", tmp_path / "mine.toml").returncode == 0
-
-
-def test_version_and_help() -> None:
-    assert run("--version").stdout.startswith(b"hframe-post, version ")
-    usual = run("convert", "--help").stdout
-    assert b"--on-limit" not in usual
-    assert b"--on-limit" in run("convert", "--help-all").stdout
-    assert usual.count(b"\n") < 40
-    assert run("--help").stdout.count(b"\n") <= 30
-    assert b"printers" in run("--help").stdout
 
 
 @pytest.mark.parametrize(
@@ -204,12 +116,6 @@ def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
     assert run(*arguments).returncode == 2
 
 
-def test_a_second_file_is_answered_with_the_option_for_the_output(part: Path) -> None:
-    done = run(part, "out.gcode")
-    assert done.returncode == 2
-    assert b"use -o out.gcode" in done.stderr
-
-
 def test_names_that_begin_with_a_dash(part: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(part.parent)
     for name in ("-part.gcode", "-h.gcode", "--force.gcode", "-dash.gcode"):
@@ -240,33 +146,6 @@ def test_a_mistyped_command_is_answered_with_the_nearest(tmp_path: Path) -> None
     assert b"no command and no file 'job'; see --help" in run("job", RECTANGLE).stderr
     own = Path(shutil.copy(RECTANGLE, tmp_path / "simulat"))
     assert run(own, "-n", "-q").returncode == 0
-
-
-def test_missing_files_are_named(tmp_path: Path) -> None:
-    done = run(tmp_path / "none.gcode")
-    assert done.returncode == 1
-    assert b"none.gcode: No such file" in done.stderr
-    nowhere = run(RECTANGLE, "-o", tmp_path / "no" / "out.gcode")
-    assert nowhere.returncode == 1
-    assert b"the folder %b does not exist" % bytes(tmp_path / "no") in nowhere.stderr
-    profile = run(RECTANGLE, "-n", "-p", "nobody")
-    assert profile.returncode == 1
-    assert b"shipped are: example-cartesian, example-corexy, example-ender," in profile.stderr
-
-
-def test_a_printer_cfg_is_no_profile(tmp_path: Path) -> None:
-    config = tmp_path / "printer.cfg"
-    config.write_text("[include mainsail.cfg]\n[printer]\nkinematics: corexy\n")
-    done = run(RECTANGLE, "-n", "-p", config)
-    assert done.returncode == 1
-    assert b"Klipper's configuration, not a profile" in done.stderr
-
-
-def test_broken_profile_names_its_key(tmp_path: Path) -> None:
-    (tmp_path / "bad.toml").write_text('extends = "paper"\n[limits]\nvelocty = 3\n')
-    done = run(RECTANGLE, "-n", "-p", tmp_path / "bad.toml")
-    assert done.returncode == 1
-    assert b"limits.velocty: unknown key; nearest known is 'velocity'" in done.stderr
 
 
 def test_diverging_window_is_refused_with_its_radius(tmp_path: Path) -> None:

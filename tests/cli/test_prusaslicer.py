@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.command_line import run
-from tests.conftest import MEASURED, ROOT
+from tests.conftest import ROOT
 
 SLICER = shutil.which("prusa-slicer")
 pytestmark = [
@@ -69,15 +68,6 @@ def test_the_exported_file_is_compensated_for_the_printer_of_the_notes(folder: P
     assert "printer paper-strong" in written.partition("\n")[0]
     assert written.count("\nG1 X") > 5000
     assert not list(folder.glob("*.pp"))
-
-
-def test_the_line_that_slicer_line_prints_can_be_pasted(folder: Path) -> None:
-    own = folder / "my printer's $5 (new).toml"
-    own.write_bytes(MEASURED.read_bytes())
-    hook = run("slicer-line", "-p", own).stdout.decode().strip()
-    done = sliced(folder, hook)
-    assert done.returncode == 0, done.stderr
-    assert "; processed by hframe-post" in (folder / "the plate.gcode").read_text()
 
 
 def test_a_failure_is_shown_and_nothing_is_half_converted(folder: Path) -> None:

@@ -9,16 +9,15 @@ import shutil
 import subprocess
 import sys
 from functools import partial
-from importlib.metadata import PathDistribution
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hframe_post.cli.integrations import program
-from hframe_post.cli.moonraker import SECTIONS, update_lines
+from hframe_post.hosts.klipper.kernel_file import read
 from hframe_post.printer.profile import load
-from hframe_post.printer.settings import JERK, Extruder, Motors
+from hframe_post.printer.settings import Motors
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT
 from tests.printers import M503, REAL
@@ -59,32 +58,6 @@ def test_setup_writes_profile_and_macros_and_makes_the_profile_the_default(confi
     at_home = partial(run, XDG_CONFIG_HOME=home, HFRAME_PRINTER="")
     assert str(config.parent / "printer.toml") in at_home("use").stdout.decode()
     assert at_home(RECTANGLE, "-n").returncode == 0
-
-
-def test_without_a_terminal_corexy_is_taken_which_does_not_rack(config: Path) -> None:
-    printed = set_up(config)
-    assert "assumed" in printed
-    assert "--kinematics hbot" in printed
-    own = config.parent / "printer.toml"
-    assert load(str(own)).kinematics.type == "corexy"
-    set_up(config, "--kinematics", "hbot")
-    assert load(str(own)).kinematics.type == "hbot"
-    assert "assumed" not in set_up(config)  # it is known by now
-    assert load(str(own)).kinematics.type == "hbot"
-
-
-def test_limits_are_those_of_printer_cfg_and_belts_allow_its_diagonal(config: Path) -> None:
-    edited(config, "max_velocity: 500", "max_velocity: 800")
-    set_up(config)
-    own = load(str(config.parent / "printer.toml"))
-    assert (own.limits.velocity, own.limits.acceleration) == (800.0, 10000.0)
-    assert own.motors.belt_velocity > 2**0.5 * 800.0
-    assert own.motors.belt_acceleration == round(2**0.5 * 22000.0)
-    assert (own.limits.jerk, own.limits.deceleration) == (JERK, math.inf)
-    assert own.sweep.amplitude == 5000.0
-    edited(config, "max_accel: 10000", "max_accel: 3000")
-    set_up(config, "--reset")
-    assert load(str(config.parent / "printer.toml")).sweep.amplitude == 3000.0
 
 
 def test_what_an_earlier_setup_guessed_counts_no_more_unless_it_was_changed(config: Path) -> None:
@@ -139,24 +112,6 @@ def test_a_second_setup_changes_no_byte(config: Path) -> None:
         assert after == before
 
 
-def test_a_marlin_with_two_carriages_compensates_the_first(tmp_path: Path) -> None:
-    header = tmp_path / "Configuration_adv.h"
-    header.write_text("#define DUAL_X_CARRIAGE\n")
-    done = run(
-        "setup", M503, header, "--bed", "220,220", "-o", tmp_path, XDG_CONFIG_HOME=str(tmp_path)
-    )
-    assert done.returncode == 0, done.stderr
-    assert b"DUAL_X_CARRIAGE: a profile has the model of one carriage" in done.stdout
-    assert load(str(tmp_path / "printer.toml")).firmware.other_tools == ("T1",)
-
-
-def test_pressure_advance_is_taken_over(config: Path) -> None:
-    edited(config, "[extruder]", "[extruder]\npressure_advance: 0.042")
-    set_up(config)
-    has = load(str(config.parent / "printer.toml"))
-    assert has.extruder == Extruder(0.042, 0.04)
-
-
 def test_what_the_printer_has_no_more_goes(config: Path) -> None:
     """Input shaping and firmware retraction, which doctor would report for ever."""
     before = config.read_text()
@@ -178,145 +133,18 @@ def test_what_the_printer_has_no_more_goes(config: Path) -> None:
     assert "no changes" in set_up(config)
 
 
-@pytest.mark.parametrize(
-    ("pattern", "here"),
-    [("conf/*.cfg", ""), ("conf/shaper.cfg", ""), ("conf/*", "[input_shaper]\nshaper_type: ei\n")],
-)
-def test_includes_that_were_not_downloaded_are_named_wherever_they_matter(
-    config: Path, pattern: str, here: str, tmp_path: Path
-) -> None:
-    """They may hold [input_shaper], so what was known of it stays."""
-    shaper = config.parent / "conf" / "shaper.cfg"
-    shaper.parent.mkdir()
-    shaper.write_text("[input_shaper]\nshaper_freq_x: 51.5\n")
-    text = config.read_text().replace("[input_shaper]\n", "")
-    config.write_text(f"[include {pattern}]\n{text}\n{here}[include hframe.cfg]\n")
-    assert "WARNING" not in set_up(config)
-    shaper.unlink()
-    missing = f"{config}:1: [include {pattern}] finds no file, so what it sets is not known here"
-    assert f"WARNING          {missing}" in set_up(config)
-    own = config.parent / "printer.toml"
-    klipper = load(str(own)).firmware.klipper
-    assert klipper is not None
-    assert (klipper.shaper_freq_x, klipper.end_macro) == (51.5, "_HFRAME_END")
-    checked = run("doctor", "-p", own, "--printer-cfg", config, HFRAME_PRINTER=str(own))
-    assert f"note     {missing}" in checked.stdout.decode()
-    assert b"but the include that finds no file was not checked" in checked.stdout
-    (tmp_path / "recordings").mkdir()
-    done = run("identify", tmp_path / "recordings", "--printer-cfg", config)
-    assert f"WARNING      {missing}" in done.stderr.decode()
-
-
-OWNERS = {
-    "a Voron 2.4 with parts and Mainsail": {
-        "printer.cfg": """\
-# Voron 2.4
-[include mainsail.cfg]
-[include conf/*.cfg]
-#[include old.cfg]
-[printer]
-kinematics: corexy
-max_velocity: 300
-max_accel: 3000             #Max 4000
-max_z_velocity: 15
-[stepper_x]
-dir_pin: !PF12 ; inverted
-rotation_distance: 40
-microsteps: 32
-full_steps_per_rotation:200
-position_max: 350
-[stepper_y]
-rotation_distance: 40
-microsteps: 32
-position_max: 350
-[stepper_z]
-rotation_distance: 40
-gear_ratio: 80:16
-microsteps: 32
-position_max: 340
-[quad_gantry_level]
-points:
-   50,25
-   50,275
-[include hframe.cfg]
-
-#*# <---------------------- SAVE_CONFIG ---------------------->
-#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated.
-#*#
-#*# [input_shaper]
-#*# #shaper_freq_x = 40
-#*# shaper_freq_x = 62.4
-#*# [bed_mesh default]
-#*# points =
-#*# 	  -0.02, 0.01
-""",
-        "conf/extruder.cfg": """\
-[extruder]
-rotation_distance: 22.6789511
-gear_ratio: 50:17
-microsteps: 16
-[adxl345]
-cs_pin: EBBCan:PB12
-#*# an owner's own comment
-""",
-        "mainsail.cfg": """\
-[pause_resume]
-[gcode_macro CANCEL_PRINT]
-rename_existing: CANCEL_PRINT_BASE
-gcode:
-  {% set park = printer['gcode_macro _CLIENT_VARIABLE'].park|default(false)|lower == 'true' %}
-  CANCEL_PRINT_BASE
-""",
-    },
-    "a bed-slinger with two sensors and a block that is commented out": {
-        "printer.cfg": """\
-[printer]
-kinematics: cartesian
-max_velocity = 300
-max_accel = 5000
-[stepper_x]
-microsteps: 16
-rotation_distance: 40
-position_max: 235
-[stepper_y]
-microsteps: 16
-rotation_distance: 40
-position_min: -6
-position_max: 235
-[stepper_z]
-microsteps: 16
-rotation_distance: 8
-position_max: 250
-[extruder]
-microsteps: 16
-rotation_distance: 34.406
-[adxl345 hotend]
-cs_pin: rpi:None
-axes_map: -x, -y, z
-[adxl345 bed]
-cs_pin: bed:gpio1
-[input_shaper]
-#shaper_freq_x: 60
-[include hframe.cfg]
-# #*# <---------------------- SAVE_CONFIG ---------------------->
-# #*# [input_shaper]
-# #*# shaper_freq_x = 40
-""",
-    },
-}
+# a Voron 2.4 with parts and Mainsail; a bed-slinger with two sensors and a block commented out
+OWNERS = Path(__file__).with_name("owners")
 
 
 @pytest.mark.parametrize(
     ("owner", "kind", "sensors", "hz"),
-    [(owner, *row) for owner, row in zip(
-        OWNERS, (("corexy", "adxl345", 62.4), ("cartesian", "hotend, bed", 0.0)), strict=True)],
-)  # fmt: skip
+    [("voron", "corexy", "adxl345", 62.4), ("bedslinger", "cartesian", "hotend, bed", 0.0)],
+)
 def test_setup_and_doctor_read_owners_files(
     tmp_path: Path, owner: str, kind: str, sensors: str, hz: float
 ) -> None:
-    for name, text in OWNERS[owner].items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
+    shutil.copytree(OWNERS / owner, tmp_path, dirs_exist_ok=True)
     config, own = tmp_path / "printer.cfg", tmp_path / "printer.toml"
     printed = set_up(config)
     assert "WARNING" not in printed
@@ -329,33 +157,6 @@ def test_setup_and_doctor_read_owners_files(
     assert profile.firmware.klipper.shaper_freq_x == hz, "Hz"
     checked = run("doctor", "-p", own, "--printer-cfg", config, HFRAME_PRINTER=str(own))
     assert (checked.returncode, b"PROBLEM" in checked.stdout) == (0, False), checked.stdout
-
-
-def test_setup_works_where_the_users_folder_cannot_be_written(config: Path) -> None:
-    (config.parent / "config").write_text("a file, not a folder")
-    printed = set_up(config)
-    own = config.parent / "printer.toml"
-    assert load(str(own)).invented
-    assert f"is not the default: give -p {own} to each command" in printed
-    assert f"profile          {own}, not the default" in printed
-    assert "Traceback" not in printed
-
-
-def test_printers_with_several_tools_are_told_what_is_compensated(config: Path) -> None:
-    text = config.read_text()
-    config.write_text(f"{text}\n[dual_carriage]\naxis: x\n")
-    assert f"WARNING          {config}:" in (printed := set_up(config))
-    assert "[dual_carriage]: a profile has the model of one carriage" in printed
-    own = config.parent / "printer.toml"
-    assert load(str(own)).firmware.other_tools == ("T1",)
-    assert "no changes" in set_up(config)
-    changer = (
-        "[toolchanger]\n[tool T0]\n[gcode_macro USE]\ngcode:\n  SET_INPUT_SHAPER SHAPER_FREQ_X=9\n"
-    )
-    config.write_text(f"{text}\n{changer}")
-    printed = set_up(config)
-    assert "[toolchanger]: a profile has the model of one tool head" in printed
-    assert "[gcode_macro USE] runs SET_INPUT_SHAPER" in printed
 
 
 def test_again_it_keeps_an_identified_plant(config: Path) -> None:
@@ -400,22 +201,6 @@ def test_what_is_no_printer_cfg_is_an_error_of_one_line(
     assert sorted(each.name for each in config.parent.iterdir()) == ["printer.cfg"]
 
 
-def test_a_byte_order_mark_is_no_problem(config: Path) -> None:
-    config.write_text(config.read_text(), "utf-16")  # as PowerShell's > writes it
-    set_up(config)
-    config.write_bytes(b"\xef\xbb\xbf" + REAL.read_bytes())
-    set_up(config)
-    own = config.parent / "printer.toml"
-    own.write_bytes(b"\xef\xbb\xbf" + own.read_bytes())
-    assert load(str(own)).limits.acceleration == 10000.0
-
-
-def test_a_printer_cfg_as_profile_names_setup(config: Path) -> None:
-    done = run(RECTANGLE, "-n", "-p", config)
-    assert done.returncode == 1
-    assert b"'hframe-post setup printer.cfg'" in done.stderr
-
-
 def test_answers_of_marlin_make_a_profile_without_macros(tmp_path: Path) -> None:
     answers = tmp_path / "m503.txt"
     answers.write_text(M503.read_text())
@@ -444,20 +229,6 @@ def test_answers_of_marlin_make_a_profile_without_macros(tmp_path: Path) -> None
     assert done.returncode == 0, done.stderr
 
 
-def test_a_bed_of_unknown_size_is_asked_for(tmp_path: Path) -> None:
-    answers = tmp_path / "m503.txt"
-    answers.write_text(M503.read_text().replace("min:", "low:"))
-    assert "add --bed 220,220" in set_up(answers, status=1)
-    set_up(answers, "--bed", "220,210")
-    assert load(str(tmp_path / "printer.toml")).travel.y == (0.0, 210.0)
-    assert "is not the width and depth" in set_up(answers, "--bed", "220", status=2)
-
-
-def test_for_klipper_printer_cfg_is_enough(config: Path) -> None:
-    assert "give printer.cfg alone" in set_up(config, "--bed", "220,220", status=2)
-    assert "give printer.cfg alone" in set_up(config, config, status=2)
-
-
 # ---------------------------------------------------------------------- Moonraker
 
 
@@ -473,26 +244,6 @@ def moonraker(config: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (components / "file_manager/file_manager.py").write_text("def register_gcode_processor(): 0\n")
     config.with_name("printer.toml").write_text((ROOT / "tests/measured.toml").read_text())
     return components
-
-
-@pytest.mark.parametrize(
-    ("files", "updates"),
-    [
-        ({"INSTALLER": "pip"}, True),  # from an index
-        ({"INSTALLER": "pip", "direct_url.json": '{"vcs_info": {"vcs": "git"}}'}, True),
-        ({"INSTALLER": "pip", "direct_url.json": '{"dir_info": {}}'}, False),
-        ({}, False),  # a folder from which it runs
-    ],
-)
-def test_moonraker_updates_what_pip_took_from_an_index_or_from_git(
-    files: dict[str, str], updates: bool, tmp_path: Path
-) -> None:
-    for name, text in files.items():
-        (tmp_path / name).write_text(text)
-    lines = update_lines(PathDistribution(tmp_path))
-    assert bool(lines) == lines.startswith("type: python\n") == updates
-    sections = f"\n\n[hframe_post]\ncommand: x\n\n[update_manager hframe_post]\n{lines}"
-    assert SECTIONS.sub("\n", f"[server]\nport: 1{sections}") == "[server]\nport: 1\n"
 
 
 def test_moonraker_is_connected_and_disconnected_without_a_trace(
@@ -525,6 +276,44 @@ def test_moonraker_is_connected_and_disconnected_without_a_trace(
     assert conf.read_text() == before + "\n[timelapse]\n"
 
 
+def test_klipper_itself_compensates_where_it_is_found(config: Path, moonraker: Path) -> None:
+    klipper, conf = config.parent / "klipper", config.with_name("moonraker.conf")
+    (klipper / "klippy/extras").mkdir(parents=True)
+    (klipper / ".git/info").mkdir(parents=True)
+    before = config.read_text(), conf.read_text()
+    for _ in range(2):
+        set_up(config, "--moonraker")
+        link = klipper / "klippy/extras/hframe_live"
+        assert link.resolve() == ROOT / "hframe_post/hosts/klipper"
+        assert (klipper / ".git/info/exclude").read_text() == "/klippy/extras/hframe_live\n"
+        assert config.read_text().count("\n[hframe_live]\nkernel: printer.kernel\n") == 1
+        assert conf.read_text().count("[hframe_post]\nuploads: leave\n") == 1
+    assert read(config.with_name("printer.kernel").read_bytes()).names["kinematics"] == "corexy"
+    said = run(
+        "doctor", "-p", config.with_name("printer.toml"), "--printer-cfg", config
+    ).stdout.decode()
+    assert "printer.kernel: hframe-post" in said
+    set_up(config, "--no-moonraker")
+    assert (config.read_text(), conf.read_text()) == before
+    assert not link.is_symlink()
+
+
+def test_who_converts_uploads_goes_on_to_until_he_says_otherwise(
+    config: Path, moonraker: Path
+) -> None:
+    conf = config.with_name("moonraker.conf")
+    set_up(config, "--moonraker")
+    (config.parent / "kalico/klippy/extras").mkdir(parents=True)
+    (config.parent / "kalico/klippy/plugins").mkdir()
+    set_up(config, "--moonraker")
+    assert "hframe_live" not in config.read_text()
+    at_a_terminal(b"y\ny\n", "setup", str(config), "--moonraker")
+    assert (config.parent / "kalico/klippy/plugins/hframe_live").is_symlink()
+    assert "uploads: leave" in conf.read_text()
+    at_a_terminal(b"n\ny\n", "setup", str(config), "--moonraker")
+    assert "uploads: leave" not in conf.read_text()
+
+
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_macros_are_included_above_what_klipper_saved_and_taken_out_again(
     config: Path, moonraker: Path, end: str
@@ -543,21 +332,6 @@ def test_macros_are_included_above_what_klipper_saved_and_taken_out_again(
     set_up(config, "--no-moonraker")
     assert config.read_bytes() == before
     assert not config.with_name("hframe.cfg").exists()
-
-
-def test_an_owners_own_include_and_section_stay(config: Path, moonraker: Path) -> None:
-    conf = config.with_name("moonraker.conf")
-    config.write_text(config.read_text() + "\n[include hframe.cfg]\n")
-    conf.write_text("[include more/*.conf]\n")
-    config.with_name("more").mkdir()
-    (config.parent / "more/ours.conf").write_text("[hframe_post]\ncommand: mine\n")
-    before = {path: path.read_bytes() for path in (config, conf)}
-    set_up(config, "--moonraker")
-    assert before[config] == config.read_bytes()
-    assert "\n[hframe_post]" not in conf.read_text()
-    set_up(config, "--no-moonraker")
-    assert before[config] == config.read_bytes()
-    assert config.with_name("hframe.cfg").exists()
 
 
 @pytest.mark.slow
@@ -593,24 +367,3 @@ def at_a_terminal(typed: bytes, *arguments: str) -> tuple[bytes, int]:
         os.close(theirs)
         os.close(ours)
         return shown, process.returncode
-
-
-@pytest.mark.parametrize(
-    ("path", "text", "cause"),
-    [
-        ("moonraker.conf", None, "moonraker.conf was not found"),
-        ("moonraker/moonraker/components/hframe_post.py", "", "is not hframe-post's"),
-        ("moonraker/moonraker/components/file_manager/file_manager.py", "", "older than February"),
-    ],
-)
-def test_moonraker_is_not_touched_if_it_cannot_be_connected(
-    config: Path, moonraker: Path, path: str, text: str | None, cause: str
-) -> None:
-    changed = config.parent / path
-    if text is None:
-        changed.unlink()
-    else:
-        changed.write_text(text)
-    files = {each: each.read_bytes() for each in config.parent.rglob("*") if each.is_file()}
-    assert cause in set_up(config, "--moonraker", status=1)
-    assert files == {each: each.read_bytes() for each in config.parent.rglob("*") if each.is_file()}

@@ -55,15 +55,6 @@ def test_racking_moves_y_only_under_fbs_and_with_the_lever(compensator: Compensa
     assert off_y(220.0, "racking") < 0.05 * off_y(220.0, "fbs")
 
 
-def test_without_racking_in_the_plant_both_strategies_are_one(compensator: Compensator) -> None:
-    rigid = Compensator(
-        replace(compensator.plant, Gxtheta=None), (compensator.x.window, compensator.y.window)
-    )
-    samples = block(100 + stroke(30, 100, 300), 20 + stroke(30, 100, 300))
-    done = join(list(compensate([samples], rigid, ("racking", "fbs"))))
-    np.testing.assert_array_equal(done.commands["racking"], done.commands["fbs"])
-
-
 @pytest.mark.parametrize("cut", [1, 7, 100, 10_000])
 def test_equal_bits_however_the_stream_is_cut(compensator: Compensator, cut: int) -> None:
     samples = block(100 + stroke(30, 100, 700), 20 + stroke(30, 100, 700))

@@ -13,7 +13,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.nozzle import Response
 from hframe_post.model.plant import Coupling, Plant
-from hframe_post.model.rounds import contraction, order, rounds_needed
+from hframe_post.model.rounds import order, rounds_needed
 from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.printer.profile import load
 from tests.compensation.test_compensate import stroke
@@ -54,14 +54,6 @@ def test_racking_is_one_coupling_of_many() -> None:
     np.testing.assert_array_equal(commanded(unnamed), command)
     one, other = (Response(plant, ORIGIN).run(command) for plant in (paper, unnamed))
     np.testing.assert_array_equal(one, other)
-
-
-def test_couplings_without_a_lever_arm_superpose() -> None:
-    plant = replace(coupled_plant(1), cross=coupled_plant(1).cross[::2])
-    assert all(coupling.along is None for coupling in plant.cross)
-    u, v = np.random.default_rng(0).normal(size=(2, 400, 2))
-    at_zero = [Response(plant, np.zeros(2)).run(command) for command in (u, v, u + v)]
-    np.testing.assert_allclose(at_zero[0] + at_zero[1], at_zero[2], atol=1e-12)
 
 
 @pytest.mark.parametrize("along", [X, Y])
@@ -114,10 +106,6 @@ def test_stronger_couplings_take_more_rounds_and_no_command_cancels_too_strong_o
     ]
     with pytest.raises(PrinterError, match="couplings of this model are so strong"):
         check_model(replace(paper, plant=replace(strong, cross=tuple(stronger))))
-
-
-def test_a_model_one_way_needs_one_round() -> None:
-    assert contraction(load("paper").plant, (WINDOW, WINDOW), np.array([280.0, 0.0])) == 0.0
 
 
 def test_equal_bits_however_the_stream_is_cut() -> None:

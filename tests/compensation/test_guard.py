@@ -120,11 +120,6 @@ def test_bed_is_not_left(axis: int, place: float, message: str) -> None:
         checked([chunk(standing(50), command)], FAR)
 
 
-def test_edge_of_the_bed_is_on_it() -> None:
-    command = np.tile([200.0, 0.0], (50, 1))
-    checked([chunk(standing(50), command)], FAR)
-
-
 def test_motors_are_driven_up_to_their_limits_and_no_further() -> None:
     """x at 2000 mm/s² up to 100 mm/s, from rest."""
     command = standing(100)
@@ -139,29 +134,12 @@ def test_motors_are_driven_up_to_their_limits_and_no_further() -> None:
         checked([chunk(harder, harder)], LIMITS)
 
 
-def test_speed_that_is_reached_gently_is_limited_too() -> None:
-    command = standing(300)
-    command[:, 1] += np.cumsum(np.minimum(np.arange(300) * 0.5, 101.0)) * TS
-    with pytest.raises(LimitError, match=r"line 12\d\d: belt velocity \(mm/s\) would be 101"):
-        checked([chunk(command, command)], LIMITS)
-
-
 def test_a_jump_is_seen_across_chunks_but_not_where_the_machine_may_have_moved() -> None:
     here, there = standing(20), standing(20, 120.0)
     apart = [chunk(here, here, ends=True), chunk(there, there, 20)]
     assert checked(apart, LIMITS).peaks.belt_velocity == 0.0
     with pytest.raises(LimitError, match="line 1020: belt velocity"):
         checked([chunk(here, here), chunk(there, there, 20)], LIMITS)
-
-
-def test_only_the_chosen_command_is_checked() -> None:
-    outside = standing(20, -5.0)
-    both = replace(
-        chunk(standing(20), standing(20)), commands={"racking": standing(20), "fbs": outside}
-    )
-    checked([both], FAR)
-    with pytest.raises(LimitError):
-        list(Guard(*FAR).check([both], "fbs"))
 
 
 @thorough
@@ -315,28 +293,6 @@ def test_a_clamped_command_stands_where_the_machine_pauses() -> None:
     result, clamp = clamped(dwelling, LIMITS)
     assert clamp.clamped.samples > 0
     np.testing.assert_array_equal(result[419:440], path[419:440])
-
-
-def test_a_clamp_leaves_corners_that_the_path_turns_at_once() -> None:
-    """Next to a standstill they cannot be rounded; the printer turns them so as sliced, too."""
-    path = standing(800)
-    path[:, 0] += 0.2 * np.clip((np.arange(800) - 402.0) / 10.0, 0.0, 1.0)  # 20 mm/s from rest
-    action = Passthrough(0, b"M117", Handling.REST, ModalState(True, False, 0.0, 0.0, (0, 0, 0)))
-    held = replace(chunk(path, path), events=(Dwell(390, 10, action),))
-    safe = join([*Clamp(*LIMITS).limit([held], "racking")])
-    assert list(Guard(*LIMITS, clamped=True).check([safe], "racking"))
-    with pytest.raises(LimitError, match="belt acceleration"):
-        list(Guard(*LIMITS).check([safe], "racking"))
-    added = replace(safe, commands={"racking": path + 0.01 * bump(800, 600, 1.0, 4)[:, None]})
-    with pytest.raises(LimitError, match="clamping was not enough"):
-        list(Guard(*LIMITS, clamped=True).check([added], "racking"))
-
-
-def test_where_clamping_is_not_enough_the_error_does_not_recommend_it() -> None:
-    path = standing(1200, x=0.1)
-    path[:, 0] += bump(1200, 600, 90.0, 40)
-    with pytest.raises(LimitError, match="clamping was not enough"):
-        list(Guard(*LIMITS, clamped=True).check([chunk(path, path)], "racking"))
 
 
 @pytest.mark.parametrize("cut", [pytest.param(1, marks=pytest.mark.slow), 7, 100, 399])

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hframe_post.arrays import Array, Flags, X, Y
+from hframe_post.arrays import Array, X, Y
 from hframe_post.compensation.compensate import compensate, settling_samples
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops
 from hframe_post.conversion.pipeline import prepared
@@ -16,7 +16,7 @@ from hframe_post.errors import ArgumentError
 from hframe_post.model.filters import stream_filter
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Lpfbs, Window
-from hframe_post.model.nozzle import Response, nozzle
+from hframe_post.model.nozzle import nozzle
 from hframe_post.model.plant import Bed, Coupling, Plant, heavier
 from hframe_post.model.responses import Plants
 from hframe_post.model.strategies import STRATEGIES, Compensator
@@ -130,14 +130,6 @@ def test_a_settled_filter_stands_still(G: ImpulseResponse, late: int) -> None:
 # ---------------------------------------------------------------------- one axis
 
 
-def test_zeros_before_a_response_change_nothing() -> None:
-    G, x_d = two_sided(40.0, 0.05), strokes()[:, X]
-    longer = ImpulseResponse(np.pad(G.deviation, (11, 20)), G.lead + 11)
-    one, other = Lpfbs(G, WINDOW), Lpfbs(longer, WINDOW)
-    assert (longer.ahead, one.lead) == (G.ahead, G.ahead)
-    assert np.abs(one.command(x_d) - other.command(x_d)).max() < SAME
-
-
 def test_a_preview_shorter_than_the_lead_still_ends_with_the_path() -> None:
     solver = Lpfbs(two_sided(40.0, 0.05), Window(5, 44, 44, 30.0))
     x_d = np.pad(strokes()[:, X], 500, mode="edge")
@@ -223,13 +215,6 @@ def test_printers_that_drift_follow_better_where_that_is_expected() -> None:
     )
     assert after < 0.98 * before  # µm²
     assert squared_error(unsure(), certain, path) < squared_error(unsure(), doubting, path)
-
-
-def test_doubts_take_no_time_while_it_runs() -> None:
-    """The window's maps are as large, so as many products are computed."""
-    certain, doubting = (Lpfbs(unsure(*doubts), WINDOW) for doubts in ((), (0.03, 0.2)))
-    sizes = [[np.shape(gains) for gains in vars(solver).values()] for solver in (certain, doubting)]
-    assert sizes[0] == sizes[1]
 
 
 def test_doubtful_commands_do_not_depend_on_how_the_path_is_cut() -> None:
@@ -377,12 +362,3 @@ def test_a_printer_off_its_response_is_one_off_its_mode() -> None:
     for before, after in zip(plant.couplings, perturbed(plant, stronger).couplings, strict=True):
         factor = 1.0 if before is plant.couplings[2] else 1.2
         assert np.allclose(after.G.response(omega), factor * before.G.response(omega), atol=1e-12)
-
-
-def test_flags_of_extrusion_are_those_of_the_path() -> None:
-    """A response with a lead is late; what is judged is not."""
-    plant = early()
-    whole = samples_of(strokes()[:900])
-    flags: list[Flags] = [j.extruding for j in judge(smaller([whole], 100), plant)]
-    assert np.concatenate(flags).all()
-    assert isinstance(Response(plant, ORIGIN).late, int)

@@ -22,7 +22,7 @@ from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join, part, stretches
-from hframe_post.stream.types import Dwell, Rest, Samples
+from hframe_post.stream.types import Dwell, Samples
 from tests.gcode_tools import HEAD, strokes
 
 NAMES = ("fbs", "racking")
@@ -134,15 +134,6 @@ def test_a_long_wait_is_made_on_the_path(paper: Printer) -> None:
         np.testing.assert_array_equal(block.commands["racking"][a:b], block.xyze[a:b, :2])
 
 
-def test_the_path_itself_gets_no_rests_and_stays(paper: Printer) -> None:
-    chunks = planned(strokes(0, 4), paper, "none")
-    assert not any(isinstance(e, Rest) for chunk in chunks for e in chunk.events)
-    compensator = prepared(paper)
-    commands = compensate(chunks, compensator, ("none",))
-    for chunk in dwell_at_stops(commands, StopSolvers(compensator, ("none",), paper)):
-        np.testing.assert_array_equal(chunk.commands["none"], chunk.xyze[:, :2])
-
-
 # ---------------------------------------------------------------------- accuracy and time
 
 
@@ -182,15 +173,6 @@ def test_no_peak_next_to_a_short_travel_or_at_a_corner_just_after_a_stop(paper: 
         blocks = compensated(planned(lines, printer), printer)
         assert errors(blocks, printer).max() < 0.130
         assert max(hardest(b.commands["racking"], printer) for b in blocks if len(b) > 2) <= 50_000
-
-
-def test_the_bed_is_kept_to_at_its_edge(paper: Printer) -> None:
-    lines = [*HEAD, "G1 X0 Y60 F18000", "G1 E-1 F2400", "G1 X140 F18000", "G1 Y295", "G4 P50"]
-    lines += ["G1 Y60"]
-    (block,) = whole_stretches(compensated(planned(lines, paper), paper))
-    command = block.commands["racking"]
-    assert (command >= -1e-9).all()
-    assert (command <= np.array([280.0, 295.0]) + 1e-9).all()
 
 
 # ---------------------------------------------------------------------- the stream

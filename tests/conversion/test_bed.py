@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,19 +12,16 @@ from scipy import linalg
 
 from hframe_post.arrays import TS, Array, E, Y
 from hframe_post.conversion import spans
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream, prepared
-from hframe_post.errors import HframeError, PrinterError
 from hframe_post.model.lpfbs import Lpfbs
 from hframe_post.model.plant import Bed, heavier
 from hframe_post.prediction.predict import contour_error
-from hframe_post.printer.profile import load, parse
+from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.gcode_tools import converted
 from tests.native.oracles import in_motion
 from tests.plants import Filter
-from tests.profiles import with_plant
 from tests.quantities import below
 
 FBS = Options("fbs", limits="printer")
@@ -153,30 +149,11 @@ def test_commands_stand_still_where_the_model_changes(slinger: Printer) -> None:
     assert changes >= LAPS - 1
 
 
-def test_bytes_do_not_depend_on_processes(slinger: Printer) -> None:
-    texts = [
-        b"".join(
-            piece if isinstance(piece, bytes) else piece.line
-            for piece in GcodeConversion(iter(laps()), slinger, replace(FBS, jobs=jobs))
-        )
-        for jobs in (1, 2)
-    ]
-    assert texts[0] == texts[1]
-
-
 def test_the_summary_says_what_was_followed(slinger: Printer, fixed: Printer) -> None:
     text = converted(laps(), slinger, FBS)[1].as_text()
     assert "y's model followed 300 g of plastic on 1 kg, in steps of at most 2" in text
     assert "1.75 mm, 1.24 g/cm³" in text
     assert "plastic" not in converted(laps(), fixed, FBS)[1].as_text()
-
-
-def test_a_bed_that_stays_as_heavy_changes_no_line(fixed: Printer) -> None:
-    heavy = replace(fixed, plant=replace(fixed.plant, bed=Bed(50.0, fixed.limits.filament_mass)))
-    one, other = (converted(laps(), p, FBS)[0].splitlines() for p in (fixed, heavy))
-    assert [line for line in other if not line.startswith(b";")] == [
-        line for line in one if not line.startswith(b";")
-    ]
 
 
 # ---------------------------------------------------------------------- windows and profiles
@@ -192,41 +169,3 @@ def test_windows_are_certified_for_every_mass(fixed: Printer) -> None:
             assert isinstance(solver, Lpfbs)
             assert solver.radius < 1.0
         assert compensator.at(300.0) is compensator.at(300.1)
-
-
-def test_a_window_that_no_longer_suits_is_refused(fixed: Printer) -> None:
-    compensation = replace(fixed.compensation, L=5, n_C=3, n_up=3, effort=(0.0, 0.0))
-    rigid = replace(fixed.plant, bed=Bed(1.0, 1.0))
-    with pytest.raises(HframeError, match="diverges"):
-        prepared(replace(fixed, plant=rigid, compensation=compensation)).at(2.0)
-
-
-MINE = """extends = "example-cartesian"
-[plant]
-moving_mass = 0.8
-[limits]
-filament_density = 1.27
-"""
-
-
-def test_a_profile_knows_its_bed() -> None:
-    plant = parse(MINE, "mine").plant
-    assert plant.bed is not None
-    assert plant.bed.mass == 0.8
-    assert plant.bed.filament == pytest.approx(1.27e-6 * math.pi * 1.75**2 / 4.0)
-    heavier = MINE.replace("moving_mass = 0.8\n", "")
-    assert parse(heavier, "mine").model == parse(MINE, "mine").model
-
-
-def test_a_bed_that_does_not_move_has_no_moving_mass() -> None:
-    with pytest.raises(PrinterError, match="does not move in y") as caught:
-        parse(MINE.replace("cartesian", "corexy"), "mine")
-    assert caught.value.key == "plant.moving_mass"
-
-
-def test_the_mass_stays_when_a_printer_is_identified_again(tmp_path: Path) -> None:
-    file = tmp_path / "mine.toml"
-    file.write_text(MINE)
-    before = load(str(file))
-    text = with_plant(str(file), load("example-cartesian").plant, before.compensation.windows, [])
-    assert parse(text, "mine").plant.bed == before.plant.bed

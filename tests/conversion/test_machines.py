@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from tests.conftest import SAMPLES
 from tests.gcode_tools import strokes
 
 OLD_PROCESSOR = {
@@ -44,12 +41,3 @@ def test_samples_are_equal_to_the_last_bit(tmp_path: Path) -> None:
         with np.load(tmp_path / f"{name}.npz") as samples:
             results.append({key: samples[key].tobytes() for key in samples.files})
     assert results[0] == results[1]
-
-
-@pytest.mark.slow
-def test_slices_are_equal(tmp_path: Path) -> None:
-    digests = set()
-    for name, environment in MACHINES.items():
-        convert(SAMPLES / "prism.gcode", tmp_path / f"{name}.gcode", environment)
-        digests.add(hashlib.sha256((tmp_path / f"{name}.gcode").read_bytes()).hexdigest())
-    assert len(digests) == 1

@@ -77,9 +77,8 @@ def check(settings: str, folder: Path) -> None:
     subprocess.run(
         [*asked, *BASE.split(), *shlex.split(settings)], cwd=folder, check=True, capture_output=True
     )
-    text = (folder / "brick.gcode").read_bytes()
-    source = text.splitlines()
-    each = Slice("prusaslicer", text.decode(), harmless=("M101", "M103"))
+    each = Slice("brick", harmless=("M101", "M103"), folder=folder)
+    source = [line.rstrip(b"\r\n") for line in each.lines]
     marlin = "marlin" in settings
     printer = load("paper-marlin" if marlin else "paper")
     high = replace(printer.limits, z_velocity=10.0, z_acceleration=500.0)

@@ -59,20 +59,6 @@ def test_uncompensated_motion_is_reported_by_its_cause(paper: Printer) -> None:
     assert "_ON_LAYER_CHANGE" in unknown.as_text()
 
 
-def test_uncompensated_extrusion_is_a_warning(paper: Printer) -> None:
-    lines = [
-        b"M83\n", b"G28\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X120 E1\n", b"PARK\n",
-        b"G1 X140 Y100 E1\n", b"G1 X160 E1\n",
-    ]  # fmt: skip
-    conversion = GcodeConversion(lines, paper, Options("racking"))
-    list(conversion)
-    report = conversion.report()
-    assert report.path.extrusion_share == pytest.approx(1 / 3)
-    *_, warning = report.warnings()
-    assert "mostly after PARK" in warning
-    assert "[firmware]" in warning
-
-
 def test_what_limits_a_print_is_reported(paper: Printer) -> None:
     lines = [
         b"M83\n", b"G92 X100 Y100 Z1\n", b"M204 S700\n", b"SET_VELOCITY_LIMIT ACCEL=500\n",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pickle
 import signal
 from dataclasses import replace
 from itertools import pairwise
@@ -15,15 +14,14 @@ import pytest
 from hframe_post.conversion import conversions, spans
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream
-from hframe_post.conversion.spans import Beginning, Span, Spans
+from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import MoveAtRest, Plan, Planned, SpanEnd
+from hframe_post.stream.types import MoveAtRest, Planned, SpanEnd
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import SAMPLES
 from tests.gcode_tools import follow
@@ -67,24 +65,6 @@ def test_spans_hold_all_items_and_begin_where_the_machine_stands(paper: Printer)
         assert beginning.place == part[0].start
 
 
-def test_a_pickled_span_is_the_same(paper: Printer) -> None:
-    items = planned(cube(), paper)
-    assert sum(isinstance(item, Plan) for item in items) > 5
-    span = Span(Beginning((1.0, 2.0, 3.0, 4.0)), tuple(items))
-    again = pickle.loads(pickle.dumps(span))
-    assert again.beginning == span.beginning
-    for item, other in zip(items, again.items, strict=True):
-        if isinstance(item, Plan):
-            assert isinstance(other, Plan)
-            assert other.marks == item.marks
-            for name in spans.ARRAYS:
-                np.testing.assert_array_equal(getattr(other, name), getattr(item, name))
-        else:
-            assert other == item
-    empty = Span(Beginning(), (SpanEnd(),))
-    assert pickle.loads(pickle.dumps(empty)) == empty
-
-
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("profile", ["paper", "paper-marlin"])
 def test_bytes_and_figures_do_not_depend_on_the_processes(
@@ -113,16 +93,6 @@ def test_nothing_is_lost_between_spans(paper: Printer) -> None:
     assert all(a < b for a, b in pairwise(elapsed))
     assert elapsed[-1] <= conversion.times[1]
     assert text.count(b"SET_VELOCITY_LIMIT VELOCITY=770") == 1  # the stream goes on
-
-
-@pytest.mark.usefixtures("short")
-def test_commands_of_spans_are_one_stream(paper: Printer) -> None:
-    chunks = list(SampleStream(iter(cube()), paper, OPTIONS).computed())
-    assert all(a.end == b.first for a, b in pairwise(chunks))
-    command = np.concatenate([chunk.commands["racking"] for chunk in chunks])
-    path = np.concatenate([chunk.xyze[:, :2] for chunk in chunks])
-    step = np.abs(np.diff(command, axis=0)).max()
-    assert step <= 2.0 * np.abs(np.diff(path, axis=0)).max()  # no jump where two meet
 
 
 @pytest.mark.usefixtures("short")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from hframe_post.conversion.conversions import GcodeConversion
@@ -56,8 +54,3 @@ def test_what_another_tool_prints_is_left_to_the_firmware() -> None:
     assert shares["T1"]["moves"] == 2 * len(OTHER) + 1
     (warning,) = [w for w in report.warnings() if "not compensated" in w]
     assert "the profile has no model of T1 (other_tools in the profile)" in warning
-
-
-def test_it_goes_on_with_the_other_tool_after_a_macro(tmp_path: Path) -> None:
-    text, _ = converted('other_tools = ["T*"]', ["T1", "MACRO", *OTHER, "G28 X", *OTHER])
-    assert text.count("\nG1 X") == 2 * len(OTHER) + 1

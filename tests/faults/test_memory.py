@@ -68,18 +68,11 @@ def labelled(k: int) -> list[str]:
 
 
 CONSTRUCTS: dict[str, Callable[[], Iterator[str]]] = {
-    "half an hour of waiting": lambda: iter(["G4 P1800000"]),
     "ten hours of waiting": lambda: iter(["G4 P36000000"]),
     "a lift of an hour and a half": lambda: iter(["G1 Z100 F1"]),
-    "an hour of filament in place": lambda: repeat("G1 E1400 F3600", 160),
     "40 minutes of lifts": lambda: (f"G1 Z{20 - 19.8 * (k % 2)} F60" for k in range(120)),
-    "half a million M73": lambda: repeat("M73 P5 R10", 500_000),
     "800 000 comments": lambda: repeat("; a comment that is neither long nor short", 800_000),
-    "two million lines": lambda: repeat(";", 2_000_000),
-    "500 000 modes": lambda: repeat("M83", 500_000),
-    "a million limits": lambda: repeat("M204 S500", 1_000_000),
     "100 000 macros": lambda: repeat("A_MACRO OF=mine", 100_000),
-    "30 000 short waits": lambda: repeat("G4 P1", 30_000),
     "M73 in a print that never stops": lambda: (
         line for k in range(5300) for line in (sides(k), *repeat("M73 P5 R10", 8))
     ),
@@ -97,13 +90,6 @@ CONSTRUCTS: dict[str, Callable[[], Iterator[str]]] = {
 @pytest.mark.parametrize("name", CONSTRUCTS)
 def test_memory_is_bounded(name: str) -> None:
     status, most, said = peak(chain(HEAD, CONSTRUCTS[name](), TAIL))
-    assert (status, said) == (0, "")
-    assert most < MOST
-
-
-@pytest.mark.slow
-def test_memory_does_not_grow_with_retractions() -> None:
-    status, most, said = peak(chain(HEAD, *map(retraction, range(450)), TAIL))
     assert (status, said) == (0, "")
     assert most < MOST
 

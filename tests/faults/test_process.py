@@ -50,12 +50,8 @@ def refused(done: tuple[int, str], folder: Path, cause: str) -> None:
     ("command", "cause"),
     [
         ("$ME - <in.gcode >&-", "Bad file descriptor"),
-        ("$ME - -o out.gcode <&-", "Bad file descriptor"),
-        ("$ME printers >&-", "Bad file descriptor"),
         ("$ME - <in.gcode >/dev/full", "No space left"),
         ("$ME in.gcode -q --json - >/dev/full", "No space left"),
-        ("$ME --help >/dev/full", "No space left"),
-        ("$ME printers >/dev/full", "No space left"),
     ],
 )
 def test_what_cannot_be_done_is_told_and_nothing_is_touched(
@@ -71,10 +67,7 @@ def test_what_cannot_be_done_is_told_and_nothing_is_touched(
         ("in.gcode -q -o /dev/full", "No space left"),
         ("in.gcode -q --json no/summary.json", "no/summary.json: the folder no does not exist"),
         ("in.gcode -q --json in.gcode", "is already read or written by this command"),
-        ("in.gcode -n -q --json ./in.gcode", "is already read or written by this command"),
         ("in.gcode -q -p my.toml -o my.toml", "is already read or written by this command"),
-        ("in.gcode -q -p my.toml --json my.toml", "is already read or written by this command"),
-        ("in.gcode -q -o new --json new", "is already read or written by this command"),
         ("sweep -p my.toml -q -o my.toml", "is already read or written by this command"),
     ],
 )
@@ -89,34 +82,18 @@ def test_an_output_that_cannot_be_made_touches_nothing(
 
 @pytest.mark.parametrize(
     "command",
-    ["$ME in.gcode 2>&-", "$ME in.gcode <&- >&- 2>&-", "$ME in.gcode 2>/dev/full",
-     "$ME in.gcode -q -o /dev/null && $ME in.gcode -q", "$ME sweep -q -o /dev/null; $ME in.gcode"],
-)  # fmt: skip
+    ["$ME in.gcode <&- >&- 2>&-", "$ME in.gcode 2>/dev/full"],
+)
 def test_what_nobody_hears_is_done_all_the_same(folder: Path, command: str) -> None:
     assert shell(command, folder)[0] == 0
     assert b"; processed by hframe-post" in (folder / "in.gcode").read_bytes()
-
-
-def test_standard_output_by_its_name(folder: Path) -> None:
-    script = "{ echo before; $ME in.gcode -q -o /dev/stdout; echo after; } >all"
-    assert shell(script, folder) == (0, "")
-    lines = (folder / "all").read_text().splitlines()
-    assert (lines[0], lines[-1]) == ("before", "after")
-    assert "; processed by hframe-post" in "\n".join(lines[:9])
-
-
-def test_a_reader_that_leaves_is_no_error_to_tell(folder: Path) -> None:
-    status, printed = shell("$ME in.gcode -q -o - | head -c 10 >/dev/null", folder)
-    assert (status, printed) == (0, "")
 
 
 def limited() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
 
-@pytest.mark.parametrize(
-    "to", few(["", "-o out.csv", "-o out.npz", "-o out.gcode", "-o out.csv.gz"], 3)
-)
+@pytest.mark.parametrize("to", few(["", "-o out.npz", "-o out.csv.gz"], 1))
 def test_a_full_disk_is_one_line_and_no_file(folder: Path, to: str) -> None:
     done = shell(f"$ME in.gcode -q {to}", folder, preexec_fn=limited)
     refused(done, folder, f"{folder}: File too large; make room there")
@@ -136,9 +113,7 @@ def test_a_full_disk_in_the_middle_of_a_print(folder: Path) -> None:
     assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml"}
 
 
-@pytest.mark.parametrize(
-    "name", few([b"\xe9", b"two\nlines", b"-dash", b"esc\x1b[2J", "µ".encode()], 3)
-)
+@pytest.mark.parametrize("name", few([b"two\nlines", b"\xe9", b"esc\x1b[2J"], 1))
 def test_names_reach_the_output_as_one_printable_line(folder: Path, name: bytes) -> None:
     profile = os.path.join(os.fsencode(folder), name + b".toml")
     Path(os.fsdecode(profile)).write_text(OWN)
@@ -170,15 +145,6 @@ def test_names_reach_the_output_as_one_printable_line(folder: Path, name: bytes)
         assert line.startswith((b";", b"G1 ", b"M", b"SET_", b"G9", b"G4 ")) or line in known
 
 
-def test_two_processes_on_one_file(folder: Path) -> None:
-    """Each finds its input whole; who comes second finds it converted, or sees it change."""
-    status, printed = shell("$ME in.gcode -q & $ME in.gcode -q; echo $? >status; wait", folder)
-    assert status == 0
-    assert "Traceback" not in printed
-    assert b"; processed by hframe-post" in (folder / "in.gcode").read_bytes()
-    assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml", "status"}
-
-
 def test_two_processes_write_one_file(folder: Path) -> None:
     """Whoever is last has it, whole."""
     for name, strategy in (("one", "racking"), ("other", "none")):
@@ -205,11 +171,8 @@ exit 98
 
 @pytest.mark.parametrize(
     ("options", "to", "cause"),
-    few([
-        ("rw", "", "/disk: No space left"), ("ro", "-o out.gcode", "Read-only file system"),
-        ("rw", "-o out.csv", "/disk: No space left"), ("ro", "", "is write-protected"),
-    ], 2),
-)  # fmt: skip
+    few([("rw", "", "/disk: No space left"), ("ro", "-o out.gcode", "Read-only file system")], 1),
+)
 def test_a_disk_that_is_full_or_cannot_be_written(
     folder: Path, options: str, to: str, cause: str
 ) -> None:
@@ -228,9 +191,3 @@ def test_a_disk_that_is_full_or_cannot_be_written(
     printed = done.stderr.decode()
     assert (done.returncode, printed.count("\n")) == (1, 1), printed
     assert cause in printed
-
-
-def test_what_is_write_protected_is_not_replaced(folder: Path) -> None:
-    (folder / "in.gcode").chmod(0o444)
-    refused(shell("$ME in.gcode -q", folder), folder, "in.gcode: is write-protected")
-    assert (folder / "in.gcode").stat().st_mode & 0o777 == 0o444

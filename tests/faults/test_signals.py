@@ -176,9 +176,4 @@ def until(holds: Callable[[], bool]) -> None:
 
 @pytest.mark.slow
 def test_signals_at_random_times(tmp_path: Path) -> None:
-    at_random(tmp_path.resolve(), 2, seed=1)
-
-
-@pytest.mark.slow
-def test_hundreds_of_signals_at_random_times(tmp_path: Path) -> None:
-    print(at_random(tmp_path.resolve(), 250, seed=2))
+    at_random(tmp_path.resolve(), 25, seed=1)

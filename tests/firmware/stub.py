@@ -140,12 +140,12 @@ class StubSource(Source):
 STUB = Stub()
 
 
-def installed(folder: Path) -> None:
-    """Let every Python with this folder on its PYTHONPATH know the stub."""
-    (folder / "sitecustomize.py").write_text(f"from {__name__} import add\n\nadd()\n")
-
-
 def add() -> None:
     """Add the stub to the firmwares, as a program of its owner does."""
     FIRMWARES[STUB.name] = STUB
     TABLES[STUB.name] = StubTable
+
+
+def remove() -> None:
+    """Undo ``add``."""
+    del FIRMWARES[STUB.name], TABLES[STUB.name]

@@ -61,19 +61,6 @@ def test_forced_points_and_the_last_are_kept(seed: int, n: int, power: float) ->
     assert set((np.flatnonzero(forced[1:]) + 1).tolist()) <= set(kept)
 
 
-@settings(max_examples=100, deadline=None)
-@given(*wanders)
-def test_no_two_neighbours_could_be_one_with_a_third_to_spare(
-    seed: int, n: int, power: float
-) -> None:
-    """What a segment loses is known by a bound, which is up to a third too great on a bend."""
-    points, forced = wander(seed, n, power)
-    kept = [0, *breakpoints(points, forced, MM).tolist()]
-    for a, middle, b in zip(kept, kept[1:], kept[2:], strict=False):
-        if not forced[middle] and max(middle - a, b - middle) == 1:
-            assert off_chord(points, a, b) * np.sqrt(max((b - a) / SHORT, 1.0)) > 0.5 * MM
-
-
 @pytest.mark.parametrize("n", [1, 2, 3, 8, 9, 17, 1000, 16_384])
 def test_a_straight_at_constant_speed_is_one_segment(n: int) -> None:
     points = np.arange(n + 1)[:, None] * np.array([0.1, -0.2, 0.001, 0.004])
@@ -103,18 +90,6 @@ def test_uneven_motion_along_a_line_is_not_smoothed_away() -> None:
     points = np.zeros((9, 4))
     points[5:, 0] = 1.0
     assert {4, 5} <= set(breakpoints(points, none(8), MM).tolist())
-
-
-def test_arguments_stay_as_they_are() -> None:
-    points, forced = wander(1, 21, -2.0)
-    before = points.copy(), forced.copy()
-    fitted(points, breakpoints(points, forced, MM))
-    np.testing.assert_array_equal(points, before[0])
-    np.testing.assert_array_equal(forced, before[1])
-
-
-def test_nothing_to_keep_of_a_single_point() -> None:
-    assert breakpoints(np.zeros((1, 4)), none(0), MM).tolist() == []
 
 
 def hats(n: int, ends: Integers) -> Array:
@@ -181,9 +156,3 @@ def test_a_bound_on_lines_is_kept_where_forced_points_allow(rate: float) -> None
     counts, before = (np.histogram(e, [*pieces, n + 1])[0] for e in (fewer, ends))
     assert before.max() > 60.0 * PIECE * TS  # the bound asks for something
     assert (counts <= np.maximum(rate * PIECE * TS, 4) + 2).all()  # ends of pieces stay
-
-
-def test_a_bound_that_is_kept_already_changes_nothing() -> None:
-    points, forced = wander(6, 3000, -4.0)
-    ends = breakpoints(points, forced, MM)
-    np.testing.assert_array_equal(sparser(points, forced, MM, ends, 1000.0), ends)

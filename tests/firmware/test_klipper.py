@@ -57,15 +57,6 @@ def test_speeds_give_the_time_asked(seed: int, period: float) -> None:
     )
 
 
-def test_naive_speeds_would_lose_time() -> None:
-    """What the inversion is for; it also shows that the test above can fail."""
-    delta, T, rest = smooth(1, 1e-3)
-    naive = np.linalg.norm(delta[:, :3], axis=1) / T
-    lost = Ramped.from_moves(delta, rest, STREAM.row).durations(naive, 0.0) - T
-    assert lost.min() >= -1e-12
-    assert lost.max() > 1e-6
-
-
 def test_segments_of_mixed_length_get_the_time_asked() -> None:
     delta, T, rest = smooth(2, 1e-3, 240)
     cuts = np.concatenate([[0], np.cumsum(np.tile([1, 2, 4, 8], 16))])
@@ -85,46 +76,12 @@ def alone(delta: tuple[float, float, float, float], v: float) -> float:
     )
 
 
-def test_single_segment_is_a_trapezoid() -> None:
-    assert alone((3.0, 4.0, 0.0, 0.2), 100.0) == pytest.approx(
-        5.0 / 100.0 + 100.0 / STREAM.acceleration
-    )
-
-
-def test_greatest_velocity_holds() -> None:
-    assert alone((100.0, 0.0, 0.0, 0.0), 5000.0) == pytest.approx(
-        100.0 / 770.0 + 770.0 / STREAM.acceleration
-    )
-
-
-def test_rise_limits_speed_and_acceleration() -> None:
-    share = 1.0 / math.sqrt(101.0)
-    top, a = 20.0 / share, 500.0 / share
-    assert alone((100.0, 0.0, 10.0, 0.0), 50.0) == pytest.approx(10.0 / share / 50.0 + 50.0 / a)
-    assert alone((1000.0, 0.0, 100.0, 0.0), 300.0) == pytest.approx(100 / share / top + top / a)
-
-
 def test_retraction_limits_speed_and_acceleration() -> None:
     assert alone((100.0, 0.0, 0.0, -50.0), 60.0) == pytest.approx(100.0 / 60.0 + 60.0 / 4000.0)
     assert alone((100.0, 0.0, 0.0, -50.0), 500.0) == pytest.approx(100.0 / 120.0 + 120.0 / 4000.0)
     assert alone((100.0, 0.0, 0.0, 50.0), 500.0) == pytest.approx(
         100.0 / 500.0 + 500.0 / STREAM.acceleration
     )
-
-
-def test_limited_segments_get_the_time_asked() -> None:
-    """A slow spiral that rises, then one that retracts."""
-    for column, value in ((2, 2e-4), (3, -1e-3)):
-        delta, T, _ = smooth(3, 8e-3)
-        rest = np.zeros(len(T) + 1, dtype=bool)
-        d = np.linalg.norm(delta[:, :2], axis=1)
-        delta[:, 2:] = 0.0
-        delta[:, column] = value * d
-        before = float(d[0] / T[0])
-        v = Ramped.from_moves(delta, rest, STREAM.row).speeds(T, before)
-        np.testing.assert_allclose(
-            Ramped.from_moves(delta, rest, STREAM.row).durations(v, before), T, rtol=1e-6
-        )
 
 
 def test_neighbour_before_the_first_segment_counts() -> None:
@@ -234,14 +191,6 @@ def test_the_stream_averages_pressure_advance_over_a_time_of_its_own() -> None:
         assert code.modes_after("SET_PRESSURE_ADVANCE", line) == after
 
 
-@pytest.mark.parametrize("extruder", [None, Extruder(0.05, 0.02, 0.02), Extruder(0.05, 0.01)])
-def test_a_time_that_is_no_longer_stays(paper: Printer, extruder: Extruder | None) -> None:
-    code = KlipperCode.from_printer(replace(paper, extruder=extruder))
-    lines = [*code.begin((0.0, 0.0, 0.0), AT), *code.end(STATE, AT)]
-    lines.append(code.modes_after("SET_PRESSURE_ADVANCE", b"SET_PRESSURE_ADVANCE SMOOTH_TIME=0.1"))
-    assert b"SMOOTH_TIME" not in b"".join(lines)
-
-
 @pytest.mark.parametrize(
     ("absolute", "absolute_e", "expected"),
     [
@@ -277,16 +226,6 @@ def test_no_number_has_an_exponent(
             assert re.fullmatch(r"-?\d+(\.\d+)?", number), row
 
 
-def test_restored_limits_are_those_of_the_user_to_a_thousandth() -> None:
-    restore = KlipperTable(1234.567, 12345.0, 5.125, 0.0625, 52.3456, 0.0)
-    limits = end(restore=restore)[1].decode()
-    values = {key: float(value) for key, value in re.findall(r"(\w+)=([\d.]+)", limits)}
-    assert values["VELOCITY"] == pytest.approx(1234.567, rel=1e-3)
-    assert values["ACCEL"] == 12345.0
-    assert values["SQUARE_CORNER_VELOCITY"] == 5.125
-    assert values["MINIMUM_CRUISE_RATIO"] == 0.0625
-
-
 # ---------------------------------------------------------------------- filament
 
 
@@ -309,18 +248,6 @@ def test_no_segment_extrudes_more_than_klipper_takes_for_its_length() -> None:
 
 
 # ---------------------------------------------------------------------- plain numbers
-
-
-@pytest.mark.parametrize(
-    ("value", "decimals", "expected"),
-    [
-        (0.0, 3, "0"), (-0.0, 3, "0"), (-1e-9, 3, "0"), (1.5, 3, "1.5"), (-2.0, 3, "-2"),
-        (100.0, 1, "100"), (1e7, 2, "10000000"), (1e-5, 5, "0.00001"), (1e-7, 5, "0"),
-        (0.1 + 0.2, 5, "0.3"), (100.0, 0, "100"), (0.0, 0, "0"),
-    ],
-)  # fmt: skip
-def test_plain_numbers(value: float, decimals: int, expected: str) -> None:
-    assert plain(value, decimals) == expected
 
 
 @given(st.floats(-1e9, 1e9), st.integers(1, 6))

@@ -6,9 +6,6 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
-from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.code import KlipperCode
 from hframe_post.firmware.klipper.macros import BEGIN, WRAPPERS, macros
 from hframe_post.printer.firmware_tables import END_MACRO, RECORDED
@@ -35,19 +32,8 @@ def test_they_set_and_restore_the_averaging_of_pressure_advance() -> None:
     assert own in end.split("\n\n")[0]
 
 
-def test_another_printer_has_other_limits() -> None:
-    paper = load("paper")
-    slower = replace(paper, motors=replace(paper.motors, belt_acceleration=2e4))
-    assert "ACCEL=14142 " in macros(slower)
-
-
 def test_the_docs_name_each_macro() -> None:
     names = re.findall(r"\[gcode_macro ([A-Z]\w+)\]", macros(load("paper")))
     names += [BEGIN, END_MACRO, RECORDED, *WRAPPERS]
     assert len(names) == 10
     assert not [name for name in names if f"`{name}`" not in DOCS.read_text(encoding="utf-8")]
-
-
-def test_no_other_firmware_has_them() -> None:
-    with pytest.raises(PrinterError, match=r"printer\.cfg of Klipper"):
-        macros(load("paper-marlin"))

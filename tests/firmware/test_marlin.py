@@ -19,18 +19,13 @@ from hframe_post.firmware.marlin.motion import MarlinMotion
 from hframe_post.firmware.marlin.planner import GENERATIONS
 from hframe_post.firmware.motion import Way
 from hframe_post.firmware.registry import firmware
-from hframe_post.gcode import batching
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.whole_steps import without_reversals
-from hframe_post.planner import sampling
-from hframe_post.printer import profile
-from hframe_post.printer.firmware_tables import MARLIN_PLANNERS, MarlinTable
+from hframe_post.printer.firmware_tables import MARLIN_PLANNERS
 from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, Position
-from tests.command_line import run
-from tests.conftest import SAMPLES
-from tests.gcode_tools import WORD, assert_same_stream, converted, layers, sample, small_rectangle
+from tests.gcode_tools import WORD, assert_same_stream, converted, layers, sample
 from tests.quantities import below
 from tests.same_print import assert_same_print
 
@@ -85,15 +80,6 @@ def test_stream_begins_unshaped_with_its_own_limits_and_modes(marlin: Printer) -
     ]  # fmt: skip
 
 
-def test_stream_ends_with_the_users_settings(marlin: Printer) -> None:
-    mine = with_own(marlin, linear_advance=0.05, shaper_freq_y=38.5, fixed_time_motion=1)
-    assert code(mine).end(STATE, AT) == [
-        b"M400", b"M201 X10000 Y10000 E2000", b"M203 X300 Y300", b"M204 P3000 T3000 R3000",
-        b"M205 B20000 S0 T0 J0.013", b"M900 K0.05", b"M593 Y F38.5", b"M493 S1", b"G1 F6000",
-        b"G92 E0",
-    ]  # fmt: skip
-
-
 def test_stream_ends_with_the_users_settings_to_the_last_digit(marlin: Printer) -> None:
     mine = with_own(
         marlin, max_acceleration=(9000.125, 7000.375), max_acceleration_e=1800.625,
@@ -107,18 +93,6 @@ def test_stream_ends_with_the_users_settings_to_the_last_digit(marlin: Printer) 
         b"M204 P2800.125 T2900.375 R1234.625", b"M205 B12345 S0.125 T0.375 J0.0125",
         b"M900 K0.04125", b"M593 X F41.125", b"M593 Y F38.625",
     ]  # fmt: skip
-
-
-def test_classic_jerk_builds_get_jerk(marlin: Printer) -> None:
-    mine = motion(with_own(marlin, junction_deviation=0.0, jerk=(8.0, 9.0), jerk_e=5.0))
-    assert b"M205 B0 S0 T0 X1000 Y1000 E1000" in mine.code.begin(NOWHERE, AT)
-    assert b"M205 B20000 S0 T0 X8 Y9 E5" in mine.code.end(STATE, AT)
-    lift, retraction = (
-        mine.stroke(from_there(way), 10.0, 0.1, 0.1)
-        for way in ((0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, -1.0))
-    )
-    assert (lift.before, lift.after) == (b"", b"")  # z has kept its own jerk
-    assert (retraction.before, retraction.after) == (b"M205 E5\n", b"M205 E1000\n")
 
 
 @pytest.mark.parametrize("planner", ["2.0", "2.1"])
@@ -169,12 +143,6 @@ def test_s_curves_are_refused_where_they_are_not_known(planner: str) -> None:
     own = f'[firmware.marlin]\nplanner = "{planner}"\ns_curve_acceleration = true\n'
     with pytest.raises(PrinterError, match=r"s_curve_acceleration: .*turn it off in Marlin"):
         parse(f'extends = "paper-marlin"\n{own}', "mine")
-
-
-def test_retractions_keep_the_printers_acceleration_where_it_is_not_told(marlin: Printer) -> None:
-    mine = code(with_own(marlin, retract_acceleration=0.0))
-    assert b"M204 P100000 T100000" in mine.begin(NOWHERE, AT)
-    assert b"M204 P3000 T3000" in mine.end(STATE, AT)
 
 
 @pytest.mark.parametrize(
@@ -253,15 +221,6 @@ def test_places_named_by_g92_are_named_again(marlin: Printer) -> None:
     assert code(marlin).begin((10.0, 0.0, -1.0), AT)[-1] == b"G92 X12.5 Z0.2"
 
 
-def test_machine_is_yielded_with_the_users_settings(marlin: Printer) -> None:
-    lines = [b"G1 X100 Y100 Z1 F6000\n", b"G1 X120\n", b"M600\n", b"G1 X130 Y100\n", b"G1 X150\n"]
-    text = converted(lines, marlin)[0].splitlines()
-    change = text.index(b"M600")
-    assert b"M204 P3000 T3000 R3000" in text[change - 8 : change]
-    assert text[change + 1] == b"G1 X130 Y100"
-    assert text[change + 2] == b"M400"
-
-
 # ---------------------------------------------------------------------- the stream
 
 
@@ -291,15 +250,6 @@ def cube(marlin: Printer) -> tuple[bytes, bytes]:
 
 def test_filament_is_conserved(cube: tuple[bytes, bytes]) -> None:
     assert played_filament(cube[1]) == pytest.approx(played_filament(cube[0]), abs=1e-4)
-
-
-def test_lines_that_are_not_motion_pass_in_order(cube: tuple[bytes, bytes]) -> None:
-    def carried(text: bytes) -> list[bytes]:
-        lines = (line for line in text.splitlines() if not line.startswith((b"G0", b"G1")))
-        kept = (line for line in lines if not LIMITS.match(line) and not OURS.match(line))
-        return [re.sub(rb"^(;TIME\w*:).*", rb"\1", line).rstrip() for line in kept]
-
-    assert carried(cube[1]) == carried(cube[0])
 
 
 def test_segments_end_on_whole_steps_and_are_long_enough(
@@ -386,38 +336,6 @@ def test_a_print_that_whole_steps_spoil_is_reported(marlin: Printer) -> None:
         assert any("better as sliced" in text for text in report.warnings()) == slow
 
 
-def test_density_follows_the_serial_line(marlin: Printer) -> None:
-    """A real 2.1.2 behind a sender that waits 2 ms for each ok then loses no time."""
-    card = converted(sample("rectangle.gcode"), marlin)[1]
-    slow = converted(sample("rectangle.gcode"), with_own(marlin, baud=115_200))[1]
-    fast = converted(sample("rectangle.gcode"), with_own(marlin, baud=1_000_000))[1]
-    assert 0.8 * slow.lines_per_second < slow.busiest_second < slow.lines_per_second < 170.0
-    assert "SD card" in slow.as_text()
-    assert slow.approximation > card.approximation > 0.0
-    assert fast == card
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("lines", "cuts"),
-    [
-        (small_rectangle(), [(1, 1), (7, 7), (100, 100), (10_000, 10_000)]),
-        (layers("cube.gcode", 2), [(1, 100), (7, 10_000)]),
-    ],
-    ids=["rectangle", "cube"],
-)
-def test_output_does_not_depend_on_how_the_stream_is_cut(
-    marlin: Printer, monkeypatch: pytest.MonkeyPatch, lines: list[bytes],
-    cuts: list[tuple[int, int]],
-) -> None:  # fmt: skip
-    whole = converted(lines, marlin)[0]
-    assert converted(lines, marlin)[0] == whole
-    for moves, samples in cuts:
-        monkeypatch.setattr(batching, "MOVES_PER_ITEM", moves)
-        monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
-        assert converted(lines, marlin)[0] == whole
-
-
 @pytest.mark.parametrize("planner", MARLIN_PLANNERS)
 def test_golden_rectangle(
     marlin: Printer, golden: Callable[[str, bytes], bytes], planner: str
@@ -427,10 +345,6 @@ def test_golden_rectangle(
     rows = whole.splitlines(keepends=True)
     now = b"".join([*rows[:1], *rows[2:]])  # the stamp apart: it changes with every option
     assert_same_stream(now, golden(f"rectangle.marlin-{planner}.gcode", now))
-
-
-def test_generations_of_planners_are_those_of_the_profile() -> None:
-    assert GENERATIONS == MARLIN_PLANNERS
 
 
 def test_fixed_time_motion_is_on_without_shapers_while_the_stream_runs(marlin: Printer) -> None:
@@ -538,29 +452,6 @@ def test_segments_are_long_on_any_path(seed: int, kind: str, rate: float, last: 
 # ---------------------------------------------------------------------- the profile
 
 
-def test_dialect_is_overridden_only_where_the_profile_knows_it(tmp_path: Path) -> None:
-    assert played_by(load("paper-marlin"), "klipper").firmware.dialect == "klipper"
-    with pytest.raises(PrinterError, match=r"paper: firmware\.marlin: the table is missing"):
-        played_by(load("paper"), "marlin")
-    rectangle, out = SAMPLES / "rectangle.gcode", tmp_path / "out.gcode"
-    done = run(rectangle, "-o", out, "--firmware", "marlin")
-    assert done.returncode == 1
-    assert b"firmware.marlin" in done.stderr
-    assert not out.exists()
-    assert run(rectangle, "-o", out, "-p", "paper-marlin").returncode == 0
-    assert b"M593 F0" in out.read_bytes()
-    as_klipper = run(rectangle, "-o", out, "-p", "paper-marlin", "--firmware", "klipper")
-    assert as_klipper.returncode == 0
-    assert b"SET_VELOCITY_LIMIT" in out.read_bytes()
-    assert run(rectangle, "-p", "paper-marlin", "-n", "--tolerance", "0").returncode == 2
-
-
-def test_settings_of_another_firmware_are_stamped_otherwise(marlin: Printer) -> None:
-    first = sample("rectangle.gcode")
-    ours, theirs = (converted(first, p)[0] for p in (marlin, played_by(marlin, "klipper")))
-    assert ours.splitlines()[1] != theirs.splitlines()[1]
-
-
 @pytest.mark.parametrize(
     ("old", "new", "key"),
     [
@@ -581,29 +472,3 @@ def test_bad_settings_name_their_key(old: str, new: str, key: str) -> None:
     with pytest.raises(PrinterError) as caught:
         parse(text.replace(old, new), "mine")
     assert caught.value.key == f"firmware.marlin.{key}"
-
-
-def test_classic_jerk_profile_loads() -> None:
-    jerks = "jerk = [8.0, 8.0]\njerk_e = 5.0"
-    text = shipped()["paper-marlin"].replace("junction_deviation = 0.013", jerks)
-    own = parse(text, "mine").firmware.marlin
-    assert isinstance(own, MarlinTable)
-    assert own.classic_jerk
-
-
-def test_marlin_needs_the_motors_steps() -> None:
-    whole = shipped()["paper"].replace('dialect = "klipper"', 'dialect = "marlin"')
-    table = shipped()["paper-marlin"].rpartition("[firmware.marlin]")[2]
-    text = re.sub(r"^\[steps\].*?(?=^\[)", "", whole, flags=re.MULTILINE | re.DOTALL)
-    with pytest.raises(PrinterError, match="steps"):
-        profile.parse(text + "\n[firmware.marlin]" + table, "mine")
-
-
-def test_marlin_profile_needs_no_klipper(marlin: Printer) -> None:
-    whole = shipped()["paper"].replace('dialect = "klipper"', 'dialect = "marlin"')
-    text = re.sub(r"^\[firmware.klipper\].*?(?=^\[)", "", whole, flags=re.MULTILINE | re.DOTALL)
-    table = shipped()["paper-marlin"].rpartition("[firmware.marlin]")[2]
-    mine = parse(text + "\n[firmware.marlin]" + table, "mine")
-    assert mine.firmware.marlin == marlin.firmware.marlin
-    with pytest.raises(PrinterError, match=r"firmware\.klipper"):
-        played_by(mine, "klipper")

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner, Result
 
-from hframe_post.identification.recordings.excitation import read_command
-from tests.command_line import RECTANGLE, run
-from tests.conftest import ROOT
-from tests.firmware.stub import installed
+from hframe_post.cli.main import main
+from hframe_post.identification.recordings.formats import read_command
+from tests.command_line import RECTANGLE
+from tests.firmware.stub import add, remove
 
 PROFILE = """\
 extends = "paper"
@@ -25,26 +25,23 @@ invented = false
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Return a folder with a profile for the stub, its configuration and a converted file."""
     made = tmp_path_factory.mktemp("stub")
     (made / "own.toml").write_text(PROFILE)
     (made / "stub.txt").write_text("3000")
-    (made / "prints").mkdir()
-    (made / "prints" / "rectangle.gcode").write_bytes(RECTANGLE.read_bytes())
-    installed(made)
+    add()
     done = command(made, "convert {print} -o {folder}/out.gcode --report {folder}/page.html")
-    assert done.returncode == 0, done.stderr
-    return made
+    assert done.exit_code == 0, done.output
+    yield made
+    remove()
 
 
-def command(folder: Path, line: str) -> subprocess.CompletedProcess[bytes]:
-    places = {"print": RECTANGLE, "folder": folder}
-    words = [word.format(**places) for word in line.split()]
-    return run(
-        *words, PYTHONPATH=os.pathsep.join([str(folder), str(ROOT)]),  # as installed
-        HFRAME_PRINTER=str(folder / "own.toml"), XDG_CONFIG_HOME=str(folder / "config"),
-    )  # fmt: skip
+def command(folder: Path, line: str) -> Result:
+    """Run a command in this process, which knows the stub."""
+    words = [word.format(print=RECTANGLE, folder=folder) for word in line.split()]
+    own = {"HFRAME_PRINTER": str(folder / "own.toml"), "XDG_CONFIG_HOME": str(folder / "config")}
+    return CliRunner(env=own).invoke(main, words)
 
 
 FAST = [
@@ -55,7 +52,6 @@ FAST = [
 ]
 SLOW = [
     "tune {print} --shaper",
-    "batch {folder}/prints -d {folder}/batch",
     "simulate {print}",
     "simulate {print} --shapers",
     "tune {print} --knots 10 --effort 10 --draws 0",
@@ -73,8 +69,8 @@ SLOW = [
 )
 def test_every_command_takes_the_firmware(folder: Path, line: str) -> None:
     done = command(folder, line)
-    assert done.returncode == 0, done.stderr
-    assert b"bug" not in done.stderr
+    assert done.exit_code == 0, done.output
+    assert "bug" not in done.output
 
 
 @pytest.mark.parametrize("line", [
@@ -83,9 +79,9 @@ def test_every_command_takes_the_firmware(folder: Path, line: str) -> None:
 ])  # fmt: skip
 def test_what_is_for_another_firmware_says_so(folder: Path, line: str) -> None:
     done = command(folder, line)
-    assert done.returncode == 1
-    assert b"stub" in done.stderr
-    assert b"bug" not in done.stderr
+    assert done.exit_code == 1
+    assert "stub" in done.output
+    assert "bug" not in done.output
 
 
 def test_output_has_its_lines_and_the_page_its_shaper(folder: Path) -> None:
@@ -96,7 +92,7 @@ def test_output_has_its_lines_and_the_page_its_shaper(folder: Path) -> None:
 
 
 def test_moves_of_a_sweep_are_those_of_its_command(folder: Path) -> None:
-    assert command(folder, "sweep -o {folder}/moves.gcode --axis x").returncode == 0
+    assert command(folder, "sweep -o {folder}/moves.gcode --axis x").exit_code == 0
     for moves in folder.glob("moves.*.gcode"):
         places = [line for line in moves.read_text().splitlines() if line.startswith("G1 X")]
         x = read_command(moves.with_suffix(".csv"))[:, 0]

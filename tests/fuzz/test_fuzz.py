@@ -41,6 +41,7 @@ KLIPPER_FILAMENT = 5e-3  # mm; a step of the extruder is 0.7e-3
 FOUND = sorted(Path(__file__).with_name("found").iterdir())
 RECTANGLE = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
 PRINTERS = {"klipper": load("paper"), "marlin": load("paper-marlin")}
+STRICTER = ("feed rate must be at least", "of filament along")
 WITHOUT_LINE = (
     "empty", "not a single move", "binary", "not a text file", "UTF-16", "mm of filament",
 )  # fmt: skip
@@ -70,7 +71,12 @@ def check_gcode(text: bytes, strategy: str, firmware: str, clamp: bool) -> bytes
     except HframeError as error:
         refused(error)
         return b""
-    assert_same_print(text, output, firmware)
+    try:
+        assert_same_print(text, output, firmware)
+    except GcodeError as error:  # firmware takes it, and we would not
+        if any(cause in str(error) for cause in STRICTER):
+            return b""
+        raise
     return output
 
 

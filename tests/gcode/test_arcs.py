@@ -89,12 +89,6 @@ def test_a_spiral_lift_is_one_turn() -> None:
     assert rows[-1].tolist() == [0, 0, 0.8, 0]
 
 
-def test_arcs_in_relative_coordinates() -> None:
-    points = np.array(ends("G1 X30 Y30", "G91", "G2 X10 Y0 I5 J0 E1", "G90", "G1 X0"))[1:-1]
-    assert off_circle(points[:, :2], (30.0, 30.0), (35.0, 30.0)) <= curves.TOLERANCE + 1e-9
-    assert points[-1].tolist() == [40, 30, 0, 1]
-
-
 def test_hundreds_of_arcs_lose_no_filament() -> None:
     """Shares of every arc add up to what the file says, however often."""
     lines, e = [], 0.0
@@ -106,17 +100,6 @@ def test_hundreds_of_arcs_lose_no_filament() -> None:
         written = lines if mode == "M82" else [f"{li.split('E')[0]}E.03127" for li in lines]
         last = moves("G1 X20 Y20", mode, "G92 E0", *written)[-1]
         assert last.points[-1, 3] == pytest.approx(e, abs=1e-9)
-
-
-def test_tiny_arcs_have_chords_with_a_length() -> None:
-    """Chords never vanish, whatever the radius."""
-    (block,) = moves("G2 X0.001 Y0.001 I0.001 J0 E0.01")
-    assert (np.hypot(*np.diff(block.points[:, :2], axis=0).T) > 0.0).all()
-
-
-def test_an_end_behind_the_start_as_seen_from_the_centre_is_a_move() -> None:
-    """Of radii that differ by rounding, at the same angle: no turn, and none of the ends lost."""
-    assert ends("G1 X50 Y50", "G2 X50.05 Y50 I-10 J0 E1")[-1] == [50.05, 50.0, 0.0, 1.0]
 
 
 def test_arcs_from_an_unknown_position_pass_through() -> None:

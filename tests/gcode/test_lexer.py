@@ -56,13 +56,6 @@ def test_coded_commands(text: bytes, name: str | None) -> None:
     assert (coded.name if coded else None) == name
 
 
-def test_only_numbered_lines_have_checksums() -> None:
-    assert command(Line(1, b"M117 Layer 3 *5")) is not None
-    assert command(Line(1, b"N1 G28*18")) is not None
-    with pytest.raises(GcodeError, match="checksum"):
-        command(Line(1, b"N1 G28*19"))
-
-
 @pytest.mark.parametrize(
     ("text", "acceleration"),
     [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -10,12 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
-from hframe_post.errors import GcodeError, HframeError
-from hframe_post.firmware.registry import FIRMWARES, firmware_named
+from hframe_post.errors import GcodeError
+from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode import batching, curves
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
@@ -63,19 +60,9 @@ def test_g92_alone_is_klippers_for_all_coordinates() -> None:
     assert ends(*lines, firmware="marlin")[-1] == [10.0, 0.0, 0.0, 5.0]
 
 
-def test_inches() -> None:
-    assert ends("G20", "G1 X1 Y2", "G21", "G1 X30")[:2] == [[25.4, 50.8, 0, 0], [30, 50.8, 0, 0]]
-
-
 def test_feed_is_modal_and_scaled_by_m220() -> None:
     (block,) = moves("G1 X1", "G1 F3000", "G1 X2", "M220 S50", "G1 X3", "G0 X4 F600")
     np.testing.assert_allclose(block.speed, [100, 50, 25, 5])
-
-
-def test_feed_before_any_f_is_klippers() -> None:
-    found = items("G92 X0 Y0 Z0", "G1 X5")
-    (block,) = (item for item in found if isinstance(item, Moves))
-    assert block.speed[0] == 25.0
 
 
 @pytest.mark.parametrize(
@@ -187,11 +174,6 @@ def test_position_is_unknown_after_a_command_that_may_move(line: str) -> None:
     assert after[-2].points[0, 0] == 7 if isinstance(after[-2], Moves) else False
 
 
-def test_homing_one_axis_forgets_only_that() -> None:
-    assert b"G1 Y9" not in carried(items(*HOME, "G28 Z", "G1 Y9"))
-    assert b"G1 Y9" in carried(items(*HOME, "G28 X", "G1 Y9"))
-
-
 def test_pass_through_lines_have_the_modal_state_of_the_file() -> None:
     found = items(*HOME, "M82", "G92 E1.5", "G1 X5 E2 F1200", "G91", "T1")
     state = next(i for i in found if isinstance(i, Passthrough) and i.text == b"T1").state
@@ -232,23 +214,6 @@ def test_the_same_square_in_many_spellings(name: str) -> None:
     ]  # fmt: skip
 
 
-def test_exponents_are_read_as_firmware_reads_them() -> None:
-    """X1e-3 is X1 and E-3 to Klipper and Marlin; there is no telling it from tight writing."""
-    assert ends("G1 X1e-3") == [[1, 0, 0, -3]]
-
-
-def test_comments_of_both_forms() -> None:
-    lines = (QUIRKS / "paren_comments.gcode").read_bytes().splitlines(keepends=True)
-    (block,) = (item for item in read(lines, ReadOptions(KLIPPER)) if isinstance(item, Moves))
-    assert block.points[:, 0].tolist() == [10, 20]
-
-
-def test_klipper_macros_pass() -> None:
-    lines = (QUIRKS / "klipper.gcode").read_bytes().splitlines()
-    kept = [line for line in lines if not line.startswith((b"SET_VELOCITY_LIMIT", b"G1 X20"))]
-    assert carried(list(read(lines, ReadOptions(KLIPPER)))) == kept
-
-
 # ---------------------------------------------------------------------- what is refused
 
 
@@ -266,40 +231,6 @@ def test_a_line_that_could_be_misread_is_an_error(line: str) -> None:
         items(*HOME, line)
     assert caught.value.line == len(HOME) + 1
     assert str(caught.value).startswith(f"line {len(HOME) + 1}: ")
-
-
-def test_an_unknown_firmware_is_an_error() -> None:
-    with pytest.raises(HframeError, match="choose from klipper, marlin"):
-        firmware_named("grbl")
-
-
-def test_arcs_in_other_planes_are_refused() -> None:
-    with pytest.raises(GcodeError, match="plane"):
-        items(*HOME, "G18", "G2 X5 Y5 I5")
-
-
-@pytest.mark.parametrize(
-    ("lines", "cause"),
-    [
-        ([], "empty"), (["; nothing"], "single move"), (["GCDE"], "binary"),
-        (["a\0b", "G1 X1"], "text file"),
-    ],
-)  # fmt: skip
-def test_files_without_a_print_are_refused(lines: list[str], cause: str) -> None:
-    with pytest.raises(GcodeError, match=cause):
-        items(*lines)
-
-
-def test_quirks_that_cannot_be_followed_say_where() -> None:
-    with pytest.raises(GcodeError) as caught:
-        list(read((QUIRKS / "modes.gcode").read_bytes().splitlines(), ReadOptions(KLIPPER)))
-    assert caught.value.line == 12
-
-
-@given(st.lists(st.binary(max_size=40), max_size=8))
-def test_no_bytes_raise_anything_else(lines: list[bytes]) -> None:
-    with contextlib.suppress(GcodeError):
-        assert list(read([b"G1 X1 Y1 Z1", *lines], ReadOptions(KLIPPER)))
 
 
 # ---------------------------------------------------------------------- arcs

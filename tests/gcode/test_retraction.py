@@ -28,12 +28,6 @@ def found(
     return stand, passed, items
 
 
-def test_without_settings_all_pass_through() -> None:
-    stand, passed, _ = found([*HOME, "G10", "G1 X50", "G11"], None)
-    assert not stand
-    assert passed == [b"G10", b"G11", b"G10", b"G11"]
-
-
 def test_the_first_pair_is_the_firmwares_then_they_are_moves() -> None:
     stand, passed, items = found([*HOME, "G10", "G1 X50", "G11", "G1 X60 E2", "G10", "G11"])
     assert stand == 2 * PAIR
@@ -78,10 +72,6 @@ def test_a_pair_with_a_macro_between_stays_the_firmwares(between: list[str]) -> 
     stand, passed, _ = found([*HOME, "G10", *between, "G11", "G0 X9 Y9 Z1 F6000", "G10", "G11"])
     assert stand == PAIR
     assert passed == 2 * [b"G10", b"G11"]
-
-
-def test_a_lone_g10_at_the_end_passes() -> None:
-    assert found([*HOME, "G10", "G0 X20"])[1] == [b"G10", b"G11", b"G10"]
 
 
 @pytest.mark.parametrize(

@@ -12,19 +12,17 @@ import re
 import shutil
 import subprocess
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from hframe_post.hosts.moonraker.answering import PATIENCE
 from hframe_post.hosts.moonraker.interface import PAGE, page_of
-from hframe_post.hosts.moonraker.upload import KEPT, Upload
+from hframe_post.hosts.moonraker.upload import KEPT
 from tests.command_line import RECTANGLE
 from tests.conftest import SAMPLES
-from tests.hosts.moonraker import Printer, Server, processes, until
+from tests.hosts.moonraker import Printer, processes, until
 from tests.page.pages import data_of
 
 PYTHON = os.environ.get("MOONRAKER_PYTHON", "")
@@ -36,7 +34,6 @@ pytestmark = [
 
 CUBE = (SAMPLES / "cube.gcode").read_bytes()
 PART = RECTANGLE.read_bytes()
-LIMIT_EXCEEDED = r"line \d+: belt velocity \(mm/s\) would be \d+\S*, the .* limit is 20"
 KEPT_ENDINGS = (".original", ".html")
 OUTSIDE = CUBE + b"G1 X9000 Y10 F6000\n"
 
@@ -90,28 +87,6 @@ def test_an_upload_is_converted_described_printed_and_cancelled(printer: Printer
     assert "ringing" in summary
 
 
-def test_the_same_file_uploaded_again_and_a_converted_one_give_the_same_bytes(
-    printer: Printer,
-) -> None:
-    expected = printer.converted(PART)
-    for content in (PART, PART, expected):
-        printer.upload("twice.gcode", content)
-        assert (printer.gcodes / "twice.gcode").read_bytes() == expected
-        assert printer.metadata("twice.gcode")["file_processors"] == ["hframe_post"]
-    printer.post("/server/files/metascan?filename=twice.gcode")
-    assert (printer.gcodes / "twice.gcode").read_bytes() == expected
-    elsewhere = expected.replace(b"settings ", b"settings 0", 1)
-    printer.upload("elsewhere.gcode", elsewhere)
-    assert (printer.gcodes / "elsewhere.gcode").read_bytes() == elsewhere
-
-
-def test_a_file_marked_off_stays_as_it_is(printer: Printer) -> None:
-    marked = b"; hframe-post: off\n" + PART
-    printer.upload("marked.gcode", marked)
-    assert (printer.gcodes / "marked.gcode").read_bytes() == marked
-    assert any("marked.gcode: the file says" in line for line in printer.console())
-
-
 def test_what_fails_cannot_be_printed_and_says_why(printer: Printer) -> None:
     printer.upload("fails.gcode", OUTSIDE, print="true")
     until(lambda: printer.print_stats()["state"] == "error")
@@ -152,28 +127,6 @@ def test_a_conversion_that_was_interrupted_is_done_after_the_restart(
     path.unlink()
 
 
-def test_files_with_long_and_similar_names_are_all_converted_after_a_restart(
-    printer: Printer,
-) -> None:
-    names = [*("测" * 70 + f"{each}.gcode" for each in "甲乙"), f"A{'b' * 240}.gcode"]
-    names += [f"B{'b' * 240}.gcode", "50%.gcode", "50%25.gcode", "sub/50%.gcode"]
-    files = {name: PART + b"; part %d\n" % number for number, name in enumerate(names)}
-    printer.kill("moonraker")
-    printer.gate.touch()
-    for name, content in files.items():
-        path = printer.gcodes / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_bytes(content)
-        Upload(path, printer.gcodes).take()  # as a conversion that was interrupted leaves it
-    printer.gate.unlink()
-    printer.start_moonraker()
-    for name, content in files.items():
-        path = printer.gcodes / name
-        until(lambda path=path: b"; processed by" in path.read_bytes())  # type: ignore[misc]
-        assert path.read_bytes() == printer.converted(content), name
-    until(lambda: left_over(printer) == [])
-
-
 def test_an_upload_that_is_deleted_is_not_converted_and_the_next_one_is(printer: Printer) -> None:
     path = printer.gcodes / "long.gcode"
     uploading = started(printer, "long.gcode", 15 * CUBE, print="true")
@@ -199,42 +152,6 @@ def test_an_upload_that_is_deleted_is_not_converted_and_the_next_one_is(printer:
 
 def conversions(printer: Printer) -> list[int]:
     return processes(f"{printer.gcodes}/.hframe_post/")
-
-
-def test_the_reason_of_a_limit_that_a_worker_finds_is_shown(printer: Printer) -> None:
-    profile = printer.profile.read_text()
-    weak = re.sub("belt_velocity = .*", "belt_velocity = 20.0", profile)
-    assert weak != profile
-    try:
-        printer.profile.write_text(weak)
-        printer.upload("weak.gcode", CUBE)
-    finally:
-        printer.profile.write_text(profile)
-    refusal = (printer.gcodes / "weak.gcode").read_text().split("\n")[0]
-    assert re.search(rf"not converted: {LIMIT_EXCEEDED}", refusal)
-    told = re.compile(rf"!! hframe-post: weak.gcode: not converted: {LIMIT_EXCEEDED}")
-    assert any(told.match(line) for line in printer.console())
-
-
-def test_an_upload_is_answered_before_a_proxy_gives_up_and_goes_on(printer: Printer) -> None:
-    printer.gate.touch()
-    began = time.monotonic()
-    answer = Server.upload(printer, "part.gcode", PART, print="true")
-    assert PATIENCE <= time.monotonic() - began < 50.0  # nginx's limit is 60 s
-    assert answer["item"]["path"] == "part.gcode"
-    assert answer["action"] == "create_file"
-    assert not answer["print_started"]
-    assert any("part.gcode is still being converted" in line for line in printer.console())
-    waiting, other = started(printer, "waits.gcode", PART), printer.gcodes / "waits.gcode"
-    waits = "// hframe-post: waits.gcode waits until part.gcode is converted; then it is uploaded"
-    until(lambda: any(line.startswith(waits) for line in printer.console()))
-    assert not other.exists()
-    printer.gate.unlink()
-    waiting.join()
-    assert other.read_bytes() == printer.converted(PART)
-    until(lambda: printer.print_stats()["state"] == "complete")
-    assert printer.print_stats()["filename"] == "part.gcode"
-    assert (printer.gcodes / "part.gcode").read_bytes() == printer.converted(PART)
 
 
 def started(printer: Printer, name: str, content: bytes, **form: str) -> threading.Thread:
@@ -340,16 +257,3 @@ def test_a_full_disk_leaves_nothing_that_could_be_printed(
         assert rest == CUBE if fits_twice else rest.startswith(KEPT)
     finally:
         printer.stop()
-
-
-def test_removing_it_leaves_moonraker_as_it_was(printer: Printer) -> None:
-    before = printer.as_set_up
-    printer.config.write_text(before)
-    assert "[hframe_post]" in before
-    assert printer.set_up("--moonraker").count("added") == 0
-    assert printer.config.read_text() == before
-    assert "removed" in printer.set_up("--no-moonraker")
-    assert "hframe_post" not in printer.config.read_text()
-    assert not (printer.components / "hframe_post").is_symlink()
-    printer.set_up("--moonraker")
-    assert printer.config.read_text() == before

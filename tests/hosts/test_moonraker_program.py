@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import lzma
 import os
 import re
 import socket
@@ -21,18 +20,14 @@ import pytest
 
 from hframe_post.hosts import moonraker
 from hframe_post.hosts.moonraker import conversion
-from hframe_post.hosts.moonraker.disk import FOLDER, BeyondError, FailureError, alone, cause
-from hframe_post.hosts.moonraker.found import offer
+from hframe_post.hosts.moonraker.disk import FOLDER, BeyondError, FailureError, alone
 from hframe_post.hosts.moonraker.interface import Interface, as_html, page_of
 from hframe_post.hosts.moonraker.originals import Originals
 from hframe_post.hosts.moonraker.settings import Settings
 from hframe_post.hosts.moonraker.upload import CONVERTING, REFUSAL, Upload, refuse
-from hframe_post.printer.profile import load
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT, SAMPLES
 from tests.hosts.moonraker import WAIT, until, waiting_for
-from tests.page.pages import data_of
-from tests.recordings import SV08_CONFIG
 
 COMMAND = (sys.executable, "-m", "hframe_post", "-p", str(ROOT / "tests/measured.toml"))
 PART = RECTANGLE.read_bytes()
@@ -121,26 +116,6 @@ def reports(part: Path) -> Iterator[list[Any]]:
 
 
 @pytest.mark.slow
-def test_it_writes_the_bytes_of_the_command_line(part: Path, reports: list[Any]) -> None:
-    run(part, "-o", part.with_name("by_hand.gcode"), "-p", ROOT / "tests/measured.toml")
-    assert processed(part) == 0
-    assert part.read_bytes() == part.with_name("by_hand.gcode").read_bytes()
-    assert processed(part) == 0  # a second pass
-    assert part.read_bytes() == part.with_name("by_hand.gcode").read_bytes()
-    page, original = (part.parents[1] / FOLDER / name for name in kept(part))
-    assert original.read_bytes() == PART
-    assert data_of(page)["name"] == "part.gcode"
-    assert original.stem == page.stem
-    texts = [each["text"] for each in reports]
-    assert len(texts) == 4
-    assert texts[0].startswith("hframe-post: part.gcode: converted\n")
-    assert "ringing" in texts[0]
-    assert texts[1].endswith(page_of("sub/part.gcode"))
-    assert texts[2] == "hframe-post: part.gcode: this file is converted already; left as it is"
-    assert not any(each["failed"] for each in reports)
-
-
-@pytest.mark.slow
 def test_a_file_that_fails_begins_with_its_reason_until_it_can_be_converted(
     part: Path, reports: list[Any]
 ) -> None:
@@ -166,39 +141,6 @@ def test_a_console_shows_names_as_they_are_and_links_pages() -> None:
     (address,) = re.findall('href="([^"]*)"', shown)
     assert parse_qs(urlsplit(address).query) == {"file": [name]}
     assert not re.search("[A-Z_][A-Z0-9_.]", address)  # what Fluidd takes for a command
-
-
-# hframe-post in a process that has taken its memory up to some 50 MB
-LITTLE = """
-import mmap
-import os
-os.environ["OPENBLAS_NUM_THREADS"] = "1"
-from hframe_post.cli import convert, main
-from hframe_post.conversion import files
-taken = []
-try:
-    while len(taken) < 200:
-        taken.append(mmap.mmap(-1, 10_000_000, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS))
-except OSError:
-    del taken[-5:]
-main.run()
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("wrapped", [(sys.executable, "-c", LITTLE), ("sh", "-c", "kill -9 $$")])
-def test_a_conversion_that_takes_too_much_leaves_the_file_printable(
-    part: Path, reports: list[Any], wrapped: tuple[str, ...]
-) -> None:
-    part.write_bytes(CUBE)
-    assert processed(part, *wrapped, *COMMAND[3:], "--jobs", "1") == 1
-    assert part.read_bytes() == CUBE
-    assert kept(part) == []
-    (report,) = reports
-    assert report["failed"]
-    assert report["text"].startswith("hframe-post: part.gcode: left as sliced: its conversion ")
-    assert "memory" in report["text"]
-    assert report["text"].endswith(conversion.ELSEWHERE)
 
 
 def test_a_conversion_that_takes_too_long_is_ended(
@@ -272,36 +214,6 @@ def test_no_more_is_kept_than_the_owner_allows(part: Path, reports: list[Any]) -
     assert all(b"; processed by" in path.read_bytes() for path in paths)
 
 
-@pytest.mark.slow
-def test_before_the_printer_is_measured_a_file_stays_as_sliced(
-    part: Path, reports: list[Any]
-) -> None:
-    assert processed(part, *COMMAND[:-1], "example-voron") == 1
-    assert part.read_bytes() == PART
-    assert kept(part) == []
-    measure_it = "this printer is not measured yet. To measure it, type HFRAME_CALIBRATE"
-    assert reports[0]["text"].endswith(f"left as sliced: {measure_it}")
-
-
-@pytest.mark.slow
-def test_a_linked_file_is_converted_in_its_place_alone(part: Path) -> None:
-    elsewhere = part.with_name("elsewhere.gcode")
-    part.rename(elsewhere)
-    for link in (os.link, os.symlink):
-        link(elsewhere, part)
-        assert processed(part) == 0
-        assert b"; processed by hframe-post" in part.read_bytes()
-        assert elsewhere.read_bytes() == PART
-        part.unlink()
-
-
-def test_a_command_that_cannot_run_is_a_reason(part: Path) -> None:
-    assert processed(part, "/nowhere/hframe-post") == 1
-    reason = part.read_text().split("\n")[0]
-    assert "/nowhere/hframe-post cannot be run: No such file" in reason
-    assert "Correct command in [hframe_post] of moonraker.conf" in reason
-
-
 def test_an_interrupted_conversion_goes_on_from_the_slicers_file(part: Path) -> None:
     upload = Upload(part, part.parents[1])
     upload.take()
@@ -342,33 +254,6 @@ def test_after_an_interruption_every_name_gets_its_own_file_back(tmp_path: Path)
         assert again.work.read_bytes() == PART + b"; part %d\n" % number, name
         again.give_back(None, Originals(tmp_path, 0))
     assert os.listdir(tmp_path / FOLDER) == []
-
-
-def test_an_interrupted_file_is_found_under_its_new_name_and_as_copies(tmp_path: Path) -> None:
-    (tmp_path / FOLDER).mkdir()
-    old, new, copied = (tmp_path / f"{name}.gcode" for name in ("old", "new", "copied"))
-    old.write_bytes(PART)
-    Upload(old, tmp_path).take()
-    old.rename(new)
-    copied.write_bytes(new.read_bytes())
-    old.write_bytes(PART + b"; another\n")
-    Upload(old, tmp_path).take()
-    for path, expected in ((new, PART), (old, PART + b"; another\n"), (copied, PART)):
-        again = Upload(path, tmp_path)
-        again.take()
-        again.give_back(None, Originals(tmp_path, 0))
-        assert path.read_bytes() == expected, path.name
-    assert os.listdir(tmp_path / FOLDER) == []
-
-
-def test_what_is_kept_for_a_deleted_file_goes_with_the_next_of_its_name(part: Path) -> None:
-    upload = Upload(part, part.parents[1])
-    upload.take()
-    part.write_bytes(PART + b"; another\n")
-    again = Upload(part, part.parents[1])
-    again.take()
-    assert kept(part) == [again.work.name]
-    assert again.work.read_bytes() == PART + b"; another\n"
 
 
 def test_a_line_that_names_any_other_file_is_not_followed(part: Path) -> None:
@@ -447,66 +332,6 @@ def test_without_room_for_a_line_the_file_is_out_of_reach_but_not_lost(
 
 def full(*_: object) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
-def test_errors_of_the_disk_say_where_and_what_to_do() -> None:
-    full_disk = OSError(errno.ENOSPC, "No space left on device", "/gcodes/.hframe_post/0f.new")
-    advice = "Make room there, then upload the file again"
-    assert cause(full_disk) == f"/gcodes/.hframe_post: No space left on device. {advice}"
-    locked = PermissionError(errno.EACCES, "Permission denied", "/gcodes/part.gcode")
-    assert cause(locked) == "/gcodes/part.gcode: Permission denied"
-
-
-def test_a_file_that_cannot_be_read_is_not_touched(part: Path) -> None:
-    refuse(Upload(part.with_name("other.gcode"), part.parents[1]), "no such file")
-    refuse(Upload(part, part.parents[1]), "cannot be read")
-    assert part.read_bytes() == PART
-    assert [path.name for path in part.parent.iterdir()] == ["part.gcode"]
-
-
-@pytest.mark.slow
-def test_where_the_bed_moves_the_sensor_is_moved_in_between(part: Path, reports: list[Any]) -> None:
-    gcodes, profile = part.parents[1], part.with_name("mine.toml")
-    profile.write_text('extends = "example-cartesian"\n')
-    told = settings(gcodes, *COMMAND[:-1], str(profile), recordings=str(part.parent))
-    job = prepared(told)
-    assert job == ".hframe_post/calibration/measure-x.gcode"
-    recorded(told, job)
-    assert reports[-1]["text"].endswith("the bed, then type HFRAME_CALIBRATE AXIS=Y")
-    job = prepared(told, "Y")
-    assert job == ".hframe_post/calibration/measure-y.gcode"
-    assert len([*(gcodes / FOLDER / "calibration").glob("adxl345-measure-x-*")]) == 2
-    recorded(told, job)  # nothing that could be identified
-    assert reports[-1]["failed"]
-    assert "the model was not changed: " in reports[-1]["text"]
-    assert profile.read_text() == 'extends = "example-cartesian"\n'
-
-
-@pytest.mark.slow
-def test_recordings_that_the_owner_has_made_are_offered_and_used(
-    part: Path, reports: list[Any]
-) -> None:
-    config, folder = part.with_name("printer.cfg"), part.with_name("ShakeTune_results")
-    config.write_text(f"{SV08_CONFIG}[adxl345]\n")
-    home = str(part.parent)
-    assert run("setup", config, "-o", home, HOME=home, XDG_CONFIG_HOME=home).returncode == 0
-    profile = part.with_name("printer.toml")
-    told = settings(part.parents[1], *COMMAND[:-1], str(profile), recordings=str(part.parent))
-    assert begun("reuse", told).wait() == 1
-    assert "no raw_data_….csv in" in reports[-1]["text"]
-    assert not offer(told, profile)
-    recording = part.with_name(RECORDED.stem)
-    recording.write_bytes(lzma.decompress(RECORDED.read_bytes()))
-    (folder / "input_shaper").mkdir(parents=True)
-    old = folder / "input_shaper/shaper_y.csv"  # of another year: it says nothing of today
-    old.write_text("#time,accel_x,accel_y,accel_z\n")
-    os.utime(old, (1e9, 1e9))
-    prepared(told)
-    assert "recordings by Klipper or Shake&Tune found: 1, " in reports[-1]["text"]
-    assert begun("reuse", told).wait() == 0, reports
-    assert any("y rings at " in report["text"] for report in reports)
-    assert not load(str(profile)).invented
-    assert not offer(told, profile)  # it has been used
 
 
 def recorded(told: Settings, job: str) -> None:

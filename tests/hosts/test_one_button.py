@@ -132,35 +132,3 @@ def calibrated(printer: Printer, machine: dict[str, Any], typed: str, until_said
     machine_becomes(printer, machine)
     printer.type(typed)
     until(lambda: said(printer, until_said))
-
-
-def converts_as_with_the_exact_model(printer: Printer) -> None:
-    printer.upload("part.gcode", PART)
-    assert (printer.gcodes / "part.gcode").read_bytes() == printer.converted(PART)
-    as_good_as_exact(printer)
-
-
-@pytest.mark.parametrize("printer", ["hbot"], indirect=True)
-def test_an_hbot_is_measured_at_three_places(printer: Printer) -> None:
-    machine = {**MACHINE, "kinematics": "hbot", "racking": 1.5e-8}
-    printer.upload("part.gcode", PART)
-    calibrated(printer, machine, "HFRAME_CALIBRATE", "the model is written into")
-    assert said(printer, f"{FOUND}, it racks")
-    converts_as_with_the_exact_model(printer)
-    # also after a drift and one check, which does not measure racking
-    machine_becomes(printer, {**machine, "x": DRIFTED["x"], "y": DRIFTED["y"]})
-    printer.type("HFRAME_CHECK")
-    until(lambda: said(printer, "y: the main resonance moved from"))
-    until(lambda: not printer.get("/server/hframe_post/status")["measuring"])
-    as_good_as_exact(printer)
-
-
-@pytest.mark.parametrize("printer", ["cartesian"], indirect=True)
-def test_where_the_bed_moves_one_sensor_is_moved_in_between(printer: Printer) -> None:
-    on_head, on_bed = ({**MACHINE, "kinematics": "cartesian", "sensor": axis} for axis in "xy")
-    printer.upload("part.gcode", PART)
-    move_it = "Move the sensor to the bed, then type HFRAME_CALIBRATE AXIS=Y"
-    calibrated(printer, on_head, "HFRAME_CALIBRATE", move_it)
-    calibrated(printer, on_bed, "HFRAME_CALIBRATE AXIS=Y", "the model is written into")
-    assert said(printer, FOUND)
-    converts_as_with_the_exact_model(printer)

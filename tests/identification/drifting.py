@@ -1,6 +1,6 @@
 """``python -m tests.identification.drifting``: printers that drift after `identify`, and `check`.
 
-Each drawn printer is swept and identified. Then its modes drift, each by itself: frequencies and
+Each drawn printer is measured and identified. Then its modes drift, each by itself: frequencies and
 contributions by up to a share, damping ratios by up to three times as much. Rows are RMS contour
 errors of the rectangle on the drifted printer, relative to that of the exact model of all that is
 linear: with no compensation, with the old profile, and after `check`.
@@ -9,22 +9,19 @@ linear: with no compensation, with the old profile, and after `check`.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from dataclasses import replace
+from datetime import date
 from functools import cache
 
 import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.errors import HframeError
-from hframe_post.identification.checking.drift import drifts
-from hframe_post.identification.checking.report import Drift
-from hframe_post.identification.checking.run import runs
-from hframe_post.identification.recordings.accelerometer import oriented
-from hframe_post.identification.responses.measured import Run
+from hframe_post.identification.check import CheckReport, Drift, drifts, runs
 from hframe_post.model.plant import Plant
+from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from tests.random_printers import drawn, identified, judged, places, printer, swept
+from tests.random_printers import drawn, identified, judged, printer, recorded, struck
 from tests.simulator import Axis, Chip, Machine, Mode
 
 STEP = 0.0206  # mm of belt
@@ -48,33 +45,23 @@ def drifted(machine: Machine, share: float, seed: int) -> Machine:
     return replace(machine, x=axis(machine.x), y=axis(machine.y), racking_mode=racking)
 
 
-def checked(
-    machine: Machine, chip: Chip, profile: Printer, seed: int, axes: Sequence[int] = (0, 1)
-) -> dict[str, Drift]:
+def checked(machine: Machine, chip: Chip, profile: Printer, seed: int) -> dict[str, Drift]:
     """Return what `check` finds on the machine."""
-    recorded = [
-        Run(run.name, run.command,
-            oriented(chip.record(machine, run.command, 100 * seed + k, STEP), quiet=0.4))
-        for k, run in enumerate(runs(profile, axes))
-    ]  # fmt: skip
-    return drifts(profile.plant, recorded)
+    return drifts(profile.plant, recorded(machine, chip, runs(profile), seed, STEP))
 
 
 def moved(plant: Plant, found: dict[str, Drift]) -> Plant:
     """Return the plant with what certainly drifted."""
-    Gxx, Gyy = (
-        found[name].G if name in found and found[name].certain else G
-        for name, G in (("Gxx", plant.Gxx), ("Gyy", plant.Gyy))
-    )
-    return replace(plant, Gxx=Gxx, Gyy=Gyy)
+    report = CheckReport(load("paper"), found, date(2026, 7, 1))
+    return replace(plant, **report.moved)  # type: ignore[arg-type]
 
 
 @cache
-def swept_plant(seed: int) -> Plant | None:
+def measured_plant(seed: int) -> Plant | None:
     """Return the plant that `identify` finds of a drawn printer; None if it refuses."""
     machine, chip, _ = drawn(seed)
     try:
-        found = identified(machine, swept(machine, chip, *places(machine), seed, step=STEP))
+        found = identified(machine, struck(machine, chip, seed, step=STEP))
     except HframeError:
         return None
     return None if found.refusal else found.plant(machine.x_c)
@@ -83,7 +70,7 @@ def swept_plant(seed: int) -> Plant | None:
 def row(seed: int, share: float) -> Array | str | None:
     """Return µm: none, old, checked, exact; or the refusal of `check`; None if identify refused."""
     machine, chip, _ = drawn(seed)
-    now, old = drifted(machine, share, seed), swept_plant(seed)
+    now, old = drifted(machine, share, seed), measured_plant(seed)
     if old is None:
         return None
     profile = replace(printer(machine), plant=old)

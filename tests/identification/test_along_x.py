@@ -8,20 +8,18 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Complex
-from hframe_post.identification.diagnosis.scatter import (
-    ModeShift,
-    find_mode_shift,
-    with_noise,
-)
-from hframe_post.identification.estimation.along_x import (
-    at_common_frequencies,
-    factor,
-    fit_places,
-    racking_along_x,
-)
 from hframe_post.identification.estimation.axes import fit_known_start
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identify import MeasurementSettings, identify
+from hframe_post.identification.places import (
+    ModeShift,
+    at_common_frequencies,
+    factor,
+    find_mode_shift,
+    fit_places,
+    racking_along_x,
+    with_noise,
+)
 from hframe_post.identification.report import IdentificationReport
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
@@ -32,10 +30,9 @@ from hframe_post.model.impulse_response import (
     Elsewhere,
     ImpulseResponse,
 )
-from tests.identification.test_identify_strokes import recorded
 from tests.modes import deviation_of_mode
 from tests.quantities import below, near
-from tests.random_printers import drawn, judged, printer
+from tests.random_printers import drawn, judged, printer, struck
 from tests.simulator import Axis, Machine, Mode
 
 HZ = np.arange(3.0, 100.01, 0.25)
@@ -163,7 +160,7 @@ def test_a_printer_whose_modes_move_is_compensated_all_along_x() -> None:
     machine, chip, _ = drawn(seed)
     profile = printer(machine)
     found = identify(
-        recorded(machine, chip, seed, 60.0),
+        struck(machine, chip, seed),
         MeasurementSettings(BAND, racks=profile.kinematics.racks),
     )
     assert found.refusal is None

@@ -15,9 +15,7 @@ from scipy import signal
 from hframe_post.arrays import Array
 from hframe_post.cli.main import main
 from hframe_post.errors import IdentificationError, LimitError
-from hframe_post.identification.bands.find import Band, bands, to_avoid
-from hframe_post.identification.bands.run import runs
-from hframe_post.identification.bands.shaking import shaking
+from hframe_post.identification.bands import Band, bands, runs, shaking, to_avoid
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.profile import load, parse
 

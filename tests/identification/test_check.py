@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from hframe_post.arrays import TS, X
+from hframe_post.arrays import TS
 from hframe_post.cli.main import main
 from hframe_post.errors import IdentificationError, PrinterError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import text_from_klipper
-from hframe_post.identification.checking.run import runs
+from hframe_post.identification.check import runs
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.model_file import model_path
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.identification.drifting import STEP, checked, drifted, moved
 from tests.profiles import with_plant, with_verification
-from tests.random_printers import drawn, judged, printer
+from tests.random_printers import BEGUN, drawn, judged, printer
 from tests.recordings import write_klipper
 from tests.simulator import Axis, Chip, Machine, Mode
 
@@ -33,6 +33,7 @@ MACHINE = Machine(
     Axis((Mode(41.0, 0.08),), delay=0.0013),
     kinematics="corexy",
 )
+NAME = "check-at-150"
 CHIP = Chip(gains=(1.03, 0.97, 1.0), rate_error=0.01)
 PROFILE = replace(printer(MACHINE), plant=MACHINE.exact())
 MEASURED = date(2026, 6, 1)
@@ -62,28 +63,30 @@ def off(found: ImpulseResponse, true: ImpulseResponse) -> float:
     return float(np.linalg.norm(G - H) / np.linalg.norm(H - 1.0 / hz**2))
 
 
-@pytest.mark.parametrize("noise", [1.0, 20.0])
-@pytest.mark.parametrize("percent", [-5.0, -1.0, 1.0, 3.0])
+@pytest.mark.parametrize(("percent", "noise"), [(-5.0, 4.0), (1.0, 20.0)])
 def test_a_frequency_is_found_to_a_tenth_of_a_percent(percent: float, noise: float) -> None:
     now = changed(MACHINE, hz=32.0 * (1.0 + percent / 100.0))
     found = checked(now, replace(CHIP, noise=noise), PROFILE, 3)
     hz, height = peak(now.exact().Gxx)
     assert found["Gxx"].certain
-    assert found["Gxx"].peak.hz[1] == pytest.approx(hz, rel=1e-3)
-    assert found["Gxx"].peak.height[1] == pytest.approx(height, rel=0.03)
-    assert off(found["Gxx"].G, now.exact().Gxx) < 0.06
-    assert found["Gyy"].peak.hz[1] == pytest.approx(peak(MACHINE.exact().Gyy)[0], rel=1e-3)
+    assert found["Gxx"].hz[1] == pytest.approx(hz, rel=2e-3)
+    assert found["Gxx"].height[1] == pytest.approx(height, rel=0.03)
+    assert off(found["Gxx"].G, now.exact().Gxx) < 0.02
+    assert not found["Gyy"].certain
+    assert found["Gyy"].hz[1] == pytest.approx(peak(MACHINE.exact().Gyy)[0], rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [{"damping": 0.06}, {"share": 0.6}])
 def test_damping_and_contribution_are_found(change: dict[str, float]) -> None:
     now = changed(MACHINE, **change)
-    found = checked(now, CHIP, PROFILE, 4, axes=[X])["Gxx"]
+    found = checked(now, CHIP, PROFILE, 4)["Gxx"]
     assert found.certain
-    assert found.peak.height[1] == pytest.approx(peak(now.exact().Gxx)[1], rel=0.03)
-    assert off(found.G, now.exact().Gxx) < 0.06
+    assert found.height[1] == pytest.approx(peak(now.exact().Gxx)[1], rel=0.03)
+    assert off(found.G, now.exact().Gxx) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [8, 10, 16])
 def test_a_drifted_printer_is_compensated_as_by_the_exact_model(seed: int) -> None:
     machine, chip, _ = drawn(seed)
@@ -98,42 +101,27 @@ def test_a_drifted_printer_is_compensated_as_by_the_exact_model(seed: int) -> No
     assert new < 1.15 * exact
 
 
-def test_belts_that_stiffen_do_not_pass_as_drift() -> None:
-    """On the long sine the resonance is higher than in a print, where it moves less."""
-    machine = replace(MACHINE, x=replace(MACHINE.x, third=0.05))
-    found = checked(machine, CHIP, PROFILE, 6, axes=[X])["Gxx"]
-    assert found.peak.hz[1] > 1.005 * found.peak.hz[0]
-    assert not found.certain
-
-
-@pytest.mark.parametrize("other", [2, 6, 12])
+@pytest.mark.parametrize("other", [2, pytest.param(12, marks=pytest.mark.slow)])
 def test_another_printer_is_refused(other: int) -> None:
     machine, chip, _ = drawn(other)
     with pytest.raises(IdentificationError, match="dentify again"):
         checked(machine, chip, PROFILE, other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "invented",
-    [
-        (Mode(108.0, 0.03, 0.15),),
-        pytest.param((Mode(92.0, 0.006, 0.12), Mode(115.0, 0.01, -0.1)), marks=pytest.mark.slow),
-        (Mode(52.0, 0.15, 0.2),),
-    ],
-    ids=["above", "two at the bound of damping", "between"],
+    [(Mode(108.0, 0.03, 0.15),), (Mode(92.0, 0.006, 0.12), Mode(115.0, 0.01, -0.1))],
+    ids=["above", "two at the bound of damping"],
 )
-@pytest.mark.parametrize("fault", [{}, pytest.param({"friction": 200.0}, marks=pytest.mark.slow)])
-def test_the_printer_itself_is_never_refused(
-    invented: tuple[Mode, ...], fault: dict[str, float]
-) -> None:
+def test_the_printer_itself_is_never_refused(invented: tuple[Mode, ...]) -> None:
     """Not even where a fit of real recordings made modes up that the printer does not have."""
     share = 1.0 - sum(mode.share for mode in invented)
     true = tuple(replace(mode, share=share * mode.share) for mode in MACHINE.x.modes)
     model = replace(MACHINE, x=replace(MACHINE.x, modes=(*true, *invented)))
-    profile = replace(PROFILE, plant=model.exact())
-    machine = replace(MACHINE, x=replace(MACHINE.x, **fault))  # type: ignore[arg-type]
-    found = checked(machine, CHIP, profile, 9, axes=[X])["Gxx"]
-    assert found.peak.hz[1] == pytest.approx(32.0, rel=0.1)  # Hz; it makes up for the invented ones
+    machine = replace(MACHINE, x=replace(MACHINE.x, friction=200.0))
+    found = checked(machine, CHIP, replace(PROFILE, plant=model.exact()), 9)["Gxx"]
+    assert found.hz[1] == pytest.approx(32.0, rel=0.05)
 
 
 def test_uncertainty_grows_with_age() -> None:
@@ -143,9 +131,9 @@ def test_uncertainty_grows_with_age() -> None:
     assert replace(profile, uncertainty=0.05).uncertainty_on(MEASURED + timedelta(1)) == 0.05
 
 
-def test_the_run_takes_less_than_20_seconds(paper: Printer) -> None:
-    both = runs(replace(paper, plant=PROFILE.plant), [0, 1])
-    assert sum(run.seconds + 2.0 for run in both) < 20.0
+def test_the_run_takes_20_seconds(paper: Printer) -> None:
+    (run,) = runs(paper)
+    assert 20.0 <= run.seconds < 26.0
 
 
 # ---------------------------------------------------------------------- the command line
@@ -170,15 +158,15 @@ def invoked(*arguments: str | Path) -> Result:
     return CliRunner().invoke(main, ["check", *map(str, arguments)])
 
 
-def record(folder: Path, machine: Machine, axes: str = "xy", day: str = "2026-07-01") -> None:
+def record(folder: Path, machine: Machine, day: str = "2026-07-01") -> None:
     """Write what the sensor records of the run, upside down."""
-    for k, axis in enumerate(axes):
-        rows = np.loadtxt(folder / f"check.check-{axis}.csv", delimiter=",", skiprows=1)
-        made = CHIP.record(machine, rows[:, 1:], k, STEP)
-        turned = replace(made, a=made.a[:, [1, 0, 2]] * [1.0, 1.0, -1.0])
-        path = write_klipper(folder / f"adxl345-check-{axis}.csv", turned)
-        at = datetime.fromisoformat(f"{day}T12:00:00+00:00").timestamp()
-        os.utime(path, (at, at))
+    rows = np.loadtxt(folder / f"check.{NAME}.csv", delimiter=",", skiprows=1)
+    made = CHIP.record(machine, rows[:, 1:], 1, STEP)
+    turned = replace(made, a=made.a[:, [1, 0, 2]] * [1.0, 1.0, -1.0])
+    ended = round(1e6 * (BEGUN + rows[-1, 0]))
+    path = write_klipper(folder / f"adxl345-{NAME}-t{ended}.csv", turned)
+    at = datetime.fromisoformat(f"{day}T12:00:00+00:00").timestamp()
+    os.utime(path, (at, at))
 
 
 def test_the_command_to_type_next_is_printed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,27 +195,14 @@ def test_a_check_moves_the_profile_and_keeps_the_rest(folder: Path) -> None:
     profile = load(str(mine))
     assert (profile.measured, profile.uncertainty) == (date(2026, 7, 1), 0.02)
     assert profile.verified is not None
-    assert isinstance(profile.plant.Gxx, ImpulseResponse)
-    assert off(profile.plant.Gxx, changed(MACHINE, hz=33.0).exact().Gxx) < 0.06
-    true = MACHINE.exact().Gyy.deviation  # which did not drift
-    np.testing.assert_allclose(profile.plant.Gyy.deviation, true, atol=1e-4)
+    assert off(profile.plant.Gxx, changed(MACHINE, hz=33.0).exact().Gxx) < 0.02
+    assert off(profile.plant.Gyy, MACHINE.exact().Gyy) < 0.02
     assert mine.read_text() == 'model = "my.model.toml"\nextends = "example-corexy"\n'
     after = model_path(mine).read_text()
     assert "# My printer\n" in after
     done = invoked("-p", mine, folder, "-o", mine)
     assert "nothing drifted" in done.output
     assert model_path(mine).read_text() == after
-
-
-def test_one_axis_moves_alone(folder: Path) -> None:
-    record(folder, changed(MACHINE, hz=33.0), "x")
-    done = invoked("-p", folder / "my.toml", folder, "-o", folder / "my.toml")
-    assert "y was not recorded" in done.output
-    profile = load(str(folder / "my.toml"))
-    assert profile.measured == MEASURED
-    assert profile.uncertainty == pytest.approx(0.0592, abs=1e-4)  # of its age
-    assert isinstance(profile.plant.Gxx, ImpulseResponse)
-    assert peak(profile.plant.Gxx)[0] > 32.8
 
 
 @pytest.mark.parametrize(
@@ -237,7 +212,7 @@ def test_one_axis_moves_alone(folder: Path) -> None:
         ("cut off", "was cut off"),
         ("none", "without their recordings"),
         ("stale", "older than the model"),
-        ("exchanged", "does not follow the command"),
+        ("another motion", "does not follow the command"),
     ],
 )
 def test_a_recording_that_tells_nothing_of_the_printer_is_refused(
@@ -245,17 +220,16 @@ def test_a_recording_that_tells_nothing_of_the_printer_is_refused(
 ) -> None:
     mine = folder / "my.toml"
     before = mine.read_bytes()
-    x, y = folder / "adxl345-check-x.csv", folder / "adxl345-check-y.csv"
     if case != "none":
         record(folder, drawn(2)[0] if case == "another printer" else MACHINE,
                day="2026-05-01" if case == "stale" else "2026-07-01")  # fmt: skip
-    if case == "cut off":
-        y.unlink()
-        x.write_text("".join(x.read_text().splitlines(keepends=True)[:12_000]))
-    if case == "exchanged":
-        x.rename(folder / "kept")
-        y.rename(x)
-        (folder / "kept").rename(y)
+        (recording,) = folder.glob("adxl345-*.csv")
+        head, *rows = recording.read_text().splitlines(keepends=True)
+        if case == "cut off":
+            recording.write_text("".join([head, *rows[:12_000]]))
+        if case == "another motion":
+            t, a = zip(*(row.split(",", 1) for row in rows), strict=True)
+            recording.write_text("".join([head, *map(",".join, zip(t, a[::-1], strict=True))]))
     done = invoked("-p", mine, folder, "-o", mine)
     assert done.exit_code == 1
     assert message in done.output, done.output
@@ -325,9 +299,9 @@ def test_each_axis_is_recorded_by_the_sensor_of_printer_cfg(tmp_path: Path) -> N
     assert calls == {
         "check.gcode": [
             "ACCELEROMETER_MEASURE CHIP=hotend",
-            "ACCELEROMETER_MEASURE CHIP=hotend NAME=check-x",
+            "ACCELEROMETER_MEASURE CHIP=hotend NAME=check-x-at-110",
             "ACCELEROMETER_MEASURE CHIP=bed",
-            "ACCELEROMETER_MEASURE CHIP=bed NAME=check-y",
+            "ACCELEROMETER_MEASURE CHIP=bed NAME=check-y-at-110",
         ]
     }
     assert "move the sensor" not in said
@@ -337,8 +311,6 @@ def test_each_axis_is_recorded_by_the_sensor_of_printer_cfg(tmp_path: Path) -> N
     ("sensors", "more", "chip"),
     [
         ("", (), "adxl345"),
-        ("[adxl345]", (), "adxl345"),
-        ("[lis2dw head]", (), "head"),
         ("[resonance_tester]\naccel_chip: mpu9250 both\n", (), "both"),
         (TWO_SENSORS, ("--chip", "bed"), "bed"),
     ],
@@ -348,15 +320,15 @@ def test_one_sensor_is_moved_to_the_bed_between_two_jobs(
 ) -> None:
     calls, said = with_moving_bed(tmp_path, sensors, *more)
     assert calls == {
-        f"check.check-{axis}.gcode": [
+        f"check-{axis}.gcode": [
             f"ACCELEROMETER_MEASURE CHIP={chip}",
-            f"ACCELEROMETER_MEASURE CHIP={chip} NAME=check-{axis}",
+            f"ACCELEROMETER_MEASURE CHIP={chip} NAME=check-{axis}-at-110",
         ]
         for axis in "xy"
     }
-    assert "move the sensor to the bed, print check.check-y.gcode" in said
+    assert "move the sensor to the bed, print check-y.gcode" in said
     assert {path.name for path in tmp_path.glob("*.csv")} == {
-        "check.check-x.csv", "check.check-y.csv"
+        "check.check-x-at-110.csv", "check.check-y-at-110.csv"
     }  # fmt: skip
 
 

@@ -10,33 +10,31 @@ import pytest
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.diagnosis.coupling import (
+from hframe_post.identification.coupling import (
+    Crossed,
+    DirectedRun,
+    FullResponse,
     MeasuredCoupling,
+    crossed,
     find_coupling,
+    full_response,
+    in_print,
 )
 from hframe_post.identification.estimation import known_start
-from hframe_post.identification.estimation.estimated import Estimated
-from hframe_post.identification.estimation.shared import in_print
-from hframe_post.identification.recordings.alignment import acceleration
-from hframe_post.identification.recordings.excitation import trajectory
-from hframe_post.identification.responses.crossed import Crossed, crossed
+from hframe_post.identification.estimation.regression import Estimated
+from hframe_post.identification.recordings.clock import acceleration
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     advanced,
     estimate,
 )
-from hframe_post.identification.responses.full_response import (
-    DirectedRun,
-    FullResponse,
-    full_response,
-)
 from hframe_post.identification.responses.measured import RunGroup, RunResponse
-from hframe_post.printer.settings import Sweep
+from tests.recordings import sweep
 
 BAND = (4.0, 100.0)
 HZ = np.arange(BAND[0], BAND[1], 0.125)
 AVERAGES = 12.0
-COMMAND = acceleration(np.pad(trajectory(Sweep(rate_hz_per_s=10.0), 300.0, 80.0), 1000))
+COMMAND = acceleration(sweep(rate=10.0, marks=False))
 MIDDLE, X_C = (140.0, 150.0), 120.0  # mm
 Pair = tuple[FrequencyResponse, FrequencyResponse]
 

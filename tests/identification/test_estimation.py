@@ -9,9 +9,16 @@ from scipy import linalg
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation import regression
-from hframe_post.identification.estimation.kernel import Decay, Mode, ringing
 from hframe_post.identification.estimation.known_start import estimated
-from hframe_post.identification.estimation.regression import AMPLITUDE, Data, Prior, regress
+from hframe_post.identification.estimation.regression import (
+    AMPLITUDE,
+    Data,
+    Decay,
+    Mode,
+    Prior,
+    regress,
+    ringing,
+)
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from tests.modes import axis_mode
 from tests.quantities import below

@@ -16,8 +16,8 @@ import zstandard
 
 from hframe_post.arrays import TS
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.excitation import command_csv
 from hframe_post.identification.recordings.folder import Contents, Measurement, contents
+from hframe_post.identification.recordings.formats import command_csv
 from hframe_post.identification.recordings.names import RecordingName, parsed
 
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)

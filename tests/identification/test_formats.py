@@ -16,9 +16,13 @@ import zstandard
 from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import GRAVITY, read
-from hframe_post.identification.recordings.excitation import command_csv, read_command
-from hframe_post.identification.recordings.formats import read_tables
-from hframe_post.identification.recordings.packed import MAX_SIZE, unpacked
+from hframe_post.identification.recordings.formats import (
+    MAX_SIZE,
+    command_csv,
+    read_command,
+    read_tables,
+    unpacked,
+)
 
 HEAD = b"#time,accel_x,accel_y,accel_z\n"
 

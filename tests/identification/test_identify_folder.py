@@ -11,19 +11,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 
+from hframe_post.cli.main import main
 from hframe_post.errors import IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import text_from_klipper
-from hframe_post.identification.gather import along_printer, from_folders
-from hframe_post.identification.recordings.accelerometer import Recording, oriented, read
-from hframe_post.identification.recordings.excitation import read_command
-from hframe_post.identification.recordings.orientation import QUIET
+from hframe_post.identification.gather import from_folders
 from hframe_post.identification.responses.measured import MeasurementSettings
 from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
-from tests.identification.bench import AXES, Recorded, check_refused, invoked
 from tests.profiles import with_plant
 from tests.recordings import SV08_CONFIG, write_klipper
 from tests.resonance_recordings import LIS2DW, drawn_sensor, klipper, linear_printer
@@ -37,6 +35,18 @@ def config(tmp_path: Path) -> Path:
     path = tmp_path / "printer.cfg"
     path.write_text(SV08_CONFIG)
     return path
+
+
+def invoked(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["identify", *map(str, arguments)])
+
+
+def check_refused(folder: Path, message: str, *arguments: str | Path, status: int = 1) -> None:
+    mine = folder / "refused.toml"
+    done = invoked(*arguments, "-o", mine)
+    assert done.exit_code == status, done.output
+    assert re.search(message, done.output), done.output
+    assert not mine.exists()
 
 
 @pytest.mark.slow
@@ -103,35 +113,6 @@ def test_a_corexy_that_racks_is_an_hbot(paper: Printer, config: Path) -> None:
     assert parse(written, "mine").kinematics.type == "hbot"
     without = with_plant(str(config), replace(paper.plant, Gxtheta=None), windows, [], None, text)
     assert parse(without, "mine").kinematics.type == "corexy"
-
-
-def sweeps(taken: Recorded, folder: Path) -> Path:
-    """Return a folder with commands and mirrored recordings, as `sweep` and Klipper name them."""
-    folder.mkdir()
-    for played, path in (*taken.x, taken.y):
-        shutil.copy(played.command, folder)
-        run = played.command.stem.rpartition(".")[2]
-        rows = np.loadtxt(path, delimiter=",")
-        rows[:, 1] *= -1.0
-        write_klipper(folder / f"adxl345-{run}.csv", Recording(rows[:, 0], rows[:, 1:], True))
-    return folder
-
-
-@pytest.mark.slow
-def test_our_sweeps_need_neither_names_nor_axes(
-    taken: Recorded, paper: Printer, tmp_path: Path
-) -> None:
-    """Not even where the owner has mirrored an axis in printer.cfg."""
-    held = sweeps(taken, tmp_path / "held")
-    shutil.copy(REAL, held)
-    gathered = along_printer(from_folders([held], None, paper.travel))
-    ((label, reason),) = ((one.label, one.reason) for one in gathered.aside)
-    assert (label, reason) == (REAL.name, "our own sweep along the same axis tells more")
-    assert len(gathered.runs) == 4
-    runs = sorted(gathered.runs, key=lambda run: (run.axis, run.place))
-    for run, (played, path) in zip(runs, (*taken.x, taken.y), strict=True):
-        np.testing.assert_array_equal(run.command, read_command(played.command))
-        np.testing.assert_allclose(run.nozzle.a, oriented(read(path), AXES, QUIET).a, atol=1e-3)
 
 
 def test_what_axes_map_mirrored_is_undone(tmp_path: Path, config: Path) -> None:

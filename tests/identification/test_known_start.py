@@ -15,10 +15,10 @@ from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.gather import Gathered, from_folders, from_pair
 from hframe_post.identification.recordings.accelerometer import Recording
-from hframe_post.identification.recordings.clock_sync import Resampler
-from hframe_post.identification.recordings.excitation import command_csv
+from hframe_post.identification.recordings.clock import Resampler
+from hframe_post.identification.recordings.formats import command_csv
+from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.identification.recordings.strokes import runs
-from hframe_post.identification.recordings.sweep import SweepRun
 from hframe_post.printer.profile import load
 from tests.quantities import below
 from tests.recordings import write_klipper
@@ -45,7 +45,7 @@ class Folder:
     path: Path
 
     def add(
-        self, run: SweepRun, recording: Recording, ended: bool = True, chip: str = "adxl345"
+        self, run: PlannedRun, recording: Recording, ended: bool = True, chip: str = "adxl345"
     ) -> str:
         """Write a run's two files; return the recording's name."""
         with (self.path / f"m.{run.name}.csv").open("wb") as file:
@@ -60,7 +60,7 @@ class Folder:
 
 
 @cache
-def planned(seconds: float = 9.0, place: tuple[float, float] = (140.0, 147.5)) -> SweepRun:
+def planned(seconds: float = 9.0, place: tuple[float, float] = (140.0, 147.5)) -> PlannedRun:
     (run,) = runs(PRINTER, [place], seconds)
     return run
 
@@ -87,7 +87,7 @@ def renamed(path: Path) -> None:
     path.write_text(path.read_text().replace("#time,accel_x,accel_y,accel_z", "time,ax,ay,az", 1))
 
 
-def true_acceleration(run: SweepRun, machine: Machine = MACHINE) -> Array:
+def true_acceleration(run: PlannedRun, machine: Machine = MACHINE) -> Array:
     motion = machine.played(run.command, 1)
     t = np.arange(len(motion)) / RATE  # as Chip takes it
     a = np.column_stack([motion[:, 2:4], np.zeros(len(t))])

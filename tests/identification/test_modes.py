@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Complex
-from hframe_post.identification.estimation.kernel import Mode
-from hframe_post.identification.estimation.modes import Modes, described
+from hframe_post.identification.estimation.modes import described
+from hframe_post.identification.estimation.regression import Mode
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
-from hframe_post.model.impulse_response import ImpulseResponse
 from tests.identification.modal_tools import HZ, TWO, continuous
-from tests.quantities import below
 
 ROUGH = [Mode(2.0 * np.pi * TS * hz, 0.1) for hz in (33.0, 66.0)]
 DELAYS = (-1.6e-4, 5e-3)  # s
@@ -36,14 +34,6 @@ def test_companions_of_a_mode_are_left_out() -> None:
     start = [*ROUGH, Mode(1.03 * ROUGH[0].omega, 0.02)]
     found = described(seen(continuous(TWO.x, HZ)), start, DELAYS, (1.0, 0.03), speed=True)
     assert np.sort(found.hz) == pytest.approx([30.0, 70.0], rel=5e-3)
-
-
-def test_what_modes_add_to_a_response_is_their_transfer_function() -> None:
-    one = Modes(np.array([0.2, 0.4]), np.array([0.05, 0.3]), np.array([0.8, 0.2]),
-                np.array([0.1, -0.05]), 1.0, 0.0)  # fmt: skip
-    G = ImpulseResponse(one.deviation(1500), 0, lag=one.lag)
-    off = np.abs(G.response(2.0 * np.pi * TS * HZ) - one.response(HZ))
-    below(float(off.max()), 2e-3, "error of the response")  # what lies above 500 Hz is mirrored
 
 
 def test_no_mode_leaves_its_range() -> None:

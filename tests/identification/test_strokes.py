@@ -12,7 +12,7 @@ from scipy.signal import welch
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import LimitError, PrinterError
-from hframe_post.identification.recordings.excitation import read_command
+from hframe_post.identification.recordings.formats import read_command
 from hframe_post.identification.recordings.strokes import command, runs, within_limits
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.identification.recordings.timestamps import repaired
+from hframe_post.identification.recordings.accelerometer import repaired
 from tests.resonance_recordings import wandering
 
 SECONDS = 60.0

@@ -15,12 +15,14 @@ from hframe_post.identification.gather import from_folders
 from hframe_post.identification.identified import Identified
 from hframe_post.identification.identify import MeasurementSettings, Run, identify
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
-from hframe_post.identification.recordings.alignment import acceleration
+from hframe_post.identification.recordings.clock import acceleration, self_aligned
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
-from hframe_post.identification.recordings.self_alignment import self_aligned
-from hframe_post.identification.responses.direction import Direction, direction
 from hframe_post.identification.responses.frequency_response import estimate
-from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
+from hframe_post.identification.responses.uncalibrated import (
+    Direction,
+    direction,
+    uncalibrated_responses,
+)
 from hframe_post.printer.settings import Travel
 from tests.identification.test_coupling import Coupled
 from tests.recordings import write_klipper
@@ -55,7 +57,7 @@ def run(taken: Recorded, seed: int, machine: Machine = MACHINE) -> Run:
     sensor = drawn_sensor(seed, "adxl345")
     late = START - taken.recording.t[0] + 3e-3
     clock = late, sensor.drift + 2e-4
-    return Run("test", taken.test.command(), taken.recording, calibrated=False, rough_clock=clock)
+    return Run("test", taken.test.command(), taken.recording, rough_clock=clock)
 
 
 def taken(test: ResonanceTest, seed: int, mounting: int, machine: Machine = MACHINE) -> Recorded:
@@ -211,7 +213,7 @@ def coupled_run(printer: Coupled, direction: tuple[float, float], seed: int = 1)
     a += 10.0 * np.random.default_rng(seed).standard_normal(a.shape)
     t = np.asarray(np.arange(len(a)) * TS, dtype=np.float64)
     recording = Recording(t, np.asarray(a, dtype=np.float64), False)
-    return Run("test", test.command(), recording, calibrated=False, rough_clock=(1.0, 0.0))
+    return Run("test", test.command(), recording, rough_clock=(1.0, 0.0))
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,18 +11,14 @@ from click.testing import CliRunner, Result
 
 from hframe_post.cli.main import main
 from hframe_post.errors import HframeError
-from hframe_post.identification.recordings.accelerometer import oriented
-from hframe_post.identification.verification.drifted import drifted
-from hframe_post.identification.verification.motion import runs
-from hframe_post.identification.verification.verdict import Verdict, compare_runs
+from hframe_post.identification.verify import Verdict, compare_runs, runs
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.conftest import SAMPLES
 from tests.coupled_printers import CoupledMachine, SharedMode
-from tests.identification.drifting import STEP
 from tests.page.pages import data_of
 from tests.profiles import with_plant, with_verification
-from tests.random_printers import judged, printer, traced
+from tests.random_printers import BEGUN, printer, recorded, traced
 from tests.recordings import write_klipper
 from tests.simulator import Axis, Chip, Machine, Mode, Playing
 
@@ -39,9 +34,7 @@ CHIP = Chip(gains=(1.03, 0.97, 1.0))
 def verdict(machine: Playing, profile: Printer, chip: Chip = CHIP) -> tuple[Verdict, float]:
     """Return the verdict and the true reduction."""
     both = runs(profile)
-    recorded = [oriented(chip.record(machine, run.command, 5 + k), quiet=0.5)
-             for k, run in enumerate(both)]  # fmt: skip
-    found = compare_runs(profile, (both[0].command, recorded[0]), (both[1].command, recorded[1]))
+    found = compare_runs(profile, *recorded(machine, chip, both, 5))
     plain, compensated = (traced(machine, both[0].command, run.command) for run in both)
     return found, 1.0 - compensated / plain
 
@@ -156,21 +149,28 @@ def invoked(*arguments: str | Path) -> Result:
     return CliRunner().invoke(main, ["verify", *map(str, arguments)])
 
 
+def record(held: Path, machine: Machine) -> list[Path]:
+    """Write what Klipper records, by a sensor that is turned and mirrored."""
+    files = []
+    for k, name in enumerate(("plain", "compensated")):
+        rows = np.loadtxt(held / f"v.verify-{name}.csv", delimiter=",", skiprows=1)
+        made = CHIP.record(machine, rows[:, 1:], k)
+        ended = round(1e6 * (BEGUN + rows[-1, 0]))
+        path = held / f"adxl345-verify-{name}-t{ended}.csv"
+        files.append(write_klipper(path, replace(made, a=made.a[:, [1, 0, 2]] * [1.0, -1.0, 1.0])))
+    return files
+
+
 def test_a_good_profile_is_marked(tmp_path: Path) -> None:
-    mine, marked = tmp_path / "mine.toml", tmp_path / "marked.toml"
+    mine, marked, held = tmp_path / "mine.toml", tmp_path / "marked.toml", tmp_path / "held"
+    held.mkdir()
     windows = load("paper").compensation.windows
     mine.write_text(with_plant("paper", STRANGER.exact(), windows, []))
-    done = invoked("-p", mine, "--gcode", tmp_path / "v.gcode")
+    done = invoked("-p", mine, "--gcode", held / "v.gcode")
     assert done.exit_code == 0, done.output
-    assert (tmp_path / "v.gcode").read_text().count("NAME=verify-") == 2
-    arguments: list[str | Path] = []
-    for k, name in enumerate(("plain", "compensated")):
-        command = tmp_path / f"v.verify-{name}.csv"
-        rows = np.loadtxt(command, delimiter=",", skiprows=1)
-        recording = write_klipper(tmp_path / f"{k}.csv", CHIP.record(STRANGER, rows[:, 1:], k))
-        arguments += [f"--{name}", command, recording]
-    report = tmp_path / "report.html"
-    done = invoked("-p", mine, *arguments, "-o", marked, "--report", report)
+    assert f"  hframe-post verify -p {mine} {held}/*verify-plain*.csv " in done.output
+    files, report = record(held, STRANGER), tmp_path / "report.html"
+    done = invoked("-p", mine, held, "-o", marked, "--report", report)
     assert done.exit_code == 0, done.output
     assert data_of(report)["cards"][0]["kind"] == "best"
     plain, compensated = data_of(report)["sections"][0]["charts"][0]["lines"]
@@ -180,51 +180,14 @@ def test_a_good_profile_is_marked(tmp_path: Path) -> None:
     assert mark is not None
     assert 0.5 < mark.reduction <= 1.0
     assert mark.firmware == "klipper"
-    done = invoked("-p", "paper", *arguments, "-o", tmp_path / "wrong.toml", "--report", report)
+    done = invoked("-p", "paper", held, "-o", tmp_path / "wrong.toml", "--report", report)
     assert done.exit_code == 1
     assert data_of(report)["cards"][0]["kind"] == "bad"
     assert not (tmp_path / "wrong.toml").exists()
-
-
-@pytest.mark.slow
-def test_a_folder_needs_no_names_and_exchanged_files_are_noticed(tmp_path: Path) -> None:
-    """The sensor is turned, and one of its axes mirrored."""
-    mine, held = tmp_path / "mine.toml", tmp_path / "held"
-    held.mkdir()
-    windows = load("paper").compensation.windows
-    mine.write_text(with_plant("paper", STRANGER.exact(), windows, []))
-    written = invoked("-p", mine, "--gcode", held / "v.gcode")
-    assert written.exit_code == 0
-    typed = f"{held}/*verify-plain.csv {held}/*verify-compensated.csv"
-    assert f"  hframe-post verify -p {mine} {typed} -o {mine}\n" in written.output
-    commands = [held / f"v.verify-{name}.csv" for name in ("plain", "compensated")]
-    files = [held / f"adxl345-verify-{name}.csv" for name in ("plain", "compensated")]
-    for k, (command, path) in enumerate(zip(commands, files, strict=True)):
-        rows = np.loadtxt(command, delimiter=",", skiprows=1)
-        made = CHIP.record(STRANGER, rows[:, 1:], k)
-        write_klipper(path, replace(made, a=made.a[:, [1, 0, 2]] * [1.0, -1.0, 1.0]))
-    assert "VERDICT     good" in (done := invoked("-p", mine, held)).output
-    assert "exchanged" not in done.output
-    four = sorted(path for name in ("plain", "compensated") for path in held.glob(f"*{name}.csv"))
-    assert "VERDICT     good" in invoked("-p", mine, *four).output
-    both = invoked("-p", mine, "--plain", commands[1], files[1], "--compensated", commands[0],
-                   files[0])  # fmt: skip
-    assert "the plain and the compensated motion were exchanged" in both.output
-    assert "VERDICT     good" in both.output
-    files[0].rename(held / "kept.csv")
-    files[1].rename(files[0])
-    (held / "kept.csv").rename(files[1])
-    done = invoked("-p", mine, held, "-o", tmp_path / "marked.toml")
-    assert "the two recordings were exchanged" in done.output
-    assert "VERDICT     good" in done.output
-    assert load(str(tmp_path / "marked.toml")).verified is not None
-    shutil.copy(files[0], held / "another.csv")
-    assert "VERDICT     good" in invoked("-p", mine, held).output
-    (held / "another.csv").unlink()
     files[1].unlink()
     done = invoked("-p", mine, held)
     assert done.exit_code == 1
-    assert "2 commands of 'verify --gcode' and 1 recordings" in done.output
+    assert "not both recordings of 'hframe-post verify --gcode'" in done.output
 
 
 def test_a_print_is_a_test_motion(tmp_path: Path) -> None:
@@ -240,7 +203,7 @@ def test_a_print_is_a_test_motion(tmp_path: Path) -> None:
     assert len(plain) == len(compensated)
     for command in (plain, compensated):
         assert np.abs(np.diff(command, 2, axis=0)).max() * 1e6 < 25_000.0  # no jump at its ends
-    assert np.ptp(plain[:, 1]) == pytest.approx(19.6, abs=0.5)  # the cube's walls
+    assert np.ptp(plain[:, 1]) == pytest.approx(20.5, abs=1.5)  # the cube's walls, or its brim
     done = invoked("-p", mine, "--gcode", tmp_path / "w.gcode", "--motion", tmp_path / "v.gcode")
     assert done.exit_code == 1
     assert not (tmp_path / "w.gcode").exists()
@@ -274,52 +237,3 @@ def test_a_mark_holds_for_its_model_alone(tmp_path: Path) -> None:
 def test_usage(tmp_path: Path) -> None:
     assert invoked().exit_code == 2
     assert invoked("-p", "missing", "--gcode", tmp_path / "v.gcode").exit_code == 1
-
-
-# ---------------------------------------------------------------------- drift
-
-
-def corrected(machine: Machine, profile: Printer, seed: int) -> tuple[Printer, set[str]]:
-    """Return the profile with the modes found, and the transfer functions that drifted."""
-    both = [
-        (run.command, oriented(CHIP.record(machine, run.command, seed + k, STEP), quiet=0.5))
-        for k, run in enumerate(runs(profile))
-    ]
-    found = drifted(profile, *both)
-    plant = replace(profile.plant, **{name: one.G for name, one in found.items()})  # type: ignore[arg-type]
-    return replace(profile, plant=plant), set(found)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("fault", ["", "friction", "play", "third"])
-def test_a_verification_finds_what_drifted_and_nothing_more(fault: str) -> None:
-    """The second round finds nothing, and no round makes the rectangle worse."""
-    size = {"friction": 150.0, "play": 0.006, "third": 0.02}
-    axes = [
-        replace(axis, modes=tuple(replace(m, hz=factor * m.hz) for m in axis.modes))
-        for axis, factor in ((STIFF.x, 1.04), (STIFF.y, 0.96))
-    ]
-    if fault:
-        axes = [replace(axis, **{fault: size[fault]}) for axis in axes]  # type: ignore[arg-type]
-    now = replace(STIFF, x=axes[0], y=axes[1])
-    old = replace(printer(STIFF), plant=STIFF.exact())
-    once, first = corrected(now, old, 50)
-    twice, _ = corrected(now, once, 60)
-    errors = [judged(now, one).compensated for one in (old, once, twice)]
-    assert first
-    assert errors[1] < 0.95 * errors[0]
-    assert errors[2] < 1.03 * errors[1]
-
-
-def test_a_model_that_is_right_has_not_drifted() -> None:
-    right = replace(printer(STIFF), plant=STIFF.exact())
-    assert corrected(STIFF, right, 70)[1] == set()
-
-
-def test_a_motion_away_from_the_middle_tells_nothing() -> None:
-    """Modes may move along x, and the motion that shows racking is not in its middle."""
-    right = replace(printer(STRANGER), plant=STRANGER.exact())
-    off = replace(
-        STRANGER, x=replace(STRANGER.x, modes=(Mode(31.0, 0.05, 0.8), Mode(70.0, 0.05, 0.2)))
-    )
-    assert corrected(off, right, 80)[1] == set()

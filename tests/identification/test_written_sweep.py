@@ -11,10 +11,9 @@ import pytest
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import LimitError
 from hframe_post.identification.recordings.accelerometer import GRAVITY
-from hframe_post.identification.recordings.alignment import acceleration
-from hframe_post.identification.recordings.excitation import read_command
-from hframe_post.identification.recordings.self_alignment import self_aligned
-from hframe_post.identification.recordings.sweep import SweepRun
+from hframe_post.identification.recordings.clock import acceleration, self_aligned
+from hframe_post.identification.recordings.formats import read_command
+from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.identification.recordings.written_sweep import PAD, played
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -45,8 +44,8 @@ def ender(planner: str = "2.1", acceleration: float = 1500.0, jerk: bool = False
     )
 
 
-def at(axis: int, *place: float) -> SweepRun:
-    return SweepRun("run", axis, (place[0], place[1]), np.zeros((1, 2)))
+def at(axis: int, *place: float) -> PlannedRun:
+    return PlannedRun("run", axis, (place[0], place[1]), np.zeros((1, 2)))
 
 
 def motion(text: bytes, planner: str = "2.1", jerk: bool = False) -> Array:
@@ -122,7 +121,7 @@ def record(folder: Path, name: str, kind: str, seed: int) -> None:
     np.savetxt(recordings / f"{name}.csv", rows, "%.6f", ",", header="time,x,y,z", comments="")
 
 
-@pytest.mark.parametrize("drift", few([0.01, -0.018, 0.02], 1))
+@pytest.mark.parametrize("drift", few([0.01, -0.018], 1))
 def test_a_clock_that_is_far_off_is_found(drift: float) -> None:
     printer = ender(acceleration=3000.0)
     assert printer.steps is not None

@@ -170,13 +170,6 @@ def test_wherever_an_object_is_excluded_it_is_left_alone(name: str, lines: int) 
         np.testing.assert_allclose(place[:3], end[:3], atol=0.01)
 
 
-@pytest.mark.klipper
-def test_nothing_excluded_nothing_changed() -> None:
-    for name, text in SLICES.items():
-        sliced, ours = (head(with_commands(each))[0][-1] for each in (text, converted(name)))
-        np.testing.assert_allclose(ours, sliced, atol=0.01)
-
-
 def test_labels_cost_hardly_any_time() -> None:
     """The move after an object is not compensated; the print takes as long as without labels."""
     seconds = []
@@ -187,3 +180,16 @@ def test_labels_cost_hardly_any_time() -> None:
             pass
         seconds.append(conversion.times[1])
     assert seconds[0] == pytest.approx(seconds[1], rel=0.005)
+
+
+@pytest.mark.parametrize("then", ["G28", "G92 X0", "PAUSE"])
+def test_a_release_right_after_a_copied_move_restores_the_users_limits(then: str) -> None:
+    text = SLICES["Klipper's commands"].splitlines()
+    at = [k for k, line in enumerate(text) if line == "EXCLUDE_OBJECT_START NAME=B"][1] + 3
+    file = [line.encode() + b"\n" for line in [*text[:at], then]]
+    conversion = GcodeConversion(file, load("paper"), Options("racking"))
+    out = b"".join(o for o in conversion if isinstance(o, bytes)).decode().splitlines()
+    before = out[: max(k for k, line in enumerate(out) if line == then)]
+    assert [line for line in before if line.startswith("SET_VELOCITY_LIMIT")][-1].split()[2] == (
+        "ACCEL=10000"
+    )

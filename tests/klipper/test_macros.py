@@ -11,8 +11,6 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.identification.checking.run import runs as check_runs
-from hframe_post.identification.recordings.sweep import gcode
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import few
@@ -120,18 +118,6 @@ def sections(client: str, machine: Printer, folder: Path) -> str:
 
 def like(row: dict[str, Any], expected: dict[str, Any]) -> bool:
     return all(row[key] == expected[key] for key in expected)
-
-
-@pytest.mark.klipper
-def test_a_check_is_printed_from_the_console(machine: Printer, tmp_path: Path) -> None:
-    """The host has no accelerometer, and goes on after its unknown command."""
-    pieces = gcode(machine, check_runs(machine, [0]), ("adxl345",), 10.0)
-    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in pieces)
-    script = [("at once", "HFRAME_CHECK FILENAME=check.gcode"), ("stopped", "")]
-    config = sections("Klipper's own", machine, tmp_path)
-    _, done = typed(script, {"check.gcode": text}, config, tmp_path / "host")
-    assert done["state"] == "complete"
-    assert like(done, OWN)
 
 
 @pytest.mark.klipper

@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.options import Options
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Retraction
-from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import few
+from tests.gcode_tools import converted
 
 from .host import Playback, play
 
@@ -70,17 +68,14 @@ def both(lines: list[str], folder: Path) -> tuple[Playback, Playback]:
     """Return the file as sliced and as converted, both played."""
     paper = load("paper")
     limits = replace(paper.limits, z_velocity=20.0, z_acceleration=500.0)
-    conversion = GcodeConversion(
-        [line.encode() + b"\n" for line in lines], replace(paper, limits=limits), Options("racking")
-    )
-    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    text, _ = converted([line.encode() + b"\n" for line in lines], replace(paper, limits=limits))
     (folder / "sliced.gcode").write_text("\n".join(lines) + "\n")
-    (folder / "converted.gcode").write_bytes(text)
-    sliced, converted = (
+    (folder / "ours.gcode").write_bytes(text)
+    sliced, ours = (
         play(folder / f"{name}.gcode", workdir=folder / name, sections=SECTIONS)
-        for name in ("sliced", "converted")
+        for name in ("sliced", "ours")
     )
-    return sliced, converted
+    return sliced, ours
 
 
 def left_out(name: str) -> list[str]:
@@ -113,12 +108,12 @@ FILES = {
 @pytest.mark.klipper
 @pytest.mark.parametrize("name", few([*FILES], 3))
 def test_the_stream_ends_where_the_file_ends(name: str, tmp_path: Path) -> None:
-    sliced, converted = both(FILES[name], tmp_path)
-    at_end = [played.position(played.end + 1.0) for played in (sliced, converted)]
+    sliced, ours = both(FILES[name], tmp_path)
+    at_end = [played.position(played.end + 1.0) for played in (sliced, ours)]
     np.testing.assert_allclose(at_end[1], at_end[0], atol=0.01)
-    filament = [played.extruded(played.end + 1.0) for played in (sliced, converted)]
+    filament = [played.extruded(played.end + 1.0) for played in (sliced, ours)]
     np.testing.assert_allclose(filament[1], filament[0], atol=2e-3)
-    unknown = [w for w in converted.warnings if "Unknown" in w]
+    unknown = [w for w in ours.warnings if "Unknown" in w]
     assert not [w for w in unknown if w not in sliced.warnings and "INPUT_SHAPER" not in w]
 
 
@@ -127,8 +122,8 @@ def test_catching_up_on_a_left_out_object_is_not_done_with_the_streams_limits(
     tmp_path: Path,
 ) -> None:
     """The long move after it has the printer's own acceleration, not the stream's."""
-    _, converted = both(left_out("c"), tmp_path)
-    moves = converted.moves
+    _, ours = both(left_out("c"), tmp_path)
+    moves = ours.moves
     seconds = moves["accel_t"] + moves["cruise_t"] + moves["decel_t"]
     length = seconds * moves["cruise_v"]
     long = length > 20.0
@@ -146,8 +141,7 @@ def test_with_the_macros_in_its_configuration_a_paused_print_goes_on_as_it_was(
     klipper = replace(paper.firmware.klipper, begin_macro="_HFRAME_BEGIN", end_macro="_HFRAME_END")
     named = replace(paper, firmware=replace(paper.firmware, tables=(klipper,)))
     lines = [line.encode() + b"\n" for line in [*HEAD, *objects(1)]]
-    conversion = GcodeConversion(lines, named, Options("racking"))
-    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    text, _ = converted(lines, named)
     rows = text.splitlines(keepends=True)
     half = [k for k in range(len(rows)) if rows[k].startswith(b"G1 X")][len(rows) // 2]
     rows[half:half] = [b"PAUSE\n", b"G90\n", b"G1 X20 Y20 F18000\n", b"RESUME\n"]
@@ -205,8 +199,7 @@ def test_a_print_that_stops_anywhere_brakes_as_hard_as_the_motors_hold(tmp_path:
     be out of the way it would ask the motors for more than they have.
     """
     lines = [line.encode() + b"\n" for line in strokes(40)]
-    conversion = GcodeConversion(lines, load("paper"), Options("racking"))
-    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    text, _ = converted(lines, load("paper"))
     rows = text.splitlines(keepends=True)
     begun = next(k for k, row in enumerate(rows) if row.startswith(b"SET_VELOCITY_LIMIT VEL"))
     moves = [k for k in range(begun, len(rows)) if rows[k].startswith(b"G1 X")]
@@ -234,22 +227,21 @@ def test_firmware_retraction_is_written_as_klipper_makes_it(tmp_path: Path) -> N
     paper = load("paper")
     own = replace(paper, retraction=Retraction(1.6, 40.0, 25.0, 0.02))
     file = [line.encode() + b"\n" for line in lines]
-    conversion = GcodeConversion(file, own, Options("racking"))
-    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    text, _ = converted(file, own)
     assert text.count(b"G10\n") == 0
     (tmp_path / "sliced.gcode").write_bytes(b"".join(file))
-    (tmp_path / "converted.gcode").write_bytes(text)
+    (tmp_path / "ours.gcode").write_bytes(text)
     sections = (
         "[firmware_retraction]\nretract_length: 1.6\nretract_speed: 40\nunretract_speed: 25\n"
         "unretract_extra_length: 0.02\n"
     )
-    sliced, converted = (
+    sliced, ours = (
         play(tmp_path / f"{n}.gcode", workdir=tmp_path / n, sections=sections)
-        for n in ("sliced", "converted")
+        for n in ("sliced", "ours")
     )
-    ends = [played.extruded(played.end + 1.0)[0] for played in (sliced, converted)]
+    ends = [played.extruded(played.end + 1.0)[0] for played in (sliced, ours)]
     assert ends[1] == pytest.approx(ends[0], abs=2e-3)
-    assert converted.duration <= 1.03 * sliced.duration
+    assert ours.duration <= 1.03 * sliced.duration
 
 
 PARK = [b"G90\n", b"G1 X20 Y20 F18000\n"]
@@ -271,8 +263,7 @@ def labelled() -> list[bytes]:
             lines += ["G1 E.8 F2400", f"G1 X{u} Y{v} E.5 F6000"]
         lines += [f"EXCLUDE_OBJECT_END NAME={name}"]
     file = [line.encode() + b"\n" for line in [*HEAD, "G1 Z.3 F600", "G1 X120 Y120 F9000", *lines]]
-    conversion = GcodeConversion(file, load("paper"), Options("racking"))
-    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    text, _ = converted(file, load("paper"))
     return text.splitlines(keepends=True)
 
 

@@ -16,16 +16,11 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.conversion.report import Report
 from hframe_post.firmware.klipper.ramps import StreamLimits
-from hframe_post.gcode.state import LimitSource
-from hframe_post.model.nozzle import Response
-from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Extruder, Printer
-from hframe_post.studies.inputs import rectangle
 from hframe_post.writers.stream.print_time import DeferredLine
 from tests.conftest import SAMPLES
-from tests.coupled import coupled_plant
 from tests.quantities import below, near
 
 from .host import BEFORE_2024, Playback, play
@@ -163,32 +158,6 @@ def rms(x: Array) -> float:
     return float(np.sqrt(np.square(x).mean())) if len(x) else 0.0
 
 
-def nozzle_error(run: Played, path: Array, plant: Plant) -> float:
-    """Return the RMS contour error of the printer that plays this, mm."""
-    start, offset = first_offset(run)
-    t = np.arange(len(run.command)) * TS + offset
-    command = np.vstack([run.command[:start], run.playback.position(t[start:])[:, :2]])
-    nozzle = Response(plant, command[0]).run(command)
-    moving = np.flatnonzero(np.abs(np.diff(path, axis=0)).max(axis=1) > 0.0)
-    return float(np.sqrt(np.square(contour_error(path, nozzle, moving)).mean()))
-
-
-@pytest.mark.slow
-@pytest.mark.klipper
-def test_couplings_are_cancelled_through_klipper(tmp_path: Path) -> None:
-    paper = profile.load("paper")
-    coupled = replace(paper, plant=coupled_plant(2), invented=False)
-    decoupled = replace(coupled, plant=coupled.plant.decoupled())
-    lines, options = rectangle(coupled), Options("racking", limits="printer", clamp=True)
-    path = np.concatenate([c.xyze[:, :2] for c in SampleStream(lines, coupled, options).computed()])
-    errors = []
-    for printer in (decoupled, coupled):
-        run = lines_played(lines, tmp_path, options, printer)
-        check(run)
-        errors.append(nozzle_error(run, path, coupled.plant))
-    below(errors[1], 0.25 * errors[0], "RMS contour error with couplings cancelled, mm")
-
-
 @pytest.mark.klipper
 def test_cube_is_played_as_intended(tmp_path: Path) -> None:
     check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 8))
@@ -274,53 +243,10 @@ def test_every_sample_is_played_as_intended(tmp_path: Path) -> None:
     check(played("rectangle.gcode", tmp_path, options))
 
 
-@pytest.mark.slow
-@pytest.mark.klipper
-def test_fewer_lines_are_played_in_the_same_time(tmp_path: Path) -> None:
-    """The summary says how far they are off, and the host is off by no more."""
-    paper = profile.load("paper")
-    assert paper.firmware.klipper is not None
-    table = replace(paper.firmware.klipper, lines_per_second=60.0)
-    weak = replace(paper, firmware=replace(paper.firmware, tables=(table,)))
-    lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
-    lines = lines[: lines.index(b";LAYER:2\n")]
-    run = lines_played(lines, tmp_path, Options("racking", limits="printer"), weak)
-    start, offset = first_offset(run)
-    t = np.arange(start, len(run.command)) * TS + offset
-    off = run.playback.position(t)[:, :2] - run.command[start:]
-    assert run.report.busiest_second <= 60
-    off_by = rms(np.hypot(*off.T))
-    assert off_by > 0.005
-    below(off_by, 1.3 * run.report.approximation, "RMS distance to the command, mm")
-    assert f"at most {run.report.busiest_second} in a second" in run.report.as_text()
-
-
 @pytest.mark.klipper
 def test_spans_are_played_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spans, "SECONDS", 4.0)
     check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 6))
-
-
-@pytest.mark.klipper
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["cube.gcode", "prism.gcode"])
-@pytest.mark.parametrize("limits", ["file-all", "printer"])
-def test_whole_samples_are_played_as_intended(
-    tmp_path: Path, name: str, limits: LimitSource
-) -> None:
-    check(played(name, tmp_path, Options("racking", limits=limits)))
-
-
-@pytest.mark.klipper
-@pytest.mark.slow
-def test_prism_takes_about_as_long_as_klipper_takes_without_compensation(tmp_path: Path) -> None:
-    """With Cura's limits, settling included; and it is played as intended."""
-    run = played("prism.gcode", tmp_path, Options("racking"))
-    check(run)
-    limits = {"max_accel": 500.0, "square_corner_velocity": 5.0, "minimum_cruise_ratio": 0.0}
-    own = play(SAMPLES / "prism.gcode", limits=limits, workdir=tmp_path)
-    below(run.report.time.after, 1.05 * own.print_time, "print time, s")
-    near(run.report.time.before, own.print_time, 0.01 * own.print_time, "print time as sliced, s")
 
 
 @pytest.mark.klipper

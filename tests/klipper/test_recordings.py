@@ -10,13 +10,13 @@ import pytest
 
 from hframe_post.arrays import TS, Array
 from hframe_post.firmware.klipper.macros import macros
-from hframe_post.identification.bands import run as bands
-from hframe_post.identification.bands.shaking import shaking
+from hframe_post.identification import bands
+from hframe_post.identification.bands import shaking
 from hframe_post.identification.recordings import accelerometer
-from hframe_post.identification.recordings.known_start import KnownStart, known_start
+from hframe_post.identification.recordings.clock import KnownStart, known_start
 from hframe_post.identification.recordings.names import parsed
+from hframe_post.identification.recordings.runs import gcode
 from hframe_post.identification.recordings.strokes import runs
-from hframe_post.identification.recordings.sweep import gcode
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.stream.print_time import DeferredLine
@@ -113,16 +113,3 @@ def test_the_macro_tells_the_start_to_some_microseconds(tmp_path: Path) -> None:
     for part in np.array_split(np.arange(len(t)), 2):
         late = -(off[part] * velocity[part]).sum() / (velocity[part] ** 2).sum()
         below(abs(float(late)), 50e-6, "lateness, s")
-
-
-@pytest.mark.slow
-def test_without_the_macro_the_first_sample_tells_the_start(tmp_path: Path) -> None:
-    command, playback = played(tmp_path, SENSORS, 3.0)
-    assert set(playback.warnings) == {'Unknown command:"_HFRAME_RECORDED"'}
-    assert {path.name for path in tmp_path.glob("*.csv")} == {
-        "adxl345-measure-at-140.csv", "adxl345-bed-measure-at-140.csv"
-    }  # fmt: skip
-    true = begun(command, playback)
-    for rate, start in starts(tmp_path, command).items():
-        below(abs(start.at - true), 0.5 / rate + 1e-6, "error of the start, s")
-        below(start.sd, 0.3 / rate, "standard deviation of the start, s")

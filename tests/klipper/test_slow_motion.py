@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.printer import profile
 from hframe_post.writers.stream.print_time import DeferredLine
 
-from .host import Playback, play
+from .host import Playback
 
 PRINT = b"""G28
 G1 Z0.3 F600
@@ -72,28 +70,6 @@ def test_slow_motion_is_written_as_if_every_sample_of_it_had_been_computed(
     short, computed = both(strategy, monkeypatch)
     hp.testing.assert_same_motion(short, computed, tolerance=0.02, slack=0.01)
     assert short != computed
-
-
-@pytest.mark.klipper
-@pytest.mark.slow
-def test_slow_motion_is_played_as_if_every_sample_of_it_had_been_computed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    runs = list[Playback]()
-    for k, text in enumerate(both("racking", monkeypatch)):
-        file = tmp_path / f"{k}.gcode"
-        file.write_bytes(text)
-        runs.append(play(file, workdir=tmp_path / str(k)))
-    short, computed = runs
-    assert short.duration == pytest.approx(computed.duration, abs=0.02), "s"
-    now, then = (motion(run, computed.duration - 1.0)[:, :2] for run in runs)
-    early, late = -10, 10  # ms
-    off = np.full(len(now) + early - late, np.inf)
-    for shift in range(early, late + 1):
-        there = then[shift - early : len(then) + shift - late]
-        off = np.minimum(off, np.abs(now[-early : len(now) - late] - there).max(axis=1))
-    assert off.max() < 0.1, "mm: half a millisecond at 150 mm/s, and 0.02"
-    assert short.extruded([short.end]) == pytest.approx(4.77, abs=1e-4), "mm of filament"
 
 
 @pytest.mark.parametrize("feed", [1, 10, 100])

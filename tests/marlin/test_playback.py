@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,12 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hframe_post.arrays import TS, Array, E, Integers, Z
+from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
-from hframe_post.firmware.marlin.motion import MarlinMotion
 from hframe_post.firmware.marlin.planner import GENERATIONS
-from hframe_post.native.ramps import whole_feeds
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Extruder, Printer
@@ -208,21 +205,6 @@ def test_a_start_that_swings_by_a_few_steps_is_waited_for(marlin: Printer, plann
     below(off[:100].max(), 0.06, "distance in the first 0.1 s, mm")
 
 
-@pytest.mark.parametrize("swing", [2.0, 4.0, 5.0])
-def test_a_start_is_off_by_no_more_than_half_a_segment(marlin: Printer, swing: float) -> None:
-    """Steps by which the command swings first: Marlin needs 6, so it makes none of 2 and 6 of 4."""
-    step = marlin.steps.belt if marlin.steps else 0.0
-    n = np.arange(24)
-    lobe = swing * np.sin(np.pi * n / 24.0) ** 2
-    x = np.concatenate([np.zeros(60), lobe, -0.02 * np.arange(60.0) ** 2])
-    points = np.column_stack([100 + x * step, np.full(len(x), 100.0), np.zeros((len(x), 2))])
-    points[:, :Z] = step * np.rint(points[0, :Z] / step) + points[:, :Z] - points[0, :Z]
-    rules = MarlinMotion.from_printer(marlin)
-    ends, at = rules.segments(points, np.zeros(len(x), bool), last=True)
-    made = np.interp(np.arange(len(x)), np.append(0, ends), np.append(points[0, 0], at[:, 0]))
-    below(np.abs(made - points[:, 0]).max() / step, 3.5, "distance to the command, steps")
-
-
 def test_while_fixed_time_motion_fills_its_queue_z_moves_by_six_steps_up(marlin: Printer) -> None:
     """With the acceleration of z it dips by 21 steps, and snaps back as x sets out."""
     run = played(laps(1), with_own(marlin, planner="ft-motion"), planner="ft-motion").run
@@ -233,15 +215,6 @@ def test_while_fixed_time_motion_fills_its_queue_z_moves_by_six_steps_up(marlin:
     below(run.sets_out, 0.55, "time before x and y move, s")
 
 
-@pytest.mark.parametrize("hz", [3e4, 5e4])
-def test_smoothed_steps_keep_time_more_coarsely(marlin: Printer, hz: float) -> None:
-    """Whole ticks of a part of a step are coarse: unmodelled, it is 200 ms a minute and more."""
-    mine = with_own(marlin, adaptive_step_smoothing=hz)
-    first, late, off = played(laps(5), mine, smoothing_hz=hz).track()
-    below(abs(drift(first, late)), 20.0, "drift, ms a minute")
-    below(rms(off), 0.018, "RMS distance to the command, mm")
-
-
 @pytest.mark.parametrize("planner", ["2.1", "2.1-dev"])
 def test_classic_jerk_plays_the_same(marlin: Printer, planner: str) -> None:
     jerk = {"junction_deviation": 0.0, "jerk": (8.0, 8.0), "jerk_e": 5.0}
@@ -249,49 +222,6 @@ def test_classic_jerk_plays_the_same(marlin: Printer, planner: str) -> None:
     first, late, off = played(laps(), mine, classic_jerk=True, planner=planner).track()
     below(abs(drift(first, late)), 5.0, "drift, ms a minute")
     below(rms(off), 0.012, "RMS distance to the command, mm")
-
-
-def naive(command: Array) -> bytes:
-    """A line a millisecond as slicers round, F from these distances, the stream's own limits."""
-    at = np.round(command, 2)
-    at = at[np.append(True, np.any(np.diff(at, axis=0) != 0.0, axis=1))]
-    speed = np.hypot(*np.diff(at, axis=0).T) / TS * 60.0
-    lines = [
-        "M201 X100000 Y100000", "M203 X770 Y770", "M204 P100000 T100000", "M205 J0.3",
-        f"G92 X{at[0, 0]:.2f} Y{at[0, 1]:.2f}",
-    ]  # fmt: skip
-    rows = zip(at[1:].tolist(), speed.tolist(), strict=True)
-    lines += [f"G1 X{x:.2f} Y{y:.2f} F{v:.1f}" for (x, y), v in rows]
-    return "\n".join(lines).encode()
-
-
-@pytest.mark.slow
-def test_naive_millisecond_segments_lose_time(marlin: Printer) -> None:
-    """The simulation sees what the segments are chosen for."""
-    ours = played(layers_of_cube(1), marlin)
-    command = ours.command[:SKIRT]
-    machine = Machine(built(marlin))
-    run = max(machine.read(naive(command)), key=lambda r: r.duration)
-    moving = np.any(np.diff(np.round(command, 2), axis=0) != 0.0, axis=1).sum() * TS
-    assert machine.merged > len(command) / 2
-    assert ours.machine.merged == 0
-    assert abs(run.duration - moving) / moving * 60e3 > 200.0
-    first, late, _ = ours.track()
-    skirt = first < len(command)
-    below(abs(drift(first[skirt], late[skirt])), 10.0, "drift, ms a minute")
-
-
-def test_feed_rates_without_ramps_and_rounding_in_mind_would_drift(
-    marlin: Printer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def plainly(self: MarlinMotion, at: Array, T: Array, *rest: Any) -> tuple[Integers, Array]:
-        return whole_feeds(self._blocks(at).d / T, per_feed=rest[-1]), 0.0 * T
-
-    monkeypatch.setattr(MarlinMotion, "feeds", plainly)
-    monkeypatch.setattr(MarlinMotion, "durations", lambda self, at, v, *_: 0.0 * v)
-    monkeypatch.setattr("hframe_post.writers.stream.timing.CATCH_UP", 0.0)
-    first, late, _ = played(laps(), marlin).track()
-    assert abs(drift(first, late)) > 20.0
 
 
 @pytest.mark.parametrize("planner", GENERATIONS)
@@ -332,19 +262,6 @@ def test_cube_keeps_time_and_place_across_lifts_and_retractions(
     assert cube.machine.merged == 0
 
 
-def test_a_file_takes_as_long_as_sliced_as_the_board_takes(marlin: Printer) -> None:
-    """With its corners: junction deviation lets it pass a right angle at 17.7 mm/s, not at 5."""
-    table = marlin.firmware.marlin
-    assert table is not None
-    board, told = [], []
-    for count in (5, 15):
-        machine = Machine(built(marlin, junction_deviation=table.junction_deviation))
-        board.append(max(run.duration for run in machine.read(b"".join(laps(count)))))
-        told.append(converted(laps(count), marlin)[1].time.before)
-    of_ten = board[1] - board[0]
-    near(told[1] - told[0], of_ten, 0.008 * of_ten, "ten laps as sliced, s")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("planner", GENERATIONS)
 def test_a_slow_board_takes_as_long_for_a_layer_as_sliced_as_is_told(planner: str) -> None:
@@ -359,25 +276,6 @@ def test_a_slow_board_takes_as_long_for_a_layer_as_sliced_as_is_told(planner: st
         told.append(converted(lines, slinger, Options("none"))[1].time.before)
     layer = board[1] - board[0]
     near(told[1] - told[0], layer, 0.008 * layer, "a layer as sliced, s")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("planner", ["2.1", "2.1-dev", "ft-motion"])
-def test_four_minutes_of_cube(marlin: Printer, planner: str) -> None:
-    cube = played(layers_of_cube(9), with_own(marlin, planner=planner), planner=planner)
-    first, late, off = replace(cube, command=cube.command[:240_000]).track()
-    assert len(first) > 230
-    below(abs(drift(first, late)), 3.0, "drift, ms a minute")
-    below(rms(off), 0.016, "RMS distance to the command, mm")
-
-
-@pytest.mark.slow
-def test_prism_keeps_place(marlin: Printer) -> None:
-    lines = sample("prism.gcode")
-    prism = played(lines[: lines.index(b";LAYER:8\n")], marlin)
-    _, late, off = prism.track()
-    below(np.median(off), 0.015, "median distance to the command, mm")
-    below(np.median(np.abs(np.diff(late))), 5e-4, "median change of the lateness, s")
 
 
 def contour(block: Samples, printer: Printer, name: str) -> float:
@@ -406,22 +304,6 @@ def test_the_predicted_error_includes_whole_steps(marlin: Printer, lines: list[b
     exact, theirs = (contour(block, marlin, name) for name in both)
     wanted = np.hypot(exact, 1e3 * report.lines_error("racking"))
     near(theirs, float(wanted), 0.15 * float(wanted), "contour error, µm RMS")
-
-
-def test_nozzle_follows_with_marlins_command(
-    marlin: Printer, rectangle: Played, commands: Callable[[str], Samples]
-) -> None:
-    """The predicted contour error holds for the simulated firmware's command, too."""
-    block = commands("racking")
-    one = played(sample("rectangle.gcode"), marlin)
-    late, _ = one.lateness(len(block) // 2, 0.0, 0.4)
-    theirs = one.at(np.arange(len(block)) * TS + late)
-    both = replace(block, commands={**block.commands, "racking": theirs})
-    ideal, ours = (contour(b, marlin, "racking") for b in (block, both))
-    assert block.xyze[:, :Z].shape == theirs.shape
-    none = contour(commands("none"), marlin, "none")
-    below(ours, ideal + 6.0, "RMS contour error, µm")
-    below(ours, none / 8, "RMS contour error, µm")
 
 
 # ---------------------------------------------------------------------- the extruder

@@ -65,8 +65,8 @@ DONE = {
         "", r"v\.gcode v\.verify-compensated\.csv v\.verify-plain\.csv"
     ),
     "verify --gcode v.gcode": Done("", r"v\.gcode v\.verify-compensated\.csv v\.verify-plain\.csv"),
-    "verify {run}": Done("drift  "),
-    "check --gcode c.gcode": Done("", r"(c\.check-[xy]\.(csv|gcode) ?)+(c\.gcode)?"),
+    "verify {run}": Done("VERDICT"),
+    "check --gcode c.gcode": Done("", r"((c\.check-[-\w]+\.csv|c-[xy]\.gcode) ?)+(c\.gcode)?"),
     "check": Done("uncertainty  ±"),
     "check {run}": Done("uncertainty  ±"),
     "identify {recordings} -o mine.toml": Done(".", "mine.toml"),

@@ -63,18 +63,6 @@ def test_no_filament_is_moved_out_of_a_line(seed: int) -> None:
     assert not A[outside].any()
 
 
-def test_a_steady_line_has_all_of_it() -> None:
-    path = np.zeros((1200, 4))
-    path[300:901, X] = 0.1 * np.arange(601)
-    path[901:, X] = path[900, X]
-    path[:, E] = FLOW * path[:, X]
-    A = ours(path)
-    wanted = 0.05 * FLOW * 100.0
-    np.testing.assert_allclose(A[340:860], wanted, rtol=1e-6)
-    K = np.full(len(path), 0.05)
-    np.testing.assert_allclose(smoothed(path, K, 20)[340:860], wanted, rtol=1e-6)
-
-
 @pytest.mark.parametrize("samples", [4, 12, 19])
 def test_a_line_shorter_than_the_average_has_some_of_it(samples: int) -> None:
     path = np.zeros((samples + 81, 4))

@@ -10,13 +10,11 @@ import pytest
 from hframe_post.arrays import TS, Array, X
 from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import Elsewhere, ImpulseResponse
-from hframe_post.model.lpfbs import Window
 from hframe_post.model.nozzle import Response, nozzle
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator, strategy
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.profile import load
-from hframe_post.studies.simulation.uncertainty import perturbed
 from tests.modes import deviation_of_mode
 from tests.quantities import below
 
@@ -90,12 +88,6 @@ def test_between_places_a_mode_moves_and_does_not_become_two() -> None:
         below(off, 0.01, f"relative error of the response at x = {near:g} mm")
 
 
-def test_its_own_places_keep_their_responses() -> None:
-    G = moving()
-    for x, one in ((MIDDLE_X, mode(HZ)), *((e.x, e.G) for e in G.elsewhere)):
-        assert np.array_equal(G.at(x).deviation, one.deviation)
-
-
 def test_the_nozzle_follows_the_mix_of_both_neighbours() -> None:
     path = rectangle(30.0, 200.0)
     printer = replace(plant(), Gxtheta=None)
@@ -135,18 +127,6 @@ def test_places_may_ring_for_longer_or_shorter() -> None:
     below(left_over(printer, path, command), 5.0, "contour error of the rectangle, µm RMS")
 
 
-def test_errors_of_a_model_move_it_at_all_places() -> None:
-    printer = plant()
-    factors = np.tile([1.05, 1.0, 1.0], (3, 1))
-    moved = perturbed(printer, factors)
-    for x in (30.0, 140.0, 250.0):
-        one, other = printer.at(x).Gxx, moved.at(x).Gxx
-        assert isinstance(one, ImpulseResponse)
-        assert isinstance(other, ImpulseResponse)
-        wanted = one.stretched(1.0 / 1.05)
-        assert other.deviation == pytest.approx(wanted.deviation, abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("elsewhere", "cause"),
     [
@@ -161,8 +141,3 @@ def test_places_that_make_no_sense_are_refused(
 ) -> None:
     with pytest.raises(ArgumentError, match=cause):
         replace(mode(HZ), x=MIDDLE_X, elsewhere=elsewhere)
-
-
-def test_a_window_that_does_not_suit_an_end_is_refused() -> None:
-    with pytest.raises(ArgumentError, match=r"diverges|deficient"):
-        Compensator(replace(plant(), Gxx=moving(0.45)), (Window(5, 3, 3, 0.0), WINDOWS[1]))

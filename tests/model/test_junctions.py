@@ -63,14 +63,3 @@ def test_any_corner_is_klippers(angle: float, one: float, other: float) -> None:
     )
     found = junction((one, 0, 0, 0), (other * math.cos(turn), other * math.sin(turn), 0, 0))
     assert found == pytest.approx(math.sqrt(v2), rel=1e-6)
-
-
-def test_sudden_change_of_extrusion_is_limited() -> None:
-    assert junction((1.0, 0, 0, 0.05), (1.0, 0, 0, 0.0)) == pytest.approx(20.0)
-
-
-def test_slower_of_two_accelerations_counts() -> None:
-    delta = np.array([[50.0, 0, 0, 0], [0, 50.0, 0, 0]])
-    for a in ([1e5, 2.5e5], [2.5e5, 1e5]):
-        (v,) = junction_speeds(delta, np.full(2, 50.0), np.array(a), DEVIATION, EXTRUDER)
-        assert v == pytest.approx(SQUARE * math.sqrt(0.4))

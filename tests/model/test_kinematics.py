@@ -57,13 +57,6 @@ def test_max_speed_ratio_is_that_of_the_fastest_direction(kinematics: Kinematics
     )  # of whole angles
 
 
-@pytest.mark.parametrize("kinematics", ALL)
-def test_min_speed_ratio_is_that_of_the_slowest_direction(kinematics: Kinematics) -> None:
-    angle = np.linspace(0.0, 2.0 * np.pi, 721)
-    belts = np.abs(kinematics.belts(np.cos(angle), np.sin(angle))).max(axis=0)
-    assert kinematics.min_speed_ratio == pytest.approx((1.0 / belts).min(), rel=5e-3)
-
-
 def test_stream_of_a_cartesian_printer_may_be_faster_than_its_belts() -> None:
     profile = load("example-cartesian")
     stream = StreamLimits.from_limits(profile.limits, profile.motors, profile.kinematics)
@@ -85,27 +78,6 @@ def test_stream_in_x_and_y_does_not_depend_on_how_the_motors_are_connected(chang
         output = list(GcodeConversion(iter(lines), profile, Options("racking")))
         texts.append(output[1:])  # without the stamp
     assert texts[0] == texts[1]
-
-
-@pytest.mark.parametrize("name", ["example-corexy", "example-cartesian"])
-@pytest.mark.parametrize("strategy", ["racking", "none"])
-@pytest.mark.parametrize("part", ["rectangle", "cube"])
-def test_examples_convert_the_samples(name: str, strategy: str, part: str) -> None:
-    lines = (SAMPLES / f"{part}.gcode").read_bytes().splitlines(keepends=True)
-    if part == "cube":
-        lines = lines[: lines.index(b";LAYER:4\n")]
-    conversion = GcodeConversion(iter(lines), load(name), Options(strategy, ("none", strategy)))
-    for _ in conversion:
-        pass
-    report = conversion.report()
-    error = report.as_json()["contour_error_um"]
-    assert report.read.moves >= 4
-    limits, hardest = load(name).limits, max(report.peaks.axis_acceleration)
-    if strategy == "none":  # the command is the path: planned, but for the jump at a corner
-        assert hardest <= limits.acceleration + np.sqrt(2.0) * limits.square_corner_velocity / TS
-        assert set(error) == {"none"}
-    else:
-        assert error[strategy]["rms"] < error["none"]["rms"] / 8
 
 
 def test_corexz_plays_as_cartesian_but_its_z_steps_with_x() -> None:
@@ -134,15 +106,6 @@ def test_bed_slinger_is_compensated_in_x_and_y_each_by_its_own_resonance() -> No
     right, wrong = (float(np.sqrt(np.square(error).mean())) for error in errors)
     assert right < 0.001
     assert wrong > 10.0 * right
-
-
-def test_without_racking_both_compensations_are_one() -> None:
-    lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
-    texts = [
-        list(GcodeConversion(iter(lines), load("example-corexy"), Options(name)))[1:]
-        for name in ("racking", "fbs")
-    ]
-    assert texts[0] == texts[1]
 
 
 @pytest.mark.parametrize("kind", ["hbot", "corexy", "cartesian"])

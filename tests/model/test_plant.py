@@ -89,13 +89,6 @@ def test_roots_without_a_partner_are_refused(roots: list[complex]) -> None:
         TransferFunction(poles, np.full(4, 0.1 + 0j), 1.0)
 
 
-def test_equal_real_parts_do_not_hide_partners() -> None:
-    """Sorted by their real parts, which differ in the last digit, these seem to have none."""
-    poles = np.array([0.3 + 0.5j, 0.3 - 0.4j, 0.3 + 1e-17 + 0.4j, 0.3 - 1e-17 - 0.5j])
-    poles[2] = np.nextafter(0.3, 1.0) + 0.4j
-    assert TransferFunction(np.zeros(0, complex), poles, 1.0).state_space[0].shape == (4, 4)
-
-
 def test_odd_orders_and_lone_zeros_become_real_sections() -> None:
     G = TransferFunction(
         np.array([0.2 + 0.3j, 0.2 - 0.3j, -0.4]), np.array([0.9, 0.5, 0.3, 0.1, -0.2]), 2.0

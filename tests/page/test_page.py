@@ -54,47 +54,6 @@ def test_it_is_the_same_again(paper: Printer, tmp_path: Path) -> None:
     assert first == built(paper, sliced(), tmp_path / "2.html")
 
 
-def test_errors_are_ranges_where_the_model_is_uncertain(paper: Printer, tmp_path: Path) -> None:
-    exact, unsure = (
-        data_of(built(replace(paper, uncertainty=share), sliced(), tmp_path / "r.html"))
-        for share in (None, 0.04)
-    )
-    best, known = exact["strategies"][-1], unsure["strategies"][-1]
-    assert "range" not in best
-    low, high = known["range"]
-    assert low < known["rms"] < high
-    assert best["rms"] < known["rms"]  # µm: the median, and what the model leaves of itself
-    for parts in ("layers", "byFeature"):
-        assert len(unsure[parts]) == len(exact[parts])
-        for one, other in zip(exact[parts], unsure[parts], strict=True):
-            assert one["rms"][0] == other["rms"][0]  # µm without compensation
-            assert one["rms"][-1] < other["rms"][-1]
-
-
-def test_labels_of_the_summary_are_separated_from_their_text() -> None:
-    found = re.search(r"= /(.+)/\.exec\(note\)", (PAGES / "frame.js").read_text("utf-8"))
-    assert found is not None
-    summary = run(SAMPLES / "rectangle.gcode", "-n").stderr.decode().splitlines()
-    labels = {row[1] for line in summary if (row := re.match(found[1], line))}
-    assert labels >= {"profile", "print time", "not compensated", "result", "belts"}
-
-
-def test_the_command_writes_it_with_the_conversion(tmp_path: Path) -> None:
-    part = SAMPLES / "rectangle.gcode"
-    out, report = tmp_path / "out.gcode", tmp_path / "report.html"
-    assert run(part, "-o", out, "--report", report).returncode == 0
-    printed = data_of(report.read_bytes())
-    assert printed["name"] == "rectangle.gcode"
-    assert printed["chosen"] == "racking"
-    assert out.is_file()
-    assert run("-", "-o", out, "--report", report, stdin=part.read_bytes()).returncode == 2
-    part_of_evil = tmp_path / "bad.gcode"
-    part_of_evil.write_text("G28\nG1 X10 Y10\nG1 X9999\n")
-    failed = run(part_of_evil, "-o", tmp_path / "no.gcode", "--report", tmp_path / "no.html")
-    assert failed.returncode == 1
-    assert not (tmp_path / "no.html").exists()
-
-
 def test_a_simulation_writes_it_too(tmp_path: Path) -> None:
     part, report = SAMPLES / "rectangle.gcode", tmp_path / "report.html"
     assert run("simulate", part, "--plant", "paper", "--report", report).returncode == 0
@@ -175,57 +134,6 @@ def test_the_nozzle_beside_the_path_is_magnified_and_the_canvas_lets_the_page_sc
     browser.swipe_up(left + width / 2, upper + height / 2, 200.0)
     settled = "new Promise(done => setTimeout(() => done(scrollY), 300))"
     assert browser.value(settled) > top + 100
-    assert browser.complaints == []
-
-
-@pytest.mark.slow
-def test_modes_filters_and_keys_change_what_is_drawn(
-    browser: Browser, paper: Printer, tmp_path: Path
-) -> None:
-    path = tmp_path / "report.html"
-    lines = sliced().splitlines(keepends=True)
-    report = convert(lines, None, paper, page=path)
-    browser.screen(1280, 1500)
-    browser.open(path)
-    frame = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
-    browser.value("state.strategy = 0, show(1)")
-    pictures = set()
-    for mode in ("error", "width", "speed", "acceleration", "motor"):
-        browser.value(f"$('mode').value = '{mode}', $('mode').dispatchEvent(new Event('change'))")
-        browser.value(frame)
-        pictures.add(browser.value("canvas.toDataURL()"))
-    assert len(pictures) == 5
-    squares = browser.value("""(() => {
-        let squares = 0, length = 0;
-        for (let k = 1; k < path.x.length; k++) if (!isStart(k) && !isTravel(k)) {
-            const far = Math.hypot(...way(k)) / width(k, 0);  // of the nozzle
-            squares += far * (width(k, 0) - 1) ** 2; length += far;
-        }
-        return squares / length; })()""")
-    assert np.sqrt(squares) == pytest.approx(report.width["none"].rms, rel=0.3)
-    assert browser.value("Math.max(...path.x.keys().map(motorSpeed))") == pytest.approx(100, abs=2)
-
-    browser.value("canvas.focus()")
-    for key, found in (("ArrowUp", "state.layer === 2"), ("ArrowLeft", "state.until === 0.99")):
-        browser("Input.dispatchKeyEvent", type="keyDown", key=key)
-        assert browser.value(found)
-    browser.value("[...document.querySelectorAll('#filter input')].forEach(one => one.click())")
-    assert browser.value("state.hidden.size") >= 1
-    assert browser.value("nearest(...toScreen(120, 100, canvas.getBoundingClientRect()))") == -1
-    assert browser.complaints == []
-
-
-@pytest.mark.slow
-def test_nothing_of_a_hostile_file_is_run(browser: Browser, paper: Printer, tmp_path: Path) -> None:
-    path = tmp_path / "evil.html"
-    built(paper, sliced(EVIL), path, EVIL)
-    browser.screen(390, 844, dark=True)
-    browser.open(path)
-    browser.value("pick(first[1] + 2)")
-    assert browser.value("window.evil") is None
-    assert browser.value("document.querySelectorAll('img').length") == 0
-    assert EVIL in browser.value("document.getElementById('features').textContent")
-    assert browser.value("document.documentElement.scrollWidth") <= 390
     assert browser.complaints == []
 
 

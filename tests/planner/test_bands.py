@@ -61,10 +61,6 @@ def test_a_long_line_takes_the_nearest_speed() -> None:
     assert avoided(wall(points, 39.0)) == pytest.approx([39.0, BELOW])
 
 
-def test_a_short_line_is_never_faster() -> None:
-    assert avoided(wall([(0, 0), (0.1, 0.1)], 31.0)) == pytest.approx([BELOW / math.sqrt(2.0)])
-
-
 def test_only_outer_walls_change() -> None:
     assert (avoided(wall([(0, 0), (50, 50)], 31.0, "FILL")) == 31.0).all()
     block = wall([(0, 0), (50, 50)], 31.0)
@@ -86,11 +82,6 @@ def test_no_speed_rises_above_the_files_limits_nor_in_the_first_layer() -> None:
     assert avoided(replace(block, limits=asked)) == lower
     first = tuple(mark for mark in block.marks if mark.text != b";LAYER:1")
     assert avoided(replace(block, marks=first)) == lower
-
-
-def test_where_bands_leave_no_speed_near_the_files_it_stays() -> None:
-    wide = replace(PRINTER, speed=replace(PRINTER.speed, avoid=((10.0, 80.0),)))
-    assert avoided(wall([(0, 0), (50, 50)], 31.0), wide).tolist() == [31.0]
 
 
 def test_no_motor_stays_in_a_band_on_a_curve() -> None:

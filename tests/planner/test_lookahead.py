@@ -12,9 +12,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hframe_post.arrays import Array, E
+from hframe_post.arrays import Array
 from hframe_post.native.lookahead import greatest_speeds
-from hframe_post.planner.lookahead import BATCH, plan
+from hframe_post.planner.lookahead import plan
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     FileLimits,
@@ -84,27 +84,12 @@ def test_reachable_speed_takes_its_length(v0: float, length: float, a: float, j:
     assert distance(v0, v1, a, j) == pytest.approx(length, rel=1e-3)
 
 
-@given(speeds, lengths, st.floats(0.0, 1.0), accelerations, jerks)
-def test_reachable_speed_never_falls_with_length(
-    v0: float, length: float, more: float, a: float, j: float
-) -> None:
-    assert reached(v0, length * (1.0 + more), a, j) >= reached(v0, length, a, j) - 1e-9
-
-
 @given(speeds, lengths, accelerations)
 def test_reachable_speed_without_jerk_limit_is_torricellis(
     v0: float, length: float, a: float
 ) -> None:
     expected = math.sqrt(v0 * v0 + 2.0 * a * length)
     assert reached(v0, length, a, 1e16) == pytest.approx(expected, rel=1e-4)
-
-
-def test_reachable_speed_is_continuous_where_full_acceleration_begins() -> None:
-    a, j, v0 = 1e4, 5e7, 3.0
-    edge = (v0 + a * a / j / 2.0) * 2.0 * a / j
-    below, above = reached(v0, edge * (1 - 1e-9), a, j), reached(v0, edge * (1 + 1e-9), a, j)
-    assert below == pytest.approx(v0 + a * a / j, rel=1e-6)
-    assert above == pytest.approx(below, rel=1e-6)
 
 
 # ---------------------------------------------------------------------- junctions
@@ -124,19 +109,8 @@ def test_square_corner_is_passed_at_the_square_corner_velocity() -> None:
     assert corner_speed(SQUARE) == pytest.approx(5.0, rel=1e-12)
 
 
-def test_corner_of_45_degrees_is_passed_as_by_klipper() -> None:
-    r = math.sin(math.radians(67.5)) / (1.0 - math.sin(math.radians(67.5)))
-    expected = math.sqrt(r * (math.sqrt(2.0) - 1.0) * 25.0)
-    assert corner_speed(line((100, 0, 0, 0), (100, 100, 0, 0))) == pytest.approx(expected)
-
-
 def test_reversal_is_a_stop() -> None:
     assert corner_speed(line((100, 0, 0, 0), (-100, 0, 0, 0))) == 0.0
-
-
-def test_straight_on_is_no_limit() -> None:
-    planned = one(moves(line((50, 20, 0, 1), (50, 20, 0, 1), (25, 10, 0, 0.5))))
-    assert planned.ends.tolist() == [0, 3]
 
 
 def test_straight_on_at_another_feed_is_passed_at_the_lower_one() -> None:
@@ -149,12 +123,6 @@ def test_arc_of_a_corner_must_fit_short_moves() -> None:
     short = line((0.05, 0, 0, 0), (0, 0.05, 0, 0))
     quick = replace(LIMITS, square_corner_velocity=100.0)
     assert corner_speed(short, quick) == pytest.approx(math.sqrt(0.5 * 0.05 * 1e4))
-
-
-def test_arc_must_fit_the_shorter_of_the_two_moves() -> None:
-    quick = replace(LIMITS, square_corner_velocity=100.0)
-    for steps in (((0.05, 0, 0, 0), (0, 9, 0, 0)), ((9, 0, 0, 0), (0, 0.05, 0, 0))):
-        assert corner_speed(line(*steps), quick) == pytest.approx(math.sqrt(250.0))
 
 
 def test_sudden_change_of_extrusion_is_limited() -> None:
@@ -179,11 +147,6 @@ def test_steep_move_starts_and_ends_at_rest(first: bool) -> None:
     assert corner_speed(line(steep, flat) if first else line(flat, steep)) == 0.0
 
 
-def test_corner_that_allows_almost_nothing_is_a_stop() -> None:
-    assert corner_speed(SQUARE, corner=0.009) == 0.0
-    assert corner_speed(SQUARE, corner=0.011) == pytest.approx(0.011)
-
-
 # ---------------------------------------------------------------------- limits of moves
 
 
@@ -193,10 +156,6 @@ def limited(
     """Return cruise speed and acceleration of one move."""
     planned = one(moves(line(step), speed, acceleration))
     return float(planned.cruise[0]), float(planned.acceleration[0])
-
-
-def test_move_keeps_what_it_asks_below_the_printers_limits() -> None:
-    assert limited((50, 0, 0, 2), speed=80.0, acceleration=700.0) == (80.0, 700.0)
 
 
 def test_file_never_raises_the_printers_limits() -> None:
@@ -290,23 +249,6 @@ def test_limits_are_constant_along_a_run(seed: int, n: int) -> None:
             assert acceleration == pytest.approx(planned.acceleration[run])
 
 
-@settings(max_examples=50, deadline=None)
-@given(seeds, st.integers(1, 60))
-def test_plan_covers_all_moves_and_keeps_marks(seed: int, n: int) -> None:
-    whole = random_moves(seed, n, marked=0.5)
-    planned = one(whole)
-    np.testing.assert_array_equal(planned.line, whole.line)
-    np.testing.assert_array_equal(planned.points, whole.points)
-    assert planned.marks == whole.marks
-    steps = np.linalg.norm(np.diff(whole.points[:, :E], axis=0), axis=1)
-    np.testing.assert_allclose(np.diff(planned.s), steps, rtol=1e-9, atol=1e-12)
-
-
-def test_long_move_cruises_and_short_one_does_not_stop() -> None:
-    planned = one(moves(line((100, 0, 0, 0), (0, 0.2, 0, 0), (100, 0, 0, 0))))
-    assert planned.speed.tolist() == pytest.approx([0.0, 5.0, 5.0, 0.0])
-
-
 # ---------------------------------------------------------------------- other items
 
 
@@ -316,10 +258,6 @@ def test_pass_through_line_becomes_a_mark_at_its_place() -> None:
     (planned,) = items
     assert isinstance(planned, Plan)
     assert planned.marks == (Mark(1, b"A"), Mark(2, b"B"))
-
-
-def test_pass_through_line_at_rest_is_unchanged() -> None:
-    assert list(plan([carried(b"A")], LIMITS)) == [carried(b"A")]
 
 
 @pytest.mark.parametrize(
@@ -386,47 +324,11 @@ def slow_giant(n: int) -> Moves:
     return replace(gentle_spiral(n, 500.0, 0.05, 300.0), acceleration=np.full(n, 100.0))
 
 
-TINY = [pytest.param(size, marks=pytest.mark.slow) for size in (1, 7)]
-
-
-@pytest.mark.parametrize("size", [*TINY, 100, 10_000])
-def test_queue_that_must_grow_does_not_depend_on_cuts(size: int) -> None:
-    whole = slow_giant(20_000)
-    speed = whole.speed.copy()
-    speed[::1500] = 200.0
-    whole = replace(whole, speed=speed)
-    expected = plans([whole])
-    assert max(len(p.line) for p in expected) > BATCH
-    assert_continuous(expected, whole)
-    assert bits(plans(cut(whole, size))) == bits(expected)
-
-
-def test_longest_queue_does_not_depend_on_cuts() -> None:
-    whole = slow_giant(300)
-    whole = replace(whole, marks=tuple(Mark(k, b"%d" % k) for k in range(301)))
-    expected = plans([whole], batch=16, longest=64)
-    assert len(expected) > 1
-    assert_continuous(expected, whole)
-    for size in (1, 7, 32, 64, 100):
-        assert bits(plans(cut(whole, size), batch=16, longest=64)) == bits(expected), size
-
-
 def test_smooth_path_of_any_length_is_driven_without_a_stop() -> None:
     """A vase of 70 000 small moves with no corner: the queue is bounded, the motion is not."""
     planned = plans(cut(gentle_spiral(70_000), 10_000))
     inside = np.concatenate([p.speed for p in planned])[1:-1]
     assert (inside > 0.99 * 60.0).all()
-
-
-def test_smooth_path_after_a_reversal_is_driven_without_a_stop() -> None:
-    """The speed at the queue's end is final where a stop there and full speed give the same."""
-    vase = gentle_spiral(5000)
-    points = vase.points.copy()
-    points[0, :3] = points[2, :3]  # back along the first move
-    planned = plans([replace(vase, points=points)], batch=256)
-    assert len(planned) > 5
-    slow = [vertex for vertex, speed in run_ends(planned).items() if speed < 0.99 * 60.0]
-    assert slow == [0, 1, 5000], "vertices passed below 59.4 mm/s"
 
 
 def test_no_more_moves_wait_than_the_longest_queue() -> None:
@@ -444,18 +346,6 @@ def test_no_more_moves_wait_than_the_longest_queue() -> None:
     assert max(waiting) == 64, "moves in the queue"
 
 
-def test_batches_give_the_speeds_of_one_plan() -> None:
-    whole = random_moves(3, 3000)
-    at_once = run_ends(plans([whole]))
-    batched = plans([whole], batch=50)
-    assert len(batched) > 10
-    in_parts = run_ends(batched)
-    common = at_once.keys() & in_parts.keys()
-    assert len(common) > 0.99 * len(in_parts)
-    for vertex in common:
-        assert in_parts[vertex] == pytest.approx(at_once[vertex], rel=1e-6, abs=1e-4)
-
-
 def run_ends(planned: list[Plan]) -> dict[int, float]:
     """Return vertex → speed there, for every end of a run."""
     first = 0
@@ -464,11 +354,6 @@ def run_ends(planned: list[Plan]) -> dict[int, float]:
         found |= dict(zip((first + p.ends).tolist(), p.speed.tolist(), strict=True))
         first += len(p.line)
     return found
-
-
-def test_sharp_corner_after_a_long_cruise_ends_a_run() -> None:
-    way = line((30_000, 0, 0, 0), (-50, 0.035, 0, 0))
-    assert corner_speed(way) == pytest.approx(0.0602133, rel=1e-4)
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])

@@ -40,7 +40,6 @@ from tests.planner.planning import (
     caps,
     carried,
     cut,
-    gentle_spiral,
     jerks,
     line,
     moves,
@@ -96,18 +95,6 @@ def test_samples_follow_the_path_and_end_on_it(seed: int, n: int, jerk: float) -
 
 
 @settings(max_examples=60, deadline=None)
-@given(seeds, st.integers(1, 80), jerks)
-def test_speed_and_acceleration_along_the_path_are_limited(seed: int, n: int, jerk: float) -> None:
-    item = measured(random_moves(seed, n, marked=0.0), 1.0)
-    limits = replace(LIMITS, jerk=jerk, extruder_corner_velocity=1e9)
-    planned = one(item, limits)
-    s = whole(sampled([item], limits))[0][:, E]
-    assert np.diff(s).max() / TS <= planned.cruise.max() * (1 + 1e-6) + DRIFT / TS
-    acceleration = np.abs(np.diff(s, 2)) / TS**2
-    assert acceleration.max() <= planned.acceleration.max() * (1 + 1e-6) + 2 * DRIFT / TS**2
-
-
-@settings(max_examples=60, deadline=None)
 @given(seeds, st.floats(10.0, 300.0), st.floats(500.0, 1e4))
 def test_straight_path_keeps_speed_acceleration_and_jerk(
     seed: int, speed: float, acceleration: float
@@ -149,29 +136,11 @@ def passing_speeds(item: Moves, limits: Limits) -> Array:
     return np.concatenate([*found, [0.0]])
 
 
-@settings(max_examples=40, deadline=None)
-@given(seeds, st.integers(2, 80), jerks)
-def test_no_vertex_is_passed_faster_than_its_junction_allows(
-    seed: int, n: int, jerk: float
-) -> None:
-    item = random_moves(seed, n)
-    cap = caps(item)
-    assert (passing_speeds(item, replace(LIMITS, jerk=jerk)) <= cap * (1 + 1e-3) + 0.05).all()
-
-
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_no_vertex_far_along_is_passed_faster_than_its_junction_allows(seed: int) -> None:
     item = random_moves(seed, 4000)
     excess = passing_speeds(item, LIMITS) - caps(item) * (1 + 1e-3) - 0.05
     assert excess.max() <= 0.0, f"vertex {int(np.argmax(excess))}: {excess.max():.3g} mm/s over"
-
-
-def test_stop_inside_a_path_is_a_sample_at_the_vertex() -> None:
-    xyze, _ = whole(sampled([moves(line((10, 0, 0, 1), (-7, 0, 0, 1), (5, 0, 0, 1)))]))
-    for vertex in ((10, 0, 0, 1), (3, 0, 0, 2), (8, 0, 0, 3)):
-        near = np.abs(xyze - np.array(vertex, dtype=float)).max(axis=1)
-        assert near.min() <= 1e-6
-    assert xyze[:, 0].max() == pytest.approx(10.0, abs=1e-6)
 
 
 def test_line_of_each_sample_is_that_of_its_move() -> None:
@@ -186,22 +155,6 @@ def test_line_of_each_sample_is_that_of_its_move() -> None:
 
 def marks_of(blocks: list[Samples]) -> list[Mark]:
     return [e for e in whole(blocks)[1] if isinstance(e, Mark)]
-
-
-def test_filament_at_marks_is_that_of_their_vertex() -> None:
-    """Also where the mark lies between the last sample of one plan and the first of the next."""
-    n = 3000
-    item = gentle_spiral(n, step=0.03)
-    item = replace(item, marks=tuple(Mark(k, b"%d" % k) for k in range(0, n + 1, 3)))
-    item = replace(item, speed=np.where(np.arange(n) // 34 % 2, 50.0, 60.0))
-    assert len(plans([item], batch=100)) > 20
-    blocks = list(sample(plan([item], LIMITS, batch=100), LIMITS, RESTS))
-    xyze, marks = whole(blocks)[0], marks_of(blocks)
-    assert [m.text for m in marks] == [m.text for m in item.marks]
-    assert marks[-1] == Mark(len(xyze), b"%d" % n)  # at rest, behind the last sample
-    e = np.append(xyze[:, E], xyze[-1, E])
-    off = [abs(e[m.index] - item.points[int(m.text), E]) for m in marks]
-    assert max(off) <= 1e-12, f"vertex {3 * int(np.argmax(off))}"
 
 
 @settings(max_examples=40, deadline=None)
@@ -222,15 +175,6 @@ def test_marks_are_at_the_first_sample_from_their_vertex_on(seed: int, n: int) -
         assert plain[mark.index] >= vertex - DRIFT
         if int(mark.text):
             assert plain[mark.index - 1] <= vertex + DRIFT
-
-
-def test_marked_vertex_just_before_a_stop_leaves_the_end_exact() -> None:
-    """The last move is so short that the mark before it falls on the sample of the stop."""
-    item = moves(line((10, 0, 0, 1), (0.0005, 0, 0, 0.001)), marks=(Mark(1, b";TYPE:SKIN"),))
-    blocks = sampled([item, MoveAtRest(9, (10.0005, 0, 0, 1.001), (10.0005, 0, 0, 0), 30.0)])
-    xyze, events = whole(blocks)
-    (pause,) = (e for e in events if isinstance(e, Dwell))
-    np.testing.assert_array_equal(xyze[pause.index - 1], [10.0005, 0, 0, 1.001])
 
 
 def test_pass_through_line_at_rest_is_at_the_present_sample() -> None:
@@ -269,35 +213,6 @@ def test_nothing_is_added_where_the_command_needs_none() -> None:
     added = sum(e.samples for e in with_rests if isinstance(e, Rest))
     assert added == RESTS.long_rest + RESTS.before + RESTS.after
     assert len(xyze) == len(rested) - added
-
-
-def test_pauses_in_a_row_have_one_rest_around_them() -> None:
-    xyze, events = whole(sampled([there(), RETRACT, DWELL, there(50.0)]))
-    assert [type(e) for e in events] == [Rest, Rest, Dwell, Dwell, Rest]
-    first, second, after = events[2:]
-    assert isinstance(first, Dwell)
-    assert isinstance(second, Dwell)
-    assert isinstance(after, Rest)
-    assert after.samples == RESTS.after
-    assert second.index == first.index + first.samples
-    assert after.index == second.index + second.samples
-    assert len(xyze) == whole(sampled([there(), RETRACT, DWELL, there(50.0)]))[0].shape[0]
-
-
-def test_machine_stands_during_rests() -> None:
-    xyze, events = whole(sampled([there(), DWELL, there(50.0)]))
-    for event in events:
-        if isinstance(event, Rest | Dwell):
-            # (0, 0) before the first motion, (50, 0) later
-            expected = 0.0 if event.index == 1 else 50.0
-            part = xyze[event.index : event.index + event.samples]
-            assert len(part) == event.samples
-            assert (part[:, 0] == expected).all()
-
-
-def test_nothing_is_added_before_the_first_motion() -> None:
-    events = whole(sampled([RETRACT]))[1]
-    assert [type(e) for e in events] == [Dwell]
 
 
 def test_dwell_lasts_whole_samples_and_keeps_its_exact_time() -> None:
@@ -369,23 +284,6 @@ def test_a_long_or_a_combined_lift_comes_to_rest() -> None:
     assert (pause.entry, pause.leaving) == (0.0, 0.0)
 
 
-def test_a_lift_next_to_slow_motion_passes_no_faster_than_that_starts() -> None:
-    slow = replace(there(50.0), acceleration=np.full(1, 400.0))
-    lift, _, _ = lift_of([there(), LIFT, slow])
-    assert lift.entry == pytest.approx(2.0)
-    assert lift.leaving == pytest.approx(1.0)
-
-
-def test_a_short_lift_passes_no_faster_than_it_can() -> None:
-    short = replace(LIFT, end=(50, 0, 0.202, 2))
-    (pause,) = (
-        e
-        for e in whole(sampled([there(), short, there(50.0)], rests=PASSING))[1]
-        if isinstance(e, Dwell)
-    )
-    assert 0.0 < pause.entry == pause.leaving < 2.0
-
-
 # ---------------------------------------------------------------------- retractions on the way
 
 MOVING = replace(RESTS, retract_acceleration=300.0)
@@ -424,12 +322,6 @@ def test_a_retraction_is_made_at_rest_where_the_travel_is_too_short_or_follows_n
     for before in (list[Item](), [there(), DWELL], [there(), LIFT]):
         _, events = whole(sampled([*before, back, there(50.0)], rests=MOVING))
         assert [e for e in events if isinstance(e, Dwell) and e.action is back]
-
-
-def test_filament_is_primed_at_rest() -> None:
-    primed = MoveAtRest(4, (50, 0, 0.2, 2), (50, 0, 0.2, 2.8), 45.0)
-    _, events = whole(sampled([there(), primed, there(50.0)], rests=MOVING))
-    assert [e for e in events if isinstance(e, Dwell)]
 
 
 def standing(start: Array, end: Array, speed: float) -> tuple[Dwell, Array]:
@@ -505,13 +397,6 @@ def test_chunks_stay_short_however_long_the_machine_stands() -> None:
     sizes = [len(block) for block in sampled(feeds)]
     assert sum(sizes) > 4 * SAMPLES_PER_CHUNK
     assert max(sizes) < 2 * SAMPLES_PER_CHUNK
-
-
-def test_chunks_stay_short_however_long_one_move_lasts_at_rest() -> None:
-    lift = MoveAtRest(1, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 9.0, 0.0), 3.0)
-    sizes = [len(block) for block in sampled([lift], size=500)]
-    assert sum(sizes) > 3000, "samples"
-    assert max(sizes) <= 500 + FIRST, "samples in a chunk"
 
 
 def mixed() -> list[Item]:
@@ -606,37 +491,6 @@ def shortest(v0: Array, v1: Array, a: Array, jerk: float) -> Array:
     return np.asarray(time * (v0 + v1) / 2.0)
 
 
-def random_runs(seed: int, n: int, jerk: float) -> Plan:
-    """Return n feasible runs, each followed by a long one to the next run's start."""
-    rng = np.random.default_rng(seed)
-    v0, v1 = (rng.choice([0.0, 1.0], n, p=[0.1, 0.9]) * 10.0 ** rng.uniform(-2, 2.7, n)
-              for _ in range(2))  # fmt: skip
-    kind = rng.integers(0, 5, n)
-    v1 = np.where(
-        kind == 0, v0, np.where(kind == 1, v0 * (1 + 10.0 ** rng.uniform(-12, -2, n)), v1)
-    )
-    a = 10.0 ** rng.uniform(2.0, 5.0, n)
-    share = np.where(rng.random(n) < 0.4, 0.0, 10.0 ** rng.uniform(-9.0, 3.0, n))
-    length = shortest(v0, v1, (1 - 1e-6) * a, (1 - 1e-6) * jerk) * (1 + share) + 1e-4
-    longer = np.maximum(length, 10.0 ** rng.uniform(-4.0, 2.0, n))
-    length = np.where(kind == 2, longer, length)
-    above = np.where(rng.random(n) < 0.5, 1.0001001, 1 + 10.0 ** rng.uniform(-3.9, 2.0, n))
-    cruise = np.maximum(np.maximum(v0, v1) * above, 0.1)
-
-    speed = np.append(np.stack([v0, v1], axis=1).ravel(), 0.0)
-    top = np.maximum(v1, np.append(v0[1:], 0.0)) * 1.01 + 1.0
-    filler = 10.0 + 4.0 * shortest(v1, np.append(v0[1:], 0.0), np.full(n, 1e3), jerk)
-    s = np.concatenate([[0.0], np.cumsum(np.stack([length, filler], axis=1).ravel())])
-    count = 2 * n
-    points = np.zeros((count + 1, 4))
-    points[:, 0] = s
-    return Plan(
-        np.arange(count), points, s, np.arange(count + 1), speed,
-        np.stack([cruise, top], axis=1).ravel(),
-        np.stack([a, np.full(n, 1e3)], axis=1).ravel(), (),
-    )  # fmt: skip
-
-
 def assert_profiles_fit(planned: Plan, jerk: float, deceleration: float = math.inf) -> None:
     [(t, j)] = Profiler(jerk, deceleration).profiles([planned])
     a, v, steps = integrate(t, j, planned.speed[:-1])
@@ -658,11 +512,6 @@ def assert_profiles_fit(planned: Plan, jerk: float, deceleration: float = math.i
     assert np.abs(j).max() <= jerk * (1 + 1e-9)
 
 
-@pytest.mark.parametrize("jerk", [1e5, 5e6, 5e7, 1e9])
-def test_every_run_gets_a_profile_within_its_limits(jerk: float) -> None:
-    assert_profiles_fit(random_runs(1, 2500, jerk), jerk)
-
-
 @pytest.mark.parametrize("jerk", [5e6, 1e7, 5e7, 1e9])
 def test_every_run_between_rests_takes_the_least_time(jerk: float) -> None:
     """v up, along, and down again: L/v + v/a + a/j, at great accelerations, too."""
@@ -675,23 +524,6 @@ def test_every_run_between_rests_takes_the_least_time(jerk: float) -> None:
     planned = Plan(count[:-1], points, s, count, 0.0 * s, v, a, ())
     [(t, _)] = Profiler(jerk).profiles([planned])
     np.testing.assert_allclose(t.sum(axis=1), np.diff(s) / v + v / a + a / jerk, rtol=1e-6)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2, 10))
-@pytest.mark.parametrize("jerk", [1e4, 1e5, 1e6, 5e6, 5e7, 1e8, 1e9])
-def test_every_run_of_many_gets_a_profile_within_its_limits(jerk: float, seed: int) -> None:
-    assert_profiles_fit(random_runs(seed, 20_000, jerk), jerk)
-
-
-def test_runs_at_cruise_speed_keep_it() -> None:
-    """There is room for a little more, by which vertices stay below it: nothing would be won."""
-    count, s = np.arange(9), 50.0 * np.arange(9.0)
-    points, limits = np.column_stack([s, np.zeros((9, 3))]), (np.full(8, 60.0), np.full(8, 1e4))
-    planned = Plan(count[:-1], points, s, count, np.full(9, 59.994), *limits, ())
-    [(t, j)] = Profiler(LIMITS.jerk).profiles([planned])
-    acceleration, _, _ = integrate(t, j, planned.speed[:-1])
-    assert np.abs(acceleration).max() == 0.0, "mm/s²"
 
 
 @settings(max_examples=100, deadline=None)

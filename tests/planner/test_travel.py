@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.errors import PrinterError
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.pacing import with_travel_limits
@@ -51,11 +50,6 @@ def test_travel_gets_its_limits_and_extrusion_does_not() -> None:
     np.testing.assert_array_equal(fast.speed, [50.0, 350.0, 50.0, 20.0, 150.0])
 
 
-def test_before_anything_is_printed_travel_keeps_its_speed() -> None:
-    block = moves([(0, 0, 0.2, 0), (50, 0, 0.2, 0), (90, 0, 0.2, 0)])
-    assert (changed(block, TRAVEL_LIMITS).speed == block.speed).all()
-
-
 def test_what_the_file_asks_of_travel_alone_lowers_it() -> None:
     asked = FileLimits(FREE.velocity, FREE.acceleration, travel=900.0)
     assert changed(job(asked), TRAVEL_LIMITS).acceleration[1] == 900.0
@@ -78,11 +72,6 @@ def test_travel_is_planned_with_its_limits_and_extrusion_is_not() -> None:
     assert planned.acceleration[runs == planned.line[1]].max() == TRAVEL_LIMITS.travel_acceleration
     printed = planned.line[0], planned.line[2]
     assert planned.acceleration[np.isin(runs, printed)].max() == 500.0
-
-
-def test_a_ramp_that_would_never_end_is_refused() -> None:
-    with pytest.raises((ValueError, PrinterError), match="travel_acceleration"):
-        replace(LIMITS, travel_velocity=1e4, travel_acceleration=100.0)
 
 
 @pytest.mark.parametrize("asked", [math.inf, 1500.0, 600.0])

@@ -7,10 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.check import check
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.printers import REAL, profile_of
 
@@ -93,26 +91,3 @@ def test_includes_and_what_klipper_saved_are_read(own: Printer, tmp_path: Path) 
     last = f"{path}:{len(path.read_text().splitlines())}"
     assert any(f"{last}: [input_shaper] shaper_freq_y: 40" in each for each in wrong)
     assert any("mainsail.cfg" in each.text for each in findings if not each.wrong)
-
-
-def test_a_file_that_includes_itself_is_an_error_as_in_klipper(tmp_path: Path) -> None:
-    path = changed(tmp_path, ("[fan]", "[include print*.cfg]\n[fan]"))
-    with pytest.raises(HframeError, match=r"printer\.cfg:\d+: .* includes a file in itself"):
-        KlipperConfig(path)
-
-
-@pytest.mark.parametrize(
-    "content",
-    ["", "nonsense\n", "[printer\n", "\0\xff", "[extruder]\na: 1\n", "[printer]\nkey\n  more\n"],
-)
-def test_what_is_no_printer_cfg_is_an_error(tmp_path: Path, content: str) -> None:
-    path = tmp_path / "printer.cfg"
-    path.write_text(content, "latin-1")
-    with pytest.raises(HframeError, match=r"printer\.cfg"):
-        KlipperConfig(path)
-
-
-def test_a_number_that_is_none_is_named(tmp_path: Path) -> None:
-    path = changed(tmp_path, ("max_z_accel: 500", "max_z_accel: many"))
-    with pytest.raises(HframeError, match=r"\[printer\] max_z_accel: 'many'"):
-        list(check(KlipperConfig(path), load("paper"), "change it"))

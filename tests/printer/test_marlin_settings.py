@@ -11,7 +11,7 @@ from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin, is_of_
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
 from hframe_post.printer.setup import Known, profile_text
-from tests.printers import M503, REAL
+from tests.printers import M503
 
 BED = {axis: Known((0.0, 220.0), "test") for axis in "xy"}
 HEADER = """
@@ -67,16 +67,6 @@ def test_a_profile_has_the_values_of_m503_and_m115(answers: Path) -> None:
     assert (table.min_segment_time, table.planner) == (0.02, "2.1")
     assert own.extruder is not None
     assert own.extruder.advance == 0.05
-
-
-def test_a_stored_mesh_is_known(answers: Path) -> None:
-    def levelled(settings: MarlinSettings) -> bool:
-        table = profile(settings).firmware.marlin
-        assert table is not None
-        return table.bed_levelling
-
-    assert not levelled(MarlinSettings([answers]))
-    assert levelled(changed(answers, "echo:; Linear Advance:", "echo:  M420 S1 Z10.00"))
 
 
 # What owners of these boards have published of their answers to M503: what `setup` reads of them
@@ -223,26 +213,6 @@ def test_answers_of_real_boards(answers: Path, board: str) -> None:
     assert read == pytest.approx(READ[board], rel=1e-3)
 
 
-def test_limits_of_stealth_mode_are_left_out_and_the_owner_knows(answers: Path) -> None:
-    mode = "Prusa MK3, stealth mode too"
-    answers.write_text(BOARDS[mode])
-    assert any("in stealth mode" in line for line in MarlinSettings([answers]).warnings())
-
-
-def test_a_delta_is_refused(answers: Path) -> None:
-    delta = "echo:  M665 L280.00 R141.94 H354.33 S200.00 X0.04 Y0.26 Z-0.29 A0.00 B0.00 C0.00"
-    with pytest.raises(HframeError, match="M665, which only deltas"):
-        changed(answers, "echo:; Linear Advance:", delta).kinematics()
-
-
-def test_trajectory_and_smoothing_of_2026_are_known(answers: Path) -> None:
-    line = "echo:  M494 T2 X0.02 Y0.03 Z0 E0.01"
-    table = profile(changed(answers, "echo:; Linear Advance:", line)).firmware.marlin
-    assert table is not None
-    assert (table.fixed_time_trajectory, table.fixed_time_smoothing) == (2, (0.02, 0.03))
-    assert table.fixed_time_smoothing_z_e == (0.0, 0.01)
-
-
 def test_whatever_the_log_writes_before_the_answers(answers: Path) -> None:
     plain = profile(MarlinSettings([answers]))
     lines = answers.read_text().splitlines()
@@ -255,14 +225,6 @@ def test_whatever_the_log_writes_before_the_answers(answers: Path) -> None:
             plain.firmware,
             plain.travel,
         )
-
-
-def test_classic_jerk(answers: Path) -> None:
-    own = profile(changed(answers, "J0.08", "X8.00 Y6.00 Z0.40 E5.00"))
-    assert own.firmware.marlin is not None
-    assert own.firmware.marlin.classic_jerk
-    assert own.firmware.marlin.jerk == (8.0, 6.0)
-    assert own.limits.square_corner_velocity == 6.0
 
 
 @pytest.mark.parametrize(
@@ -313,27 +275,3 @@ def test_headers_add_what_the_answers_leave_open(answers: Path, tmp_path: Path) 
     header.write_text("#define DELTA\n")
     with pytest.raises(HframeError, match="DELTA"):
         MarlinSettings([answers, header]).kinematics()
-
-
-def test_steps_that_differ_are_an_error(answers: Path) -> None:
-    with pytest.raises(HframeError, match=r"M92 X80 and Y80\.28 differ.* Send M92 Y80 and M500"):
-        profile(changed(answers, "Y80.00", "Y80.28"))
-    with pytest.raises(HframeError, match="Their pulleys or microsteps differ"):
-        profile(changed(answers, "Y80.28", "Y100.00"))
-
-
-def test_a_missing_value_is_an_error_that_names_it(answers: Path) -> None:
-    with pytest.raises(HframeError, match="no values of M203"):
-        changed(answers, "M203", "M999")
-    answers.write_text(M503.read_text())
-    with pytest.raises(HframeError, match="M201 has no Z"):
-        profile(changed(answers, "Z100.00 E5000.00", ""))
-    answers.write_text(M503.read_text())
-    with pytest.raises(HframeError, match="M204 P-1500 is not possible"):
-        profile(changed(answers, "P1500", "P-1500"))
-
-
-def test_other_files_are_not_taken_for_answers() -> None:
-    assert not is_of_marlin(text_in(REAL))
-    assert not is_of_marlin("[gcode_macro A]\ngcode:\n  M204 S500\n")
-    assert is_of_marlin("#define COREXY\n")

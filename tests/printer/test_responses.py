@@ -51,20 +51,6 @@ def deviation(G: ImpulseResponse | None) -> Array:
     return G.deviation
 
 
-def test_one_mode_is_written_in_micrometres() -> None:
-    """A pulse of 1000 mm/s² for 1 ms is a step of 1 mm/s: the nozzle lags by 1/ω s at the most."""
-    text = f"{BASE}[plant.Gxx]\nlead = 0\ndeviation = {deviation_of_mode(50.0, 0.01, 9).tolist()}\n"
-    G = parse(text, "mine").plant.Gxx
-    speed = np.concatenate([np.zeros(3), np.full(9, 1e-3)])  # mm/ms
-    command = np.cumsum(speed)
-    h = np.zeros(12)
-    h[: len(G.impulse(12))] = G.impulse(12)
-    nozzle = np.convolve(h, command)[:12]
-    lag = 1e3 * (command - nozzle)[3:]  # µm
-    assert lag[:8] == pytest.approx(-deviation(G)[1:9], abs=1e-9)
-    assert lag[4] == pytest.approx(1e3 / (2.0 * np.pi * 50.0), rel=0.05)
-
-
 @pytest.mark.parametrize("one_of", [measured, doubted, placed])
 def test_responses_are_written_as_they_are_read(
     tmp_path: Path, one_of: Callable[..., ImpulseResponse]
@@ -135,14 +121,6 @@ def after_check(folder: Path, Gxx: ImpulseResponse, moved: ImpulseResponse) -> I
     return checked
 
 
-def test_a_checked_profile_keeps_what_is_not_known(tmp_path: Path) -> None:
-    moved = doubted().stretched(1.02)
-    checked = after_check(tmp_path, doubted(), moved)
-    assert checked.lag == pytest.approx(1.02 * 2.3, abs=1e-4)  # ms
-    assert checked.drift == 0.02
-    assert checked.unknown == pytest.approx(moved.unknown, abs=1e-4)  # µm
-
-
 def test_a_check_moves_all_places(tmp_path: Path) -> None:
     moved = placed().stretched(1.02)
     checked = after_check(tmp_path, placed(), moved)
@@ -173,23 +151,6 @@ def test_places_that_make_no_sense_are_named(own: str, place: str, key: str) -> 
     with pytest.raises(PrinterError) as caught:
         parse(text, "mine")
     assert caught.value.key == key
-
-
-def test_both_kinds_may_stand_side_by_side() -> None:
-    """What extends a profile replaces a transfer function as a whole."""
-    text = f"{BASE}[plant.Gyy]\nlead = 32\ndeviation = {EARLY.tolist()}\n"
-    plant = parse(text, "mine").plant
-    assert plant.Gxx.lead == 0
-    assert np.array_equal(deviation(plant.Gyy), EARLY)
-    assert plant.ahead == 32
-
-
-def test_a_response_of_zeros_is_no_racking() -> None:
-    text = 'extends = "paper"\n[plant.Gxtheta]\nlead = 0\ndeviation = [0.0, 0]\n'
-    assert parse(text, "mine").plant.Gxtheta is None
-    racking = parse(text + "lag = 0.5\n", "mine").plant.Gxtheta
-    assert isinstance(racking, ImpulseResponse)
-    assert racking.lag == pytest.approx(5e-4)  # rad at 1 mm/ms: 0.5 µrad at 1 mm/s
 
 
 @pytest.mark.parametrize(
@@ -228,12 +189,3 @@ def test_a_bad_response_is_an_error_that_names_the_key(lines: str, key: str, cau
         parse(f"{BASE}[plant.Gxx]\n{lines}\n", "mine")
     assert error.value.key == f"plant.{key}"
     assert cause in error.value.cause
-
-
-def test_a_coupling_is_one_kind_too() -> None:
-    head = f'{BASE}[[plant.cross]]\nanswer = "y"\ncommand = "x"\n'
-    coupling = parse(head + "lead = 1\ndeviation = [0.1, 0.2, 0.3]\n", "mine").plant.cross[0]
-    assert deviation(coupling.G) == pytest.approx([0.1, 0.2, 0.3])
-    assert coupling.G.dc_gain == 0.0
-    with pytest.raises(PrinterError, match="leave one of them out"):
-        parse(head + "lead = 1\ndeviation = [0.1, 0.2]\ngain = 1.0\n", "mine")

@@ -65,11 +65,6 @@ def test_join_keeps_samples_events_and_commands_in_order(sizes: list[int]) -> No
     assert not joined.xyze.flags.writeable
 
 
-def test_join_of_one_is_itself() -> None:
-    (block,) = stream([4])
-    assert join([block]) is block
-
-
 @given(st.integers(1, 30), st.lists(st.integers(1, 29), unique=True))
 def test_parts_join_to_the_whole(n: int, cuts: list[int]) -> None:
     (whole,) = stream([n])
@@ -86,21 +81,6 @@ def test_smaller_chunks_are_the_same_stream(sizes: list[int], n: int) -> None:
     done = list(smaller(blocks, n))
     assert max(map(len, done)) <= n
     assert_same(join(done), join(blocks))
-
-
-def test_part_leaves_the_events_of_its_end_to_the_next() -> None:
-    (whole,) = stream([8])
-    assert [e.index for e in part(whole, 2, 4).events] == [7, 7]
-    assert [e.index for e in part(whole, 4, 6).events] == [9, 9]
-    assert [e.index for e in part(whole, 6, 8).events] == [11, 11, 13]
-
-
-def test_part_cuts_the_commands_too() -> None:
-    (whole,) = stream([8])
-    piece = part(whole, 3, 6)
-    np.testing.assert_array_equal(piece.xyze[:, 0], [8.0, 9.0, 10.0])
-    np.testing.assert_array_equal(piece.line, [80, 90, 100])
-    np.testing.assert_array_equal(piece.commands["racking"][:, 1], [8.5, 9.5, 10.5])
 
 
 @given(SIZES, st.integers(0, 20), st.integers(0, 20))
@@ -169,12 +149,6 @@ def test_stretches_end_where_the_machine_is_yielded(yields: list[bool]) -> None:
     assert len(found) == sum(yields) + (len(yields) > 0 and not yields[-1])
 
 
-def test_pause_inside_the_stream_ends_no_stretch() -> None:
-    first, second = stream([3, 3])
-    found = [list(s) for s in stretches([yielding(first, Handling.REST), second])]
-    assert [len(stretch) for stretch in found] == [2]
-
-
 # ---------------------------------------------------------------------- branches
 
 
@@ -195,12 +169,6 @@ def test_every_branch_has_every_block_in_any_order_of_taking(
         assert [id(block) for block in blocks_of_one] == [id(block) for block in source]
 
 
-def test_no_branches_take_nothing() -> None:
-    source = iter(stream([3]))
-    assert branches(source, 0) == []
-    assert next(source, None) is not None
-
-
 Watch = list["weakref.ref[Array]"]
 
 
@@ -215,16 +183,6 @@ def watched(made: Watch) -> Iterator[Samples]:
 
 def held(made: Watch) -> int:
     return sum(array() is not None for array in made)
-
-
-def test_branches_in_step_hold_but_one_block() -> None:
-    made: Watch = []
-    running = branches(watched(made), 3)
-    for k in range(60):
-        for branch in running:
-            assert next(branch).first == 4 * k
-        assert len(made) == k + 1  # nothing is read ahead
-        assert held(made) <= 1
 
 
 def test_branches_hold_what_the_slowest_has_not_taken() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 
 import pytest
 
-from hframe_post.stream.running import DEPTH, StageTimes, joined, prefetch
+from hframe_post.stream.running import DEPTH, StageTimes, prefetch
 
 
 @pytest.fixture(autouse=True)
@@ -21,18 +21,6 @@ def no_thread_is_left() -> Iterator[None]:
 @pytest.mark.parametrize("n", [0, 1, DEPTH, 1000])
 def test_items_come_in_order(n: int) -> None:
     assert list(prefetch(range(n))) == list(range(n))
-
-
-def test_slow_consumer_gets_every_item() -> None:
-    found = []
-    for item in prefetch(range(6)):
-        time.sleep(0.01)
-        found.append(item)
-    assert found == list(range(6))
-
-
-def test_none_is_an_item_like_any_other() -> None:
-    assert list(prefetch([None, 1, None])) == [None, 1, None]
 
 
 def test_work_is_done_before_it_is_asked_for() -> None:
@@ -52,18 +40,6 @@ def test_work_is_done_before_it_is_asked_for() -> None:
     assert list(items) == list(range(1, 10))
 
 
-def test_nothing_is_done_before_the_first_item_is_asked_for() -> None:
-    made = []
-
-    def source() -> Iterator[int]:
-        made.append(0)
-        yield 0
-
-    items = prefetch(source())
-    assert made == []
-    assert list(items) == made == [0]
-
-
 class FaultError(Exception):
     pass
 
@@ -81,26 +57,11 @@ def test_exception_follows_the_items_before_it(n: int) -> None:
     assert found == list(range(n))
 
 
-def test_exception_passes_through_several_stages() -> None:
-    items = prefetch(k + 1 for k in prefetch(failing(5)))
-    found: list[int] = []
-    with pytest.raises(FaultError):
-        found.extend(items)
-    assert found == [1, 2, 3, 4, 5]
-
-
 def endless() -> Iterator[int]:
     k = 0
     while True:
         yield k
         k += 1
-
-
-def test_abandoned_stage_ends() -> None:
-    items = prefetch(endless())
-    assert next(items) == 0
-    items.close()  # type: ignore[attr-defined]
-    assert list(items) == []
 
 
 def test_abandoned_stage_closes_its_source() -> None:
@@ -117,15 +78,6 @@ def test_abandoned_stage_closes_its_source() -> None:
     items.close()  # type: ignore[attr-defined]
     del items
     assert closed.wait(5.0)
-
-
-def test_forgotten_stages_end() -> None:
-    items = prefetch(-k for k in prefetch(endless()))
-    assert [next(items) for _ in range(3)] == [0, -1, -2]
-    del items
-    deadline = time.monotonic() + 5.0
-    while threading.active_count() > 1 and time.monotonic() < deadline:
-        time.sleep(0.01)
 
 
 def test_fault_of_the_consumer_ends_the_stage() -> None:
@@ -161,18 +113,3 @@ def test_each_stage_is_charged_its_own_time(threads: bool) -> None:
     assert times.seconds["first"] == pytest.approx(4 * WORK, rel=0.2)
     assert times.seconds["second"] == pytest.approx(12 * WORK, rel=0.2)
     assert times.seconds["third"] < WORK
-
-
-def test_errors_pass_and_waiting_is_free() -> None:
-    def interrupted() -> Iterator[int]:
-        time.sleep(5 * WORK)
-        yield 1
-        raise ValueError("lost")
-
-    times = StageTimes()
-    stream = times.timed("stage", interrupted())
-    assert next(stream) == 1
-    with pytest.raises(ValueError, match="lost"):
-        next(stream)
-    assert times.seconds["stage"] < WORK
-    assert joined({"a": 1.0}, {"b": 2.0, "a": 3.0}) == {"a": 4.0, "b": 2.0}

@@ -43,14 +43,6 @@ def changed(old: bytes, new: bytes) -> bytes:
     return PART.replace(old, new)
 
 
-def test_a_file_is_the_same_as_itself() -> None:
-    same = compared(PART, PART)
-    assert same.same
-    assert same.distance == 0.0
-    assert same.moves == (5, 5)
-    assert same.other_lines == 6
-
-
 @pytest.mark.parametrize(
     "same",
     [
@@ -158,7 +150,3 @@ def test_decimation_is_within_its_tolerance_and_strategies_differ(
     assert re.search(r"a, line \d+: X[\d.]+ Y[\d.]+", str(failure.value))
     with pytest.raises(AssertionError):
         hp.testing.assert_same_motion(usual, dense, tolerance=TOLERANCE / 10.0)
-
-
-def test_contents_can_be_given_instead_of_paths(converted: dict[str, Path]) -> None:
-    hp.testing.assert_same_motion(converted["fbs"].read_bytes(), str(converted["fbs"]))

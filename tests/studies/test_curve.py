@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 
 from hframe_post.conversion.options import Options
-from hframe_post.errors import HframeError
 from hframe_post.library import convert, speed_curve
 from hframe_post.page.speed import speed_page
 from hframe_post.printer.settings import Printer
@@ -56,24 +54,9 @@ def test_a_conversion_takes_that_time_within_that_error(
             assert worst == pytest.approx(1e3 * point.worst, rel=0.1)
 
 
-def test_the_width_of_lines_may_be_bounded_too(
-    found: Curve, lines: list[bytes], paper: Printer
-) -> None:
-    few_layers = lines[: lines.index(b";LAYER:4\n")]
-    narrow = speed_curve(few_layers, paper, Options(max_width_error=0.05))
-    assert narrow.steps[-1].raised.errors.width < 0.03 < found.steps[-1].raised.errors.width
-    assert "width: of the line, off RMS; at most 5 % (at 95 %)" in curve_as_text(narrow)
-
-
 def test_the_report_names_what_binds(found: Curve, paper: Printer) -> None:
     text = curve_as_text(found)
     assert "--speed-up max' raises them" in text
     assert "minimum layer time" in text
     assert len(curve_as_json(found)["points"]) == len(found.steps)
     assert b"as sliced, today" in speed_page(found, paper, "cube")
-
-
-def test_a_print_without_features_has_no_curve(paper: Printer, tmp_path: Path) -> None:
-    (file := tmp_path / "a.gcode").write_bytes(b"G28\nG1 X10 Y10 F600\n")
-    with pytest.raises(HframeError, match="speed"):
-        speed_curve(file, paper)

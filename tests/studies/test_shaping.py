@@ -15,7 +15,6 @@ from hframe_post.compensation.shape import shape
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import parsed
 from hframe_post.conversion.sliced_errors import SHAPED, SlicedFile
-from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.model.shapers import AxisShaping, Shaping, most_damping, shaper
@@ -26,7 +25,6 @@ from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shapers.search import (
     calibrated_with,
-    search,
     shapings_as_text,
 )
 from tests.command_line import run
@@ -43,13 +41,6 @@ def corner(paper: Printer) -> Paths:
     return paths(rectangle(paper), paper)
 
 
-def test_a_short_path_is_taken_whole(corner: Paths) -> None:
-    [(path, counted)] = corner
-    assert len(path) == len(counted)
-    assert counted.sum() > 0.9 * len(path)
-    assert np.ptp(path, axis=0) == pytest.approx([120.0, 20.0], abs=0.01)
-
-
 def test_pieces_of_a_slice_are_from_all_over_it(paper: Printer) -> None:
     none = Shaping(AxisShaping("zv", 1e5, 0.0), AxisShaping("zv", 1e5, 0.0))
     with (SAMPLES / "cube.gcode").open("rb") as cube:
@@ -64,13 +55,6 @@ def test_long_waits_and_slow_lines_take_no_memory(paper: Printer) -> None:
     found = paths(lines, paper)
     assert sum(len(path) for path, _ in found) < 20_000, "samples"
     assert any(counted.any() for _, counted in found)
-
-
-def test_nothing_extruded_is_an_error(paper: Printer) -> None:
-    none = paths([b"G28\n", b"G1 X10 Y10 Z1\n", b"G1 X50\n"], paper)
-    assert not none
-    with pytest.raises(HframeError, match="nothing is extruded"):
-        search(paper.plant, none)
 
 
 def test_the_best_shaper_beats_the_calibrated_and_that_none(paper: Printer, corner: Paths) -> None:
@@ -149,25 +133,6 @@ def test_a_shaper_that_needs_a_newer_klipper_is_a_comment() -> None:
 
 
 @pytest.mark.slow
-def test_shapers_are_judged_on_the_plant_that_is_simulated(tmp_path: Path, corner: Paths) -> None:
-    out = tmp_path / "s.json"
-    done = run("simulate", "--shapers", "-p", "paper", "--plant", "example-corexy", "--json", out)
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(out.read_text())
-    found = {each["name"]: each for each in summary["against"]}
-    rms = {name: each["contour_error_um"]["rms"] for name, each in found.items()}
-    for name in ("none", "fbs", "racking"):
-        assert rms[name] == pytest.approx(summary["contour_error_um"][name]["rms"], rel=1e-6), "µm"
-    for name in ("mzv", "zv as calibrated"):
-        x, y = (
-            AxisShaping(axis["type"], axis["hz"], axis["damping"])
-            for axis in (found[name]["x"], found[name]["y"])
-        )
-        judged = error(load("example-corexy").plant, Shaping(x, y), corner)
-        assert rms[name] == pytest.approx(1e3 * judged.rms, rel=0.03), "µm"
-
-
-@pytest.mark.slow
 def test_simulate_compares_input_shapers(tmp_path: Path) -> None:
     out = tmp_path / "s.json"
     done = run("simulate", "--shapers", "--json", out)
@@ -190,17 +155,3 @@ def test_simulate_compares_input_shapers(tmp_path: Path) -> None:
 def test_the_settings_are_those_of_the_firmware(name: str, shown: str) -> None:
     mzv, zv = (Shaping(each, each) for each in (AxisShaping(n, 40.0, 0.1) for n in ("mzv", "zv")))
     assert shown in shapings_as_text([mzv, zv], mzv, FIRMWARES[name])
-
-
-@pytest.mark.slow
-def test_tune_prints_the_section_for_klipper(tmp_path: Path) -> None:
-    out = tmp_path / "s.json"
-    done = run("tune", "--shaper", "--json", out)
-    assert done.returncode == 0
-    text = done.stdout.decode()
-    section = text[text.index("[input_shaper]") :]
-    assert section.count("shaper_freq_") == 2
-    summary = json.loads(out.read_text())
-    errors = [s["contour_error_rms_um"] for s in summary["shapers"]]
-    assert errors == sorted(errors)
-    assert errors[0] < 0.65 * summary["klipper_calibration"]["contour_error_rms_um"]

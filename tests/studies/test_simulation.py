@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from operator import attrgetter
 from statistics import median
 
@@ -10,10 +9,8 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion.options import Options
-from hframe_post.errors import GcodeError, HframeError
 from hframe_post.gcode import batching
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.planner import sampling
 from hframe_post.prediction.statistics import BEFORE, TRAVEL
 from hframe_post.printer import profile
@@ -21,7 +18,6 @@ from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.simulation.simulate import Group, SimulationReport, Study, simulate
 from hframe_post.studies.simulation.uncertainty import draws
 from tests.conftest import SAMPLES
-from tests.plants import as_response
 
 ALL = tuple(STRATEGIES)
 
@@ -81,15 +77,6 @@ def test_layers_and_features_add_up_to_the_whole(cube: SimulationReport) -> None
             assert max(part.acceleration for part in parts) == whole.acceleration
 
 
-def test_the_whole_is_what_a_conversion_reports(cube: SimulationReport) -> None:
-    assert cube.contour.keys() == cube.parts.whole.keys()
-    for name, figures in cube.parts.whole.items():
-        assert cube.contour[name].micrometres() == figures.contour.micrometres()
-    assert cube.parts.whole["racking"].velocity == pytest.approx(cube.peaks.belt_velocity)
-    assert cube.parts.whole["racking"].acceleration == pytest.approx(cube.peaks.belt_acceleration)
-    assert cube.filament_after is None  # nothing is written
-
-
 def test_only_filament_makes_a_feature() -> None:
     """The rectangle's one wall is one feature; coming to it is travel."""
     report = simulated(sample("rectangle.gcode"))
@@ -135,14 +122,6 @@ def test_the_same_study_tells_the_same() -> None:
     assert other.model_error[0].rms("racking") != first.model_error[0].rms("racking")
 
 
-def test_a_printer_that_is_the_model_has_its_figures() -> None:
-    """A draw with no model error, judged at every fourth sample instead of every second."""
-    plant = profile.load("paper").plant
-    report = simulated(sample("rectangle.gcode"), Study(plant, {0.0: draws(plant, 0.0, 1, 0)}))
-    for name, figures in report.parts.whole.items():
-        assert report.model_error[0].rms(name) == pytest.approx([figures.contour.rms], rel=0.02)
-
-
 @pytest.mark.paper
 def test_racking_with_5_percent_model_error_beats_fbs_without() -> None:
     paper = profile.load("paper")
@@ -154,24 +133,6 @@ def test_racking_with_5_percent_model_error_beats_fbs_without() -> None:
     assert error.better("racking", "none") == 50
 
 
-def test_more_model_error_is_more_error() -> None:
-    plant = profile.load("paper").plant
-    shares = {share: draws(plant, share, 10, 0) for share in (0.02, 0.05, 0.2)}
-    report = simulated(sample("rectangle.gcode"), Study(plant, shares))
-    medians = [median(error.rms("racking")) for error in report.model_error]
-    assert [error.share for error in report.model_error] == [0.02, 0.05, 0.2]
-    assert medians == sorted(medians)
-    assert medians[0] > report.parts.whole["racking"].contour.rms
-
-
-def test_a_printer_that_does_not_rack_needs_no_racking_compensation() -> None:
-    """Simulated on another plant than is compensated for."""
-    plant = replace(profile.load("paper").plant, Gxtheta=None)
-    none, fbs, racking = rms(simulated(sample("rectangle.gcode"), Study(plant)).parts.whole)
-    assert fbs < 0.1 * none
-    assert racking > 2.0 * fbs
-
-
 def test_steps_add_less_than_their_size() -> None:
     paper = profile.load("paper")
     assert paper.steps is not None
@@ -181,23 +142,6 @@ def test_steps_add_less_than_their_size() -> None:
         assert figures.contour.rms != smooth[name].contour.rms
         assert abs(figures.contour.rms - smooth[name].contour.rms) < paper.steps.belt / 2
         assert figures.acceleration == smooth[name].acceleration  # of the command asked
-
-
-def test_only_what_is_asked_is_simulated() -> None:
-    report = simulated(sample("rectangle.gcode"), strategies=())
-    assert report.strategies == ["racking"]
-    assert "fbs" not in report.as_text()
-
-
-def test_a_print_without_moves_has_no_layers_and_a_warning() -> None:
-    report = simulated([b"G28\n", b"M104 S200\n", b"G1 E5 F300\n"])
-    assert "nothing was compensated" in report.as_text()
-    assert report.as_json()["layers"] == {}
-
-
-def test_errors_come_through() -> None:
-    with pytest.raises(GcodeError, match="line 2"):
-        simulated([b"G1 X100 Y100 F6000\n", b"G1 XNaN\n"])
 
 
 def layered(squeezed: int) -> list[bytes]:
@@ -214,12 +158,3 @@ def test_text_shows_the_worst_layers() -> None:
     lines = simulated(layered(6)).as_text().splitlines()
     heading = next(k for k, line in enumerate(lines) if line.startswith("worst of 8 layers"))
     assert lines[heading + 1].split()[0] == "6"
-
-
-def test_a_plant_of_no_working_printer_is_an_error() -> None:
-    """As in a conversion: without compensation it would be millimetres off."""
-    paper = profile.load("paper")
-    crawling = TransferFunction(np.zeros(0, complex), np.array([0.995 + 0j]), 0.005)
-    plant = replace(paper.plant, Gxx=as_response(crawling))
-    with pytest.raises(HframeError, match="more than any working printer has"):
-        simulated(rectangle(paper), Study(plant), ("none",))

@@ -6,7 +6,6 @@ import json
 import math
 import re
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,8 @@ import pytest
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError
-from hframe_post.library import convert, load_printer
 from hframe_post.model.plant import Plant
-from hframe_post.planner.pacing import ADJUSTED, FIRST_LAYERS, NAMES, UNCHANGED
+from hframe_post.planner.pacing import ADJUSTED, FIRST_LAYERS, NAMES
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Extruder, Printer
@@ -98,16 +96,6 @@ def test_the_bound_holds_when_the_print_is_computed_anew(
         assert max(of_model, *of_drawn) <= fast.bound.limit(name)
 
 
-@pytest.mark.slow
-def test_the_bound_holds_on_printers_slightly_off_the_model(tight: Fastest) -> None:
-    """The search did not use these printers."""
-    kept = 0
-    for plant in draws(tight.printer.plant, MODEL_ERROR, 12, 1):
-        _, errors = judged(tight, plant, 4)
-        kept += all(errors[name] <= tight.bound.limit(name) for name in tight.trial.errors)
-    assert kept >= 11
-
-
 def test_no_layer_is_too_short_and_what_limits_the_speed_is_reported(
     paper: Printer, loose: Fastest
 ) -> None:
@@ -118,12 +106,6 @@ def test_no_layer_is_too_short_and_what_limits_the_speed_is_reported(
     assert loose.trial.limited_by["file"] > 0.0
     printed = speed_as_text(loose)
     assert re.search(r"permitted; \d+ without hframe-post", printed)
-
-
-@pytest.mark.slow
-def test_an_impossible_bound_is_an_error(paper: Printer) -> None:
-    with pytest.raises(HframeError, match="allow more"):
-        search(cube, paper, Options("racking"), Bound(1e-4))
 
 
 @pytest.mark.slow
@@ -158,25 +140,6 @@ def test_layers_whose_feed_changes_take_as_long_as_in_a_plan_of_the_whole_print(
     assert again[5] > 1.3 * times[5]
     known = {**times, 20: 100.0}  # not what a plan gives, so it shows what is planned again
     assert drive.layer_times_again(after, before, known)[20] == 100.0
-
-
-def test_kept_kinds_are_not_judged(loose: Fastest) -> None:
-    assert not set(loose.trial.errors) & set(UNCHANGED)
-    assert set(loose.options.paces.kinds if loose.options.paces else {}).isdisjoint(UNCHANGED)
-
-
-@pytest.mark.slow
-def test_convert_within_an_error(tmp_path: Path) -> None:
-    part, out = tmp_path / "in.gcode", tmp_path / "out.gcode"
-    part.write_bytes(b"".join(cube()))
-    bounds = "outer-wall=30um,infill=0.2mm"
-    done = run(part, "-o", out, "--max-error", bounds, "--json", tmp_path / "s.json")
-    assert done.returncode == 0
-    report = json.loads((tmp_path / "s.json").read_text())
-    assert report["speed"]["features"]["outer-wall"]["bound_um"] == 30.0
-    assert report["print_time_s"]["after"] == pytest.approx(
-        report["speed"]["print_time_s"]["after"]
-    )
 
 
 @pytest.mark.slow
@@ -220,45 +183,6 @@ def test_a_profile_asks_for_it_and_an_option_says_no(tmp_path: Path) -> None:
     assert b"--max-error off" in piped.stderr
 
 
-def test_batch_and_library_follow_the_profile_and_batch_resumes(tmp_path: Path) -> None:
-    part, mine, out = tmp_path / "in.gcode", tmp_path / "mine.toml", tmp_path / "out"
-    mine.write_text(
-        'extends = "paper"\n[speed]\nmax_error = 0.1\nmodel_error = 0.0\n'
-        "[plant]\ninvented = false\n"
-    )
-    part.write_bytes(b"".join(cube()))
-    again = partial(run, "batch", part, "-d", out, "-p", mine, "--resume")
-    assert b"1 converted, 0 skipped" in again().stderr
-    assert b"0 converted, 1 skipped" in again().stderr
-    made = (out / "in.gcode").read_bytes()
-    printer = load_printer(mine)
-    fast = convert(part, tmp_path / "same.gcode", printer)
-    assert (tmp_path / "same.gcode").read_bytes() == made
-    plain = convert(list(cube()), tmp_path / "plain.gcode", printer, Options(max_error={}))
-    assert plain.time.before == fast.time.before  # the firmware's own, whatever was asked
-    assert plain.time.after > fast.time.after + 1.0
-    with pytest.raises(HframeError, match="a list of lines"):
-        convert(iter(cube()), tmp_path / "once.gcode", printer)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "cause"),
-    [
-        (("--max-error", "30"), "30um"),
-        (("--max-error", "nose=30um"), "outer-wall"),
-        (("--max-error", "0um"), "between"),
-        (("--speed-up", "2"), "--max-error"),
-        (("--max-width-error", "5%"), "--max-error"),
-        (("--max-error", "30um", "--max-width-error", "5"), "such as 5%"),
-        (("--max-error", "30um", "--speed-up", "0.5"), "from 1"),
-    ],
-)
-def test_wrong_usage(arguments: tuple[str, ...], cause: str) -> None:
-    done = run(SAMPLES / "cube.gcode", "-n", *arguments)
-    assert done.returncode == 2
-    assert cause in done.stderr.decode()
-
-
 def test_a_profile_bounds_acceleration_and_corners_of_the_path(paper: Printer) -> None:
     """As `setup` writes it from max_accel; without it the motors alone bound them."""
 
@@ -297,14 +221,3 @@ def test_accelerations_reach_the_bound_in_few_trials(
             break
         searches.trials.append(tried(searches.corrected({"skin": 1.0}).acceleration["skin"]))
     assert NEAR <= used <= LIMIT
-
-
-def test_of_two_trials_at_one_acceleration_the_later_counts() -> None:
-    """The error of a feature also depends on what else changed: the earlier one is within it."""
-    settings = SpeedSettings({"skin": 4e3}, {"skin": 1.0})
-    trials = [
-        TrialPrint(settings, {"skin": [error]}, {}, 1.0, {}, np.zeros((len(NAMES), 1)), 0)
-        for error in (0.094, 0.096)
-    ]
-    searches = Searches(Bound(0.1), 1e6, trials)
-    assert searches.corrected({"skin": 1.0}).acceleration["skin"] < 3.99e3

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.conversion.options import Options
-from hframe_post.errors import GcodeError
 from hframe_post.gcode import batching
 from hframe_post.model.lpfbs import Window
 from hframe_post.planner import sampling
@@ -20,20 +19,16 @@ from hframe_post.printer.settings import Motors, Printer
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.simulation.simulate import Study, simulate
 from hframe_post.studies.simulation.uncertainty import draws
-from hframe_post.studies.tuning import pareto
-from hframe_post.studies.tuning.report import stops_as_json, stops_table
 from hframe_post.studies.tuning.tune import (
     EFFORTS,
     KNOTS,
     PREVIEW,
     ROUGHLY,
-    StopsTrial,
     Trial,
     candidates,
     recommended,
     tune,
 )
-from tests.gcode_tools import HEAD, strokes
 
 EFFORT = (1.0, 10.0, 100.0, 1000.0)
 SLACK = 1.03  # of numbers that should be in order
@@ -62,14 +57,6 @@ def test_candidates_keep_the_preview_and_the_ratio_of_the_efforts(profiled: Prin
         assert y.effort / x.effort == pytest.approx(188.0 / 96.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("effort", [(0.0, 0.0), (0.0, 5.0), (5.0, 0.0)])
-def test_candidates_of_a_profile_without_effort_are_alike_in_x_and_y(
-    profiled: Printer, effort: tuple[float, float]
-) -> None:
-    grid = candidates(replace(profiled.compensation, effort=effort), (5,), (10.0,))
-    assert [(x.effort, y.effort) for x, y in grid] == [(10.0, 10.0)]
-
-
 # ---------------------------------------------------------------------- trials
 
 
@@ -85,15 +72,6 @@ def test_more_effort_is_more_error_and_less_acceleration(trials: list[Trial]) ->
         assert gentlest.acceleration < 0.9 * hardest.acceleration
 
 
-def test_every_candidate_is_tried_on_every_printer(trials: list[Trial]) -> None:
-    assert [(t.windows[0].L, t.windows[0].effort) for t in trials] == [
-        (L, effort) for L in (5, 20) for effort in EFFORT
-    ]
-    (count,) = {s.all.count for t in trials if not t.refused for s in (t.contour, *t.drawn)}
-    assert count > 500
-    assert all(len(t.drawn) == 2 for t in trials if not t.refused)
-
-
 def test_a_trial_is_what_a_simulation_tells(profiled: Printer) -> None:
     (trial,) = tune(rectangle(profiled), profiled, [profiled.compensation.windows], [])
     report = simulate(
@@ -105,15 +83,6 @@ def test_a_trial_is_what_a_simulation_tells(profiled: Printer) -> None:
     assert trial.robust == trial.contour.rms
     assert trial.velocity == figures.velocity
     assert trial.acceleration == figures.acceleration
-
-
-def test_a_trial_among_others_is_that_trial_alone(profiled: Printer, trials: list[Trial]) -> None:
-    among = trials[2]
-    grid, drawn = [among.windows], draws(profiled.plant, 0.05, 2, 0)
-    (alone,) = tune(rectangle(profiled), profiled, grid, drawn)
-    assert alone.acceleration == pytest.approx(among.acceleration, rel=1e-3)
-    assert alone.contour.rms == pytest.approx(among.contour.rms, rel=1e-2)
-    assert alone.robust == pytest.approx(among.robust, rel=1e-2)
 
 
 def test_cuts_change_no_trial(profiled: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -139,41 +108,7 @@ def test_a_window_that_diverges_is_refused_and_the_others_are_tried(profiled: Pr
     assert recommended([refused, tried], profiled.motors) is tried
 
 
-def test_errors_of_the_print_come_through(profiled: Printer) -> None:
-    lines = [b"G1 X100 Y100 F6000\n", b"G1 XNaN\n"]
-    with pytest.raises(GcodeError, match="line 2"):
-        tune(lines, profiled, [profiled.compensation.windows], [])
-
-
 # ---------------------------------------------------------------------- pieces of a print
-
-
-def test_pieces_of_a_print_are_tried_as_if_each_were_printed_alone(
-    profiled: Printer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The machine does not move from one to the next, so no command may lead from one to the next.
-
-    Long and short ones, cut into chunks of samples of any length.
-    """
-    monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", 1500)
-    monkeypatch.setattr(pareto, "SHARES", ((0.25, 1.0),))
-    monkeypatch.setattr(pareto, "JERKS", ())
-    slow = [";LAYER:0", "G1 X90 Y60 E2 F300", "M600", "G0 X60 Y60 F9000", "G1 X90 E1 F6000", "M600"]
-    lines = [f"{line}\n".encode() for line in [*HEAD, *slow, *strokes(1, 20)]]
-    kept = pareto.pieces(lines, profiled)
-    assert len(kept) >= 4
-    grid, drawn = [profiled.compensation.windows], draws(profiled.plant, 0.05, 1, 0)
-    found = pareto.pareto(kept, profiled, grid, drawn)
-    alone = [pareto.pareto([piece], profiled, grid, drawn) for piece in kept]
-    for point, *each in zip(found.points, *(one.points for one in alone), strict=True):
-        trial, trials = point.trial, [other.trial for other in each]
-        assert trial.seconds == pytest.approx(sum(t.seconds for t in trials))
-        assert trial.acceleration == max(t.acceleration for t in trials), "mm/s²"
-        counts = [t.contour.shown.count for t in trials]
-        together = np.average([t.contour.rms**2 for t in trials], weights=counts) ** 0.5
-        # every other sample is judged, other ones where a piece has an odd number of them
-        assert trial.contour.rms == pytest.approx(together, rel=0.02), "mm"
-    assert found.chosen is not None
 
 
 # ---------------------------------------------------------------------- recommendation
@@ -226,17 +161,6 @@ def test_recommended_is_the_gentlest_of_the_good(
         assert all(t.contour.rms > ROUGHLY * least for t in gentler)
 
 
-def test_robust_is_the_median_of_the_printers_drawn() -> None:
-    trial = Trial((WINDOW, WINDOW))
-    trial.contour.add(np.array([1.0]), np.array([True]))
-    assert trial.robust == 1.0
-    for error in (5.0, 3.0, 4.0):
-        statistics = type(trial.contour)()
-        statistics.add(np.array([error]), np.array([True]))
-        trial.drawn.append(statistics)
-    assert (trial.robust, trial.worst, trial.cost) == (4.0, 5.0, 2.5)
-
-
 def test_a_little_on_wrong_models_is_not_worth_several_times_the_error_of_the_model() -> None:
     def trial(model: float, wrong: float, acceleration: float) -> Trial:
         made = Trial((WINDOW, WINDOW), acceleration=acceleration)
@@ -252,26 +176,3 @@ def test_a_little_on_wrong_models_is_not_worth_several_times_the_error_of_the_mo
 
 
 # ---------------------------------------------------------------------- stops
-
-
-def test_settings_of_stops_are_reported_with_time_and_error(profiled: Printer) -> None:
-    lines = [line.encode() + b"\n" for line in strokes(1, 6)]
-    fast, exact = stops = (StopsTrial("fast"), StopsTrial("exact"))
-    own = profiled.compensation.windows
-    (trial,) = tune(lines, profiled, [own], [], stops=stops)
-    assert fast.contour.rms == pytest.approx(trial.contour.rms)  # the profile's own setting
-    assert fast.samples - fast.resting == exact.samples - exact.resting
-    assert fast.resting < exact.resting
-    assert exact.contour.rms < fast.contour.rms
-    assert stops_as_json(exact)["print_time_s"]["after"] == pytest.approx(exact.samples / 1000)
-    rows = stops_table(stops, "exact").splitlines()
-    assert [row.split()[0] for row in rows[1:3]] == ["fast", "→"]
-    assert "fast is the default" in rows[-1]
-
-
-def test_without_a_window_of_the_profile_stops_are_not_tried(profiled: Printer) -> None:
-    wrong = replace(profiled.compensation, effort=(0.0, 0.0), n_C=60)
-    stops = (StopsTrial("fast"),)
-    grid = [profiled.compensation.windows]
-    tune(rectangle(profiled), replace(profiled, compensation=wrong), grid, [], stops=stops)
-    assert not stops[0].samples

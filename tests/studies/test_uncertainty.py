@@ -64,12 +64,6 @@ def test_equal_seeds_give_equal_printers_and_others_do_not() -> None:
     assert not any(same(a, b) for a, b in pairwise(first))
 
 
-def test_more_draws_begin_with_the_same() -> None:
-    few, many = draws(PLANT, 0.05, 3, 0), draws(PLANT, 0.05, 9, 0)
-    assert all(same(a, b) for a, b in zip(few, many, strict=False))
-    assert (len(few), len(many), draws(PLANT, 0.05, 0, 0)) == (3, 9, [])
-
-
 @pytest.mark.parametrize("plant", [PLANT, CARTESIAN], ids=["hbot", "cartesian"])
 def test_no_model_error_is_the_plant_itself(plant: Plant) -> None:
     for drawn in draws(plant, 0.0, 3, seed=0):
@@ -102,12 +96,3 @@ def lengths(share: float, count: int) -> Array:
     drawn = draws(CARTESIAN, share, count, seed=3)
     own = [len(CARTESIAN.Gxx.deviation), len(CARTESIAN.Gyy.deviation)]
     return np.array([[len(p.Gxx.deviation), len(p.Gyy.deviation)] for p in drawn]) / own
-
-
-def test_racking_gain_is_uniform_within_the_share() -> None:
-    """Racking at low speed has that of the gain and that of the damper's lag."""
-    before, share = slope(PLANT.Gxtheta), 0.1
-    after = [slope(p.Gxtheta) for p in draws(PLANT, share, 400, 0)]
-    off = (np.array(after) / before - 1.0) / share
-    assert 1.0 < np.abs(off).max() <= 3.4
-    assert np.median(off) == pytest.approx(0.0, abs=0.2)

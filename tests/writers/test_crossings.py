@@ -62,13 +62,6 @@ def test_between_samples_the_command_never_turns(values: list[float]) -> None:
     assert (change * np.sign(np.diff(u[1:-1]))[:, None] >= -1e-9).all()
 
 
-def test_halving_agrees_with_newton() -> None:
-    u = np.cumsum(np.random.default_rng(1).normal(size=2000)) * 3.0
-    newton = crossings(u)[1]
-    halved = crossings(u, close=-1.0)[1]  # nothing is as close as that
-    np.testing.assert_allclose(halved, newton, atol=1e-2)
-
-
 def test_smooth_motion_is_followed_to_a_thousandth_of_a_step() -> None:
     """A sine's own crossings, between samples 1 ms apart."""
     t = np.arange(400)

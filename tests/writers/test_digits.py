@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from hframe_post.errors import HframeError
 from hframe_post.native import digits
-from hframe_post.writers.stream.gcode import word
 
 
 def formatted(letter: str, value: int, decimals: int) -> str:
@@ -55,18 +54,6 @@ def test_words_read_back_as_their_values(column: tuple[list[int], int]) -> None:
         assert b"." not in number or not number.endswith((b"0", b"."))
 
 
-@pytest.mark.parametrize(
-    ("value", "decimals", "expected"),
-    [
-        (1, 3, "0.001"), (-1, 3, "-0.001"), (12500, 3, "12.5"), (-12000, 3, "-12"),
-        (100, 0, "100"), (-7, 0, "-7"), (999999, 3, "999.999"), (1000000, 3, "1000"),
-        (-99999999, 3, "-99999.999"), (99999999, 3, "99999.999"), (5, 5, "0.00005"), (10, 1, "1"),
-    ],
-)  # fmt: skip
-def test_numbers_are_written_plainly(value: int, decimals: int, expected: str) -> None:
-    assert extruded([value], decimals) == b"G1 X0 Y0 E" + expected.encode() + b"\n"
-
-
 places = st.lists(st.integers(-2, 2), min_size=5, max_size=5)
 
 
@@ -85,19 +72,6 @@ def test_a_word_is_written_where_it_changes(rows: list[list[int]], feed: int) ->
         assert written[begin:end].decode() == f"G1{line}\n"
         begin = end
     assert begin == len(written)
-
-
-@given(st.integers(-(2**32) + 1, 2**32 - 1), st.integers(0, 5))
-def test_a_single_word_is_written_as_in_a_line(value: int, decimals: int) -> None:
-    """Or neither is."""
-    try:
-        line = extruded([value], decimals).decode()
-    except HframeError:
-        with pytest.raises(HframeError):
-            word("E", value, decimals)
-    else:
-        shown = word("E", value, decimals)
-        assert line == f"G1 X0 Y0 {shown}\n" if value else line == "G1 X0 Y0\n"
 
 
 @pytest.mark.parametrize(
@@ -132,9 +106,3 @@ def test_fixed_numbers_equal_those_of_python(values: list[float], decimals: int)
         whole, fraction = shown[: len(shown) - decimals], shown[len(shown) - decimals :]
         point = "." if decimals else ""
         assert row == ("-" if unit < 0 else "") + whole + point + fraction
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e15, -1e15])
-def test_number_that_cannot_be_written_is_an_error(value: float) -> None:
-    with pytest.raises(HframeError), np.errstate(invalid="ignore"):
-        digits.fixed(np.array([1.0, value]), 6)

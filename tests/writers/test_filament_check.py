@@ -52,9 +52,3 @@ def test_the_first_segment_begins_with_the_standstill_before_it() -> None:
     check_filament(batch(e, 5), ENDS, early, still=2)
     with pytest.raises(HframeError, match=r"0\.1000 mm"):
         check_filament(batch(e, 5), ENDS, early, still=1)
-
-
-def test_what_is_no_number_is_at_no_place() -> None:
-    e = np.linspace(0.0, 4.0, 41)
-    with pytest.raises(HframeError, match="nan mm"):
-        check_filament(batch(e, 20), ENDS, np.full(5, np.nan))

@@ -18,7 +18,7 @@ from hframe_post.firmware.code import Code
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.printer.profile import load
-from hframe_post.stream.chunks import batches, join
+from hframe_post.stream.chunks import batches
 from hframe_post.stream.types import (
     Dwell,
     Event,
@@ -231,14 +231,6 @@ def test_lines_are_different_only_in_what_changes(klipper: Parts) -> None:
         assert all(a != b for a, b in pairwise(said))
 
 
-def test_chunks_join_to_what_they_were() -> None:
-    """The cuts of these tests lose nothing."""
-    whole = stream([("move", 50), ("retract", 80), ("move", 50)])
-    again = join(list(batches([whole], 7)))
-    np.testing.assert_array_equal(again.xyze, whole.xyze)
-    assert again.events == whole.events
-
-
 @given(st.lists(st.integers(0, 5000), min_size=1, unique=True), st.integers(1, 20))
 def test_busiest_second_is_that_with_the_most_lines(due: list[int], at_once: int) -> None:
     """However many lines are counted at once, from the first millisecond of it to the last."""
@@ -247,15 +239,3 @@ def test_busiest_second_is_that_with_the_most_lines(due: list[int], at_once: int
         ledger.moved(due[first : first + at_once], 0)
     lines = Counter(sample // 1000 for sample in due)
     assert ledger.busiest == max(lines.values()), "lines in a second"
-
-
-def test_every_sample_of_a_steady_second_is_a_line() -> None:
-    x = 0.05 * np.arange(3500.0)
-    xyze = np.column_stack([100.0 + x, np.full((len(x), 1), 100.0), np.zeros((len(x), 2))])
-    commands = {"racking": xyze[:, :2]}
-    samples = Samples(0, xyze, np.zeros(len(x), np.int64), (), commands)
-    printer = load("paper")
-    own = firmware_of(printer)
-    writer = GcodeWriter("racking", own.motion(printer, None), own.code(printer))
-    list(writer.write([samples]))
-    assert writer.summary.busiest_second == 1000, "lines in a second"

@@ -14,19 +14,11 @@ from hframe_post.writers.stream.print_time import (
     Output,
     after_head,
     commented,
-    duration,
     later,
     passed_on,
     with_times,
     write_output,
 )
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"), [(0.4, "0m 00s"), (75, "1m 15s"), (3600, "1h 00m 00s")]
-)
-def test_duration(seconds: float, text: str) -> None:
-    assert duration(seconds) == text
 
 
 @pytest.mark.parametrize(

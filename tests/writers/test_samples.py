@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import tracemalloc
 import zipfile
 from collections.abc import Callable, Iterator
@@ -13,12 +12,10 @@ import pytest
 
 from hframe_post.arrays import Array
 from hframe_post.prediction.predict import predict
-from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import Dwell, Handling, Samples
-from hframe_post.writers.samples import COLUMNS, as_csv, tabulate, write_npz
+from hframe_post.stream.types import Samples
+from hframe_post.writers.samples import COLUMNS, tabulate, write_npz
 from tests.plants import Filter
-from tests.step_tools import block, line
 
 
 @pytest.fixture(scope="module")
@@ -54,22 +51,6 @@ def test_theta_is_what_moves_the_nozzle_at_a_lever(paper: Printer, table: Array)
     )
 
 
-def test_printer_that_does_not_rack_has_no_theta(commands: Callable[[str], Samples]) -> None:
-    plant = load("example-corexy").plant
-    tables = tabulate([commands("none")], "none", plant)
-    assert not np.concatenate([column(table, "theta") for table in tables]).any()
-
-
-def test_prediction_starts_anew_after_a_yield(paper: Printer) -> None:
-    moving = np.column_stack([np.linspace(100, 101, 50), np.full(50, 50.0), np.zeros((50, 2))])
-    home = Dwell(50, 0, line(b"G28", Handling.RELEASE))
-    second = moving + np.array([50.0, 0.0, 0.0, 0.0])
-    first, again = tabulate([block(moving, 0, (home,)), block(second, 50)], "none", paper.plant)
-    np.testing.assert_array_equal(column(again, "x_d"), column(first, "x_d") + 50.0)
-    np.testing.assert_allclose(column(again, "theta"), column(first, "theta"), atol=1e-15)
-    assert column(again, "t")[0] == pytest.approx(0.051)
-
-
 @pytest.mark.parametrize("size", [1, 7, 100, 10_000])
 def test_bits_do_not_depend_on_how_the_stream_is_cut(
     paper: Printer, commands: Callable[[str], Samples], table: Array, size: int
@@ -91,17 +72,6 @@ def test_bits_do_not_depend_on_how_the_stream_is_cut(
 
 def pieces(table: Array) -> Iterator[Array]:
     yield from np.array_split(table, 7)
-
-
-def test_csv_is_the_table_rounded(table: Array) -> None:
-    names, *rows = b"".join(as_csv(pieces(table))).decode().splitlines()
-    assert names.split(",") == list(COLUMNS)
-    decimals = [{"t": 3, "theta": 9}.get(name, 6) for name in COLUMNS]  # as documented
-    row = re.compile(",".join(rf"(?!-[0.]+(?:,|$))-?\d+\.\d{{{n}}}" for n in decimals))
-    assert all(row.fullmatch(text) for text in rows)
-    numbers = np.array([[float(number) for number in text.split(",")] for text in rows])
-    assert numbers.shape == table.shape
-    assert (np.abs(numbers - table) <= 0.501 * 10.0 ** -np.array(decimals)).all()
 
 
 def test_npz_is_what_numpy_would_load(tmp_path: Path, table: Array) -> None:

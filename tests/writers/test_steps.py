@@ -12,9 +12,8 @@ from scipy.interpolate import CubicHermiteSpline
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import LimitError
-from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Steps
-from hframe_post.stream.types import Dwell, Event, Handling, Mark, MoveAtRest
+from hframe_post.stream.types import Dwell, Event, Handling, Mark
 from hframe_post.writers import steps
 from tests.step_tools import Stepping, block, line, stepped
 
@@ -88,15 +87,6 @@ def test_position_is_within_half_a_step_and_a_tick_of_the_command(path: Array) -
         assert off[-1] <= 0.5 + 1e-6
 
 
-def test_belts_step_along_their_own_coordinates() -> None:
-    path = at_rest_around(np.linspace([100, 80, 1, 0], [110, 83, 1, 0], 100))
-    done = stepped([block(path)], TABLE, Kinematics())
-    assert done.starts[0].position[:2] == (9000, 1000)
-    assert done.counts.net[:2].tolist() == [650, 350]
-    turned = stepped([block(path)], TABLE, Kinematics(swap=True, signs=(-1.0, 1.0)))
-    assert turned.counts.net[:2].tolist() == [-350, 650]
-
-
 @given(st.sampled_from([1000.0, 31_250.0, 40_000.0, 33_333.3, 1e6]), paths())
 @settings(max_examples=60)
 def test_any_clock_keeps_every_step(clock: float, path: Array) -> None:
@@ -120,19 +110,6 @@ def test_command_faster_than_the_clock_is_an_error_with_its_line(motor: int) -> 
     assert caught.value.bound == pytest.approx(LENGTHS[motor] * TABLE.clock_hz)
 
 
-def test_command_as_fast_as_the_clock_is_followed() -> None:
-    path = np.zeros((30, 4))
-    path[10:20, 0], path[20:, 0] = np.arange(10) * 0.8, 9 * 0.8
-    assert stepped([block(path)], TABLE).counts.steps[0] == 360
-
-
-def test_what_is_no_number_is_an_error() -> None:
-    path = np.zeros((30, 4))
-    path[10:, 3] = np.nan
-    with np.errstate(invalid="ignore"), pytest.raises(LimitError, match="line 11"):
-        stepped([block(path)], TABLE)
-
-
 def swinging(samples: int = 400) -> Array:
     t = np.arange(samples)
     path = np.zeros((samples, 4))
@@ -154,14 +131,6 @@ def test_turning_motor_waits_for_its_direction_either_way(setup: float) -> None:
             assert len(turns)
             gap = ticks[turns + 1] - ticks[turns]
             assert (gap >= max(math.ceil(setup * 40_000.0), 1)).all()
-
-
-def test_direction_that_takes_too_long_is_an_error() -> None:
-    table = Steps(0.02, 0.0025, 0.0024, 40_000.0, 5e-3)
-    path = np.zeros((200, 4))
-    path[10:190, 1] = np.tile(np.repeat([0.5, 0.0], 3), 30)
-    with pytest.raises(LimitError, match="delay of a step of motor B"):
-        stepped([block(path)], table)
 
 
 def test_noise_on_a_half_step_does_not_make_a_motor_tremble() -> None:
@@ -206,15 +175,6 @@ def test_step_that_is_late_still_comes_before_a_line_at_rest() -> None:
     up_to = int(np.abs(np.diff(np.floor(np.round(path[:, 0], 9) / 0.02 + 0.5))).sum())
     assert (ticks <= at).sum() == up_to
     assert len(ways) > up_to
-
-
-def test_lift_is_stepped_in_z() -> None:
-    path = np.zeros((40, 4))
-    path[10:30, 2], path[30:, 2] = np.linspace(0, 0.3, 20), 0.3
-    lift = MoveAtRest(5, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.3, 0.0), 15.0)
-    done = stepped([block(path, events=(Dwell(10, 20, lift, 0.02),))], TABLE)
-    assert done.counts.net.tolist() == [0, 0, 120, 0]
-    assert not done.notes
 
 
 def test_after_a_yield_the_motors_may_stand_elsewhere() -> None:

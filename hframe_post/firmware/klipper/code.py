@@ -12,7 +12,7 @@ from hframe_post.firmware.code import Code, coordinates, modes, plain
 from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY, StreamLimits
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Extruder, Printer
-from hframe_post.stream.types import ModalState
+from hframe_post.stream.types import ModalState, Passthrough
 
 STAND = "G4 P0"  # comes to rest without flushing the queue of the motors, as M400 would
 
@@ -54,10 +54,25 @@ class KlipperCode(Code):
         start = [STAND, *([macro] if macro else self.limits_of_stream), *self.averaging_of_stream]
         return [line.encode() for line in [*start, "G90", "M83", *coordinates(offset, at)]]
 
+    @property
+    def users_limits(self) -> str:
+        table = self.table
+        corner, cruise = table.square_corner_velocity, table.minimum_cruise_ratio
+        return _limit(table.velocity, table.acceleration, corner, cruise)
+
+    def around(self, move: Passthrough) -> tuple[bytes, bytes] | None:
+        """Return lines that change limits alone: turning shaping on and off takes 40 ms each."""
+        state = move.state
+        if move.end is None or not state.absolute or move.filament or any(state.offset):
+            return None
+        if b"E" in move.text.partition(b";")[0].upper():  # absolute, perhaps
+            return None
+        before = f"{STAND}\n{self.users_limits}\nG1 F{plain(state.feed * 60.0, 1)}\n"
+        return before.encode(), f"{STAND}\n{self.limits_of_stream[1]}\n".encode()
+
     def end(self, state: ModalState, at: Array) -> list[bytes]:
         table, names = self.table, coordinates(state.offset, at[:E] - state.offset)
-        corner, cruise = table.square_corner_velocity, table.minimum_cruise_ratio
-        stop = [_limit(table.velocity, table.acceleration, corner, cruise)]
+        stop = [self.users_limits]
         shaped = table.shaper_freq_x, table.shaper_freq_y, table.shaper_freq_z
         if any(shaped):
             stop.append(_shaper(shaped))

@@ -2,8 +2,6 @@
 
 ===============  ================================================================================
 strokes          the start is known, so all delay is the printer's
-our own sweep    the start is known within the sensor's period; x and y are taken to have the same
-                 delay of printer and drivers, besides what their damping explains
 others           all delay is the recording's, but for what damping explains
 ===============  ================================================================================
 """
@@ -16,13 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex
-from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation import known_start, unknown_start
-from hframe_post.identification.estimation.estimated import Estimated
-from hframe_post.identification.estimation.kernel import Mode
 from hframe_post.identification.estimation.modes import Modes, described
+from hframe_post.identification.estimation.regression import Estimated, Mode
 from hframe_post.identification.responses.frequency_response import (
-    SENSOR,
     FrequencyResponse,
     advanced,
     average,
@@ -38,12 +33,8 @@ UNCALIBRATED = (1.0, 0.05)  # gain, as mean and standard deviation, after a roug
 ASSUMED = 0.9995  # coherence of what modes foresee
 GAIN_BY_MODES = 0.005  # standard deviation of the gain, if modes explain the recording
 EARLY = 4e-3  # s by which the rough start may be late
-LONGEST_DELAY = 5e-3  # s, of motors and drivers
-TOGETHER = 5e-5  # s by which noise may part the delays of x and y
 LISTED = 0.03  # of the motion at rest: modes that contribute less are not listed
 DESCRIBED_LATE = 2e-3  # s by which their delay may differ from the response's lag
-SLOW = 1.5  # times the lowest frequency, up to which a printer follows its command
-FOLLOWED = 0.35  # share of the command by which it may be off there
 NEAR = 1e-5  # s; likewise where the delay is known
 
 
@@ -59,11 +50,36 @@ class Excited:
 
 
 @dataclass(frozen=True, slots=True)
-class Swept:
-    """What our own sweeps show of one axis, and bounds of their delay in s."""
+class Measured:
+    """A transfer function as measured.
 
-    whole: FrequencyResponse
+    places: the response at each position (mm of x). mean: their average. spread: RMS difference of
+    the positions from the mean, relative; repeated: likewise of runs in one direction.
+    delay_bounds: of the recording, s. excited_hz:
+    lowest and highest frequency that is excited. resonance_hz: the lowest strong resonance, if the
+    recordings are not calibrated. known_start: whether they are of strokes.
+    """
+
+    places: list[tuple[float, FrequencyResponse]]
+    mean: FrequencyResponse
+    spread: float
+    repeated: float
     delay_bounds: tuple[float, float]
+    excited_hz: tuple[float, float] = (0.0, np.inf)
+    resonance_hz: float | None = None
+    known_start: bool = False
+
+    @property
+    def runs(self) -> list[FrequencyResponse]:
+        return [response for _, response in self.places]
+
+    def excited(self, band_hz: tuple[float, float]) -> Excited | None:
+        """Return what was excited within the band; None if the recordings are calibrated."""
+        if self.resonance_hz is None:
+            return None
+        low, high = self.excited_hz
+        band = max(band_hz[0], low), min(band_hz[1], high)
+        return Excited([run.within(band) for run in self.runs], self.resonance_hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,56 +133,6 @@ def fit_known_start(whole: FrequencyResponse) -> Fit:
     return _described(found, whole, delays)
 
 
-def fit_swept(axes: Mapping[str, Swept]) -> dict[str, Fit]:
-    """Return the responses of our own sweeps. Raises IdentificationError."""
-    rough = {name: _RoughlySwept(axis) for name, axis in axes.items()}
-    bounds = [one.printer_delay_bounds for one in rough.values()]
-    low = max((low for low, _ in bounds), default=0.0)
-    high = min((high for _, high in bounds), default=0.0)
-    return {
-        name: one.fit((low + high) / 2.0 if low <= high + TOGETHER else None)
-        for name, one in rough.items()
-    }
-
-
-class _RoughlySwept:
-    """An axis whose recordings are taken to start in the middle of their bounds."""
-
-    def __init__(self, axis: Swept) -> None:
-        low, high = axis.delay_bounds
-        self._middle, self._half = (low + high) / 2.0, (high - low) / 2.0
-        self._whole = advanced(axis.whole, self._middle)
-        self._found = known_start.estimated(self._whole, swept=True)
-        modes = self._in_modes(self._found, self._whole)
-        left = share_left(modes.response(self._whole.hz), self._whole, self._whole.power)
-        self._late = modes.delay if left < LINEAR else None
-
-    def _in_modes(self, found: Estimated, whole: FrequencyResponse) -> Modes:
-        delays = (-self._half, LONGEST_DELAY)
-        return _in_modes(found, whole, delays, SENSOR, speed=False)
-
-    @property
-    def printer_delay_bounds(self) -> tuple[float, float]:
-        """Return bounds of the delay of motors and drivers, s; wide if damping tells nothing."""
-        if self._late is None:
-            return 0.0, LONGEST_DELAY
-        return max(self._late - self._half, 0.0), max(self._late + self._half, 0.0)
-
-    def fit(self, printer_delay: float | None) -> Fit:
-        """Return the fit, with a printer's delay (s) that may be known from other axes."""
-        start = 0.0
-        if self._late is not None:
-            delay = max(self._late, 0.0) if printer_delay is None else printer_delay
-            start = min(max(self._late - delay, -self._half), self._half)
-        whole = advanced(self._whole, start)
-        found = self._found
-        if start:
-            found = known_start.estimated(whole, start=found.prior, swept=True)
-        fit = _with_modes(found, whole, self._in_modes(found, whole))
-        _check_followed(whole, fit)
-        return begun(fit, self._middle + start)
-
-
 def begun(found: Fit, late: float) -> Fit:
     """Return the fit of recordings that began ``late``, s, found from what they were without it."""
     assert found.sum is not None
@@ -174,17 +140,6 @@ def begun(found: Fit, late: float) -> Fit:
         found, recording_delay=late, measured=replace(found.measured, delay=late),
         sum=replace(found.sum, delay=found.sum.delay + late),
     )  # fmt: skip
-
-
-def _check_followed(whole: FrequencyResponse, found: Fit) -> None:
-    """Raise IdentificationError unless the printer follows its command where it is slow."""
-    slow = whole.hz <= SLOW * whole.hz[0]
-    in_time = whole.H[slow] * np.exp(2j * np.pi * whole.hz[slow] * found.lag)
-    if abs(in_time.mean() / found.gain - 1.0) > FOLLOWED or abs(found.gain - 1.0) > FOLLOWED:
-        raise IdentificationError(
-            "the sensor does not follow the command at low frequencies. Check the axis map "
-            "(--axes) and that the recording belongs to the command"
-        )
 
 
 def fit_racking(whole: FrequencyResponse, x: Fit, gain: float, in_time: bool) -> Fit:

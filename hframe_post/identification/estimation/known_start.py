@@ -13,21 +13,20 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import optimize
 from scipy.fft import irfft, rfft
 from scipy.ndimage import uniform_filter1d
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.estimation.estimated import Estimated
-from hframe_post.identification.estimation.kernel import Mode, transfer
 from hframe_post.identification.estimation.regression import (
     LEAST_GAIN,
     Data,
+    Estimated,
+    Mode,
     Posterior,
     Prior,
-    cost,
     regress,
+    transfer,
 )
 from hframe_post.identification.responses.frequency_response import (
     SENSOR,
@@ -48,29 +47,22 @@ LEAST_FREQUENCIES = 50
 UNKNOWN = 64  # samples of the filter that holds the uncertainty
 FINE = 4096
 USUAL_PEAK = 5.0  # of an axis; a coupling is scaled to it
-TAILS, TAIL_STEP = (0.5, 2.0), 0.03  # slow poles, as shares of the lowest frequency; of its log
-TAIL_ROUNDS = 3
-LIKELIER = 3.0  # of log evidence, from which there is a slow pole
-EXACT, NEARLY = 1e-3, 2e-3  # standard deviation of the gain of a sensor that is (nearly) exact
-TAIL_SD = 5.0  # samples by which a slow pole is late
 NONE = 1e-6  # standard deviation of what is zero
 NOTHING = (0.0, NONE)  # gain at rest of a coupling
 
 
 def estimated(
     measured: FrequencyResponse, sensor: tuple[float, float] = SENSOR, start: Prior | None = None,
-    swept: bool = False,
 ) -> Estimated:  # fmt: skip
     """Return the response of an axis that was measured, with what is not known of it.
 
     All delay is the printer's. sensor: mean and standard deviation of its gain. start: what is
-    expected, by default modes are sought. swept: whether by a slow sweep, which repeats what is not
-    linear, and begins above slow poles that look like a wrong gain. Raises IdentificationError if
-    there are too few frequencies.
+    expected, by default modes are sought. Raises IdentificationError if there are too few
+    frequencies.
     """
-    found, modelled = _regressed(measured, sensor, start, swept=swept)
+    found, modelled = _regressed(measured, sensor, start)
     gain = float(sensor[0] + found.mean[0])
-    lag = float(found.mean[1] + (found.mean[2] if found.tail else 0.0))
+    lag = float(found.mean[1])
     G = _response(found, 1.0, lag / gain, 1.0 / gain)
     strongest = float(measured.hz[np.argmax(np.abs(modelled))])
     return Estimated(G, gain, 0.0, strongest, found.prior)
@@ -121,8 +113,6 @@ def _regressed(
         weight = np.sqrt(2.0 * power / _smoothed(noise + left, measured.hz))
         data = linear.data(weight, sensor[1])
         found = regress(data, prior)
-        if swept and left.any() and sensor[1] > EXACT:
-            found = _sure(found, data, linear, weight)
         prior, modelled = found.prior, linear.modelled(found)
         # what no linear model explains counts as noise, which in a sweep does not average out
         if noise is own or not swept:
@@ -137,11 +127,9 @@ class _Linear:
         self._k = np.arange(-BEFORE, AFTER, dtype=float)
         self._z: Complex = np.exp(2j * np.pi * TS * measured.hz)
         self._H, self._gain, self._lag_sd = measured.H, gain, lag_sd
-        self.lowest_hz = float(measured.hz[0])
-        self._velocity = 1.0 - 1.0 / self._z
         self._acceleration = self._z - 2.0 + 1.0 / self._z
         q = self._acceleration[:, None] * self._z[:, None] ** -self._k
-        self._columns = np.column_stack([np.ones(len(self._z)), -self._velocity, q])
+        self._columns = np.column_stack([np.ones(len(self._z)), 1.0 / self._z - 1.0, q])
 
     def data(self, weight: Array, gain_sd: float) -> Data:
         """Return the data of a regression, for 1 / noise (k,)."""
@@ -152,23 +140,11 @@ class _Linear:
         X, y = _rows(weight, self._columns), _rows(weight, self._H - self._gain)
         return Data.of(X, y, self._k, np.array([gain_sd, self._lag_sd]) ** -2.0, by_modes)
 
-    def with_tail(self, data: Data, weight: Array, tail: float) -> Data:
-        """Return the same data with the column of a slow pole."""
-        return data.with_tail(_rows(weight, self._pole(tail)), TAIL_SD**-2.0, tail)
-
     def modelled(self, found: Posterior) -> Complex:
         """Return the mean of the response (k,)."""
-        columns = self._columns
-        if found.tail:
-            columns = np.insert(columns, 2, self._pole(found.tail), axis=1)
         ringing = self._ringing(found.prior.modes, found.prior.onset)
-        columns = np.hstack([columns, ringing])
+        columns = np.hstack([self._columns, ringing])
         return np.asarray(self._gain + columns @ found.mean.astype(complex))
-
-    def _pole(self, tail: float) -> Complex:
-        """Return what a slow pole adds, besides its q, if it is late by one sample."""
-        q = self._acceleration / (np.exp(tail) * self._z - 1.0)
-        return np.asarray(q - self._velocity)
 
     def _ringing(self, modes: Sequence[Mode], onset: int) -> Complex:
         return np.asarray(self._acceleration[:, None] * transfer(self._z, modes, onset))
@@ -178,30 +154,6 @@ def _rows(weight: Array, columns: Complex) -> Array:
     """Return weighted columns (k, …) as real and imaginary rows, (2k, …)."""
     weighted = (weight * columns.T).T
     return np.concatenate([weighted.real, weighted.imag])
-
-
-def _sure(found: Posterior, data: Data, linear: _Linear, weight: Array) -> Posterior:
-    """Return the posterior with an exact sensor, if the measurement does not deny that clearly.
-
-    A slow pole, which nothing shows but that it seems to be a gain, may explain it then.
-    """
-    prior, sure = found.prior, found
-    lag = float(data.precision[1])
-    exact, nearly = (replace(data, precision=np.array([sd**-2.0, lag])) for sd in (EXACT, NEARLY))
-    least = cost(exact, prior)
-    if least < found.cost + LEAST_GAIN:
-        sure = regress(exact, prior)
-    tails = np.log(2.0 * np.pi * TS * linear.lowest_hz * np.array(TAILS))
-    for _ in range(TAIL_ROUNDS):
-        tail = optimize.minimize_scalar(
-            lambda log_tail, prior: cost(linear.with_tail(nearly, weight, np.exp(log_tail)), prior),
-            args=(prior,), bounds=tails, method="bounded", options={"xatol": TAIL_STEP},
-        )  # fmt: skip
-        if tail.fun > min(found.cost, least):
-            return sure
-        late = regress(linear.with_tail(nearly, weight, np.exp(tail.x)), prior)
-        prior = late.prior
-    return late if late.cost < min(found.cost, sure.cost) - LIKELIER else sure
 
 
 def _smoothed(noise: Array, hz: Array) -> Array:

@@ -1,4 +1,4 @@
-"""A sum of modes behind a delay: what people read, what a frame adds, and when motion begins.
+"""A sum of modes behind a delay: what people read, and when motion begins.
 
     H(f) = g·e^{−sτ}·sinc²(f·Ts)·Σ (c_i + d_i p_i) / (p_i² + 2ζ_i p_i + 1),   Σ c_i = 1
     p_i = s/ω_i,  s = 2πjf
@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, optimize
 
-from hframe_post.arrays import TS, Array, Complex, Flags
-from hframe_post.identification.estimation.kernel import Mode
+from hframe_post.arrays import TS, Array, Complex
+from hframe_post.identification.estimation.regression import Mode
 from hframe_post.identification.responses.frequency_response import FrequencyResponse, weights
 
 DAMPING = (0.004, 0.95)  # bounds of a mode's damping ratio
@@ -53,31 +53,12 @@ class Modes:
         """Return the natural frequencies, (n,)."""
         return self.omega / (2.0 * np.pi * TS)
 
-    @property
-    def lag(self) -> float:
-        """Return by how many samples they are late at a constant speed, without the delay."""
-        return float(((2.0 * self.zeta * self.c - self.d) / self.omega).sum())
-
     def response(self, hz: Array) -> Complex:
         """Return H at ``hz`` (k,), with gain and delay."""
         s = np.asarray(2j * np.pi * TS * hz)
         played = self.gain * np.sinc(hz * TS) ** 2 * np.exp(-s * self.delay / TS)
         columns = _columns(s, self.omega, self.zeta, speed=True)
         return np.asarray(played * (columns @ np.concatenate([self.c, self.d])))
-
-    def deviation(self, m: int) -> Array:
-        """Return what they add to a response's deviation (m,), by partial fractions of H/s²."""
-        poles = self.omega * (-self.zeta + 1j * np.sqrt(1.0 - self.zeta**2))
-        residues = self.omega**2 * (self.c + self.d * poles / self.omega) / (2j * poles.imag)
-        at = np.exp(np.outer(np.arange(m), poles))
-        q = 2.0 * (at @ (residues / poles**2)).real
-        q[0] = 0.0  # what follows the velocity begins a sample later
-        return np.asarray(q)
-
-    def only(self, kept: Flags) -> Modes:
-        """Return the modes that are flagged (n,)."""
-        omega, zeta, c, d = (one[kept] for one in (self.omega, self.zeta, self.c, self.d))
-        return Modes(omega, zeta, c, d, self.gain, self.delay)
 
 
 def described(

@@ -15,6 +15,17 @@ by LEAST_GAIN. Thousands are tried, so they are integrated last: with P of X alo
     M = I − Zᵀ Z,   Z = L⁻¹ Xᵀ,   v = M y,   R Rᵀ = Ψᵀ M Ψ + I/a²
 
 where M and v do not change with the modes.
+
+**The kernel** is what is known of an impulse response before it is measured.
+
+    q ~ N(0, K),   K = K_D + K_M
+    K_D(j, k) = c² e^{−β(|j| + |k|)} e^{−α|j − k|}        it decays, and neighbours are alike
+    K_M       = a² Σ_i Φ_i Φ_iᵀ,                          it rings in a few modes
+    Φ_i(k)    = e^{−ζω_i(k−d)} [cos ω'_i(k−d), sin ω'_i(k−d)] / norm,  k ≥ d
+
+K_D is the DC kernel, and K_M one of rank two a mode (Pillonetto, Chen, Chiuso, De Nicolao, Ljung,
+Regularized System Identification, Springer 2022, ch. 5). A printer that is a sum of modes needs no
+K_D, one without clear modes no K_M. c, β, α, the modes and d are hyperparameters.
 """
 
 from __future__ import annotations
@@ -25,8 +36,78 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg, optimize
 
-from hframe_post.arrays import TS, Array
-from hframe_post.identification.estimation.kernel import Decay, Mode, ringing, slow
+from hframe_post.arrays import TS, Array, Complex
+from hframe_post.model.impulse_response import ImpulseResponse
+
+LEAST_LOG_SD = -60.0  # below which a standard deviation could not be inverted
+
+
+@dataclass(frozen=True, slots=True)
+class Decay:
+    """Hyperparameters of K_D: size c, and per sample the decay β and the roughness α."""
+
+    c: float
+    beta: float
+    alpha: float
+
+    def precision(self, k: Array) -> tuple[Array, float]:
+        """Return K_D⁻¹ (m, m) and log det K_D at consecutive samples k (m,).
+
+        The sequence is a Markov chain, so the inverse is tridiagonal.
+        """
+        m, rho = len(k), np.exp(-self.alpha)
+        fresh = -np.expm1(-2.0 * self.alpha)  # 1 − ρ²
+        log_sd = np.maximum(np.log(self.c) - self.beta * np.abs(k), LEAST_LOG_SD)
+        inner = np.full(m, (1.0 + rho * rho) / fresh)
+        inner[[0, -1]] = 1.0 / fresh
+        inverse = np.diag(inner)
+        at = np.arange(m - 1)
+        inverse[at, at + 1] = inverse[at + 1, at] = -rho / fresh
+        sd = np.exp(log_sd)
+        return inverse / np.outer(sd, sd), float(2.0 * log_sd.sum() + (m - 1) * np.log(fresh))
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A mode: its frequency in rad/sample and its damping ratio."""
+
+    omega: float
+    zeta: float
+
+    @property
+    def pole(self) -> complex:
+        """Pole, per sample: −ζω + iω'."""
+        return complex(-self.zeta * self.omega, self.omega * np.sqrt(1.0 - self.zeta**2))
+
+    @property
+    def norms(self) -> Array:
+        """Norms of cosine and sine, over all time."""
+        alike = 1.0 / -np.expm1(2.0 * self.pole.real)
+        apart = (1.0 / -np.expm1(2.0 * self.pole)).real
+        return np.sqrt(np.maximum([alike + apart, alike - apart], 1e-18) / 2.0)
+
+
+def ringing(k: Array, modes: Sequence[Mode], onset: int) -> Array:
+    """Return Φ (m, 2·modes), every column with a norm of 1 over all time, at samples k (m,)."""
+    after = k >= onset
+    t = np.where(after, k - onset, 0.0)
+    columns = []
+    for mode in modes:
+        turning = np.where(after, np.exp(mode.pole * t), 0.0)
+        columns += list(np.array([turning.real, turning.imag]) / mode.norms[:, None])
+    return np.column_stack(columns) if columns else np.zeros((len(k), 0))
+
+
+def transfer(z: Complex, modes: Sequence[Mode], onset: int) -> Complex:
+    """Return Φ as transfer functions of z (k,), k × 2·modes."""
+    columns = []
+    for mode in modes:
+        turning = z**-onset / (1.0 - np.exp(mode.pole) / z)
+        back = z**-onset / (1.0 - np.exp(np.conj(mode.pole)) / z)
+        columns += [(turning + back) / (2.0 * mode.norms[0]),
+                    (turning - back) / (2j * mode.norms[1])]  # fmt: skip
+    return np.column_stack(columns) if columns else np.zeros((len(z), 0), dtype=complex)
+
 
 AMPLITUDE = 30.0  # a, samples²: more than the q of any printer
 FIRST = Decay(0.02, 0.04, 0.1)  # so little that modes are sought first
@@ -54,8 +135,7 @@ class Data:
     """Measured y (r,), by columns X (r, n + m) of scalars and of q at samples k (m,).
 
     All is divided by the standard deviation of the noise. precision (n,): S⁻¹ of the scalars.
-    by_modes: gives Ψ (r, 2·modes) of modes and their onset. tail: decay per sample of the
-    last scalar, if it is the size of a slow pole; else 0. X_X, X_y: XᵀX and Xᵀy.
+    by_modes: gives Ψ (r, 2·modes) of modes and their onset. X_X, X_y: XᵀX and Xᵀy.
     """
 
     X: Array
@@ -65,7 +145,6 @@ class Data:
     by_modes: Callable[[Sequence[Mode], int], Array]
     X_X: Array
     X_y: Array
-    tail: float = 0.0
 
     @classmethod
     def of(
@@ -73,17 +152,6 @@ class Data:
         by_modes: Callable[[Sequence[Mode], int], Array],
     ) -> Data:  # fmt: skip
         return cls(X, y, k, precision, by_modes, X.T @ X, X.T @ y)
-
-    def with_tail(self, column: Array, precision: float, tail: float) -> Data:
-        """Return the data with one more scalar, the size of a slow pole: its column (r,) of X."""
-        n, beside = len(self.precision), column @ self.X
-        X_X = np.insert(self.X_X, n, beside, axis=0)
-        X_X = np.insert(X_X, n, np.insert(beside, n, column @ column), axis=1)
-        return replace(
-            self, X=np.insert(self.X, n, column, axis=1), X_X=X_X,
-            X_y=np.insert(self.X_y, n, column @ self.y),
-            precision=np.append(self.precision, precision), tail=tail,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,23 +172,21 @@ class Posterior:
     k: Array
     prior: Prior
     cost: float
-    tail: float = 0.0
 
     def response(self, k: Array) -> Array:
-        """Return the mean (l,) of tail, decay and modes together, at samples k (l,)."""
+        """Return the mean (l,) of decay and modes together, at samples k (l,)."""
         columns = self._columns(k)
         return np.asarray(columns @ self.mean[-columns.shape[1] :])
 
     def known(self, k: Array) -> Array:
-        """Return the covariance (l, l) of tail, decay and modes together, at samples k (l,)."""
+        """Return the covariance (l, l) of decay and modes together, at samples k (l,)."""
         columns = self._columns(k)
         own = slice(-columns.shape[1], None)
         return columns @ self.covariance[own, own] @ columns.T
 
     def _columns(self, k: Array) -> Array:
         modes = ringing(k, self.prior.modes, self.prior.onset)
-        tail = [slow(k, self.tail)] if self.tail else []
-        return np.column_stack([*tail, k[:, None] == self.k, modes])
+        return np.column_stack([k[:, None] == self.k, modes])
 
 
 def regress(data: Data, start: Prior | None = None, most: int = MOST_MODES) -> Posterior:
@@ -140,11 +206,6 @@ def regress(data: Data, start: Prior | None = None, most: int = MOST_MODES) -> P
         search = min(search, plain, key=lambda one: one.cost())
     search.drop_modes()
     return search.posterior()
-
-
-def cost(data: Data, prior: Prior) -> float:
-    """Return −log evidence of hyperparameters."""
-    return _Normal.of(data, data.by_modes(prior.modes, prior.onset)).solved(prior.decay)[2]
 
 
 class _Search:
@@ -271,7 +332,7 @@ class _Search:
         """Return the posterior."""
         L, mean, cost = self._normal().solved(self.prior.decay)
         covariance = linalg.cho_solve((L, True), np.eye(len(L)), check_finite=False)
-        return Posterior(mean, covariance, self._data.k, self.prior, cost, self._data.tail)
+        return Posterior(mean, covariance, self._data.k, self.prior, cost)
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,3 +402,27 @@ def _minimised(
     options = {"initial_simplex": simplex, "maxfev": most, "xatol": tolerance[0],
                "fatol": tolerance[1]}  # fmt: skip
     return np.asarray(optimize.minimize(cost, start, method="Nelder-Mead", options=options).x)
+
+
+@dataclass(frozen=True, slots=True)
+class Estimated:
+    """The response G, without the sensor's gain and the delay (s) of the recording.
+
+    resonance_hz: where |G| is greatest. prior: what was expected of it, if a regression found that.
+    """
+
+    G: ImpulseResponse
+    gain: float
+    delay: float
+    resonance_hz: float
+    prior: Prior | None = None
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """Return the modes that it was expected to ring in, those that explain most first."""
+        return self.prior.modes if self.prior else ()
+
+    def response(self, hz: Array) -> Complex:
+        """Return what the sensor shows at ``hz`` (k,), including gain and delay."""
+        turned = np.exp(-2j * np.pi * hz * self.delay)
+        return np.asarray(self.gain * turned * self.G.response(2.0 * np.pi * TS * hz))

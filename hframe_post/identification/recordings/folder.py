@@ -19,15 +19,18 @@ import numpy as np
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.identification.recordings.accelerometer import Recording, from_table
-from hframe_post.identification.recordings.clock_sync import MOST_DRIFT
-from hframe_post.identification.recordings.excitation import CSV_HEAD, read_command
-from hframe_post.identification.recordings.formats import read_tables
+from hframe_post.identification.recordings.clock import MOST_DRIFT
+from hframe_post.identification.recordings.formats import (
+    CSV_HEAD,
+    read_command,
+    read_tables,
+    unpacked,
+)
 from hframe_post.identification.recordings.names import ENDINGS, RecordingName, parsed, stem
-from hframe_post.identification.recordings.packed import unpacked
 
 SUFFIXES = (".csv", ".csv.gz", ".csv.xz", ".csv.zst", ".stdata")
 DEPTH, MOST_FILES = 3, 500  # of folders in folders; of files
-STROKES = "measure"  # how the names of its runs begin
+STROKES, CHECK, VERIFY = "measure", "check", "verify"  # how the names of their runs begin
 WAITING = 120.0  # s before and after the motion, in a recording that was started by hand
 UNUSABLE = {
     "axes map": "a test of the sensor's axes, which the other recordings show as well",
@@ -58,9 +61,9 @@ class RunMotion:
         return None if x == y else (x, y, 0.0)
 
     @property
-    def of_strokes(self) -> bool:
-        """Return whether it is a motion of `measure`."""
-        return self.run.startswith(STROKES)
+    def kind(self) -> str:
+        """Return the command that wrote it, if Klipper records it and so tells its start."""
+        return next((kind for kind in (STROKES, CHECK, VERIFY) if self.run.startswith(kind)), "")
 
     def lasts_as_long_as(self, recording: Recording) -> bool:
         """Return whether the recording covers the motion, and little more."""
@@ -275,8 +278,8 @@ def _of_command(one: Measurement, commands: Sequence[RunMotion]) -> Measurement 
     if not all(np.array_equal(c.motion, best[0].motion) for c in best):
         which = ", ".join(c.path.name for c in best[:4])
         return Aside(one.label, f"several commands may be its motion: {which}; {EXPLICIT}")
-    if best[0].direction is None and not best[0].of_strokes:
-        return Aside(one.label, "a motion of both axes; 'hframe-post verify' judges it")
+    if best[0].direction is None and not best[0].kind:
+        return Aside(one.label, f"{best[0].path.name} moves both axes; only one can be measured")
     words = own.removesuffix(best[0].run).rstrip("-_.") if named else ""
     chip = words.replace("-", "_") or one.name.chip
     return replace(one, command=best[0], name=replace(one.name, chip=chip))

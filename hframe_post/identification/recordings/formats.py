@@ -1,23 +1,162 @@
-"""Formats of accelerometer files.
+"""Formats of recordings and commands, and their packing.
 
-Each is a function that takes a file's path and content and the names in its first line, and returns
-the recordings in it, or None if it is of another format. To support one more, add it to
-``FORMATS``.
+Each format is a function that takes a file's path and content and the names in its first line, and
+returns the recordings in it, or None if it is of another format. To support one more, add it to
+``FORMATS``. A command is x and y every millisecond, as CSV. gzip, xz and zstd are recognized by a
+file's first bytes; nothing may unpack to more than MAX_SIZE.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import lzma
 import re
-from collections.abc import Callable, Sequence
+import zlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
+import zstandard
 
-from hframe_post.arrays import Array
+from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
+from hframe_post.native import digits
+
+MAX_SIZE = 1 << 28  # bytes, decompressed; two minutes of an ADXL345 are 20 MB
+MEMORY = 1 << 28  # bytes that a decompressor may need for what it has read
+PIECE = 1024  # bytes of zstd, which may grow to 32 MB each
+BROKEN = (OSError, lzma.LZMAError, zlib.error, zstandard.ZstdError)
+GZIP, XZ, ZSTD = b"\x1f\x8b", b"\xfd7zXZ\0", b"\x28\xb5\x2f\xfd"
+
+
+class _TooLargeError(Exception):
+    """Content is larger than MAX_SIZE."""
+
+
+def unpacked(path: Path) -> bytes:
+    """Return a file's content, decompressed. Its first bytes show the format, not its name.
+
+    Raises OSError, and IdentificationError if it is cut off, damaged or too large.
+    """
+    if path.stat().st_size > MAX_SIZE:
+        raise _too_large(path)
+    content = path.read_bytes()
+    opener = next((each for magic, each in OPENERS.items() if content.startswith(magic)), None)
+    if opener is None:
+        return content
+    try:
+        return opener(content)
+    except _TooLargeError:
+        raise _too_large(path) from None
+    except EOFError:
+        raise IdentificationError(f"{path}: the compressed file is cut off") from None
+    except BROKEN as error:
+        raise IdentificationError(f"{path} cannot be decompressed: {error}") from None
+
+
+def _too_large(path: Path) -> IdentificationError:
+    return IdentificationError(
+        f"{path}: the file is too large for a recording: unpacked it would have more than "
+        f"{MAX_SIZE >> 20} MB. Give the recording of a single test"
+    )
+
+
+class _Decompressor(Protocol):
+    """Decompressor of one stream. unused_data: what follows it."""
+
+    def decompress(self, data: bytes, max_length: int, /) -> bytes: ...
+    @property
+    def eof(self) -> bool: ...
+    @property
+    def unused_data(self) -> bytes: ...
+
+
+def _streams(content: bytes, start: Callable[[], _Decompressor]) -> bytes:
+    """Return what streams, one behind another, unpack to.
+
+    Raises EOFError if the last is cut off, and _TooLargeError.
+    """
+    parts, left = [], MAX_SIZE + 1
+    while content:
+        stream = start()
+        parts.append(stream.decompress(content, left))
+        left -= len(parts[-1])
+        if left <= 0:
+            raise _TooLargeError
+        if not stream.eof:
+            raise EOFError
+        content = stream.unused_data.lstrip(b"\0")  # to which files may be filled up
+    return b"".join(parts)
+
+
+def _zstd(content: bytes) -> bytes:
+    parts, size = list[bytes](), 0
+    reader = zstandard.ZstdDecompressor().decompressobj()
+    for first in range(0, len(content), PIECE):
+        waiting = content[first : first + PIECE]
+        while waiting:
+            if reader.eof:
+                reader = zstandard.ZstdDecompressor().decompressobj()
+            parts.append(reader.decompress(waiting))
+            size += len(parts[-1])
+            if size > MAX_SIZE:
+                raise _TooLargeError
+            waiting = reader.unused_data
+    if not reader.eof:
+        raise EOFError
+    return b"".join(parts)
+
+
+OPENERS: dict[bytes, Callable[[bytes], bytes]] = {  # by a file's first bytes
+    GZIP: lambda content: _streams(content, lambda: zlib.decompressobj(31)),
+    XZ: lambda content: _streams(content, lambda: lzma.LZMADecompressor(memlimit=MEMORY)),
+    ZSTD: _zstd,
+}
+
+
+CSV_HEAD = "t,x,y"
+
+
+def command_csv(command: Array) -> Iterator[bytes]:
+    """Yield a command (m, 2) as CSV: ``t,x,y`` in s and mm, one row a millisecond, t from 0."""
+    yield CSV_HEAD.encode() + b"\n"
+    t = np.arange(len(command)) * TS
+    comma = digits.column(b",", len(command))
+    at, x, y = (digits.fixed(values, 6) for values in (t, *command.T))
+    yield digits.rows([at, comma, x, comma, y, digits.column(b"\n", len(command))])
+
+
+def read_command(path: Path) -> Array:
+    """Read x and y (m, 2) in mm from a command's CSV file.
+
+    Raises OSError, and IdentificationError with the line and the cause.
+    """
+    lines = unpacked(path).decode("latin-1").splitlines()
+    if not lines or lines[0].strip().lower() != CSV_HEAD:
+        raise IdentificationError(
+            f"{path} is not the command of a motion, whose first line is {CSV_HEAD}. Give the "
+            "command first and the recording after it"
+        )
+    if sum(bool(line.strip()) for line in lines[1:]) < 1000:
+        raise IdentificationError(f"{path}: too short for a command: at least 1000 rows are needed")
+    try:
+        rows = np.loadtxt(lines[1:], delimiter=",", comments=None, ndmin=2)
+    except ValueError as error:
+        raise IdentificationError(f"{path} cannot be read as numbers: {error}") from None
+    if rows.shape[1] != 3:
+        raise IdentificationError(f"{path}: rows must have three columns, {CSV_HEAD}")
+    if not np.isfinite(rows).all():
+        raise IdentificationError(f"{path} has values that are not finite")
+    late = np.abs(rows[:, 0] - rows[0, 0] - np.arange(len(rows)) * TS) > 1e-6
+    if late.any():
+        raise IdentificationError(
+            f"{path}: line {int(np.argmax(late)) + 2}: rows must be 1 ms apart"
+        )
+    return np.asarray(rows[:, 1:])
+
 
 COMMAND = ["t", "x", "y"]  # as sweep and verify write it
 KLIPPER = ["#time", "accel_x", "accel_y", "accel_z"]

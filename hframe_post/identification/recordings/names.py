@@ -27,7 +27,7 @@ from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.packed import GZIP, unpacked
+from hframe_post.identification.recordings.formats import GZIP, unpacked
 
 NUMBER = r"-?\d+(?:\.\d+)?"
 ENDINGS = re.compile(r"(\.(csv|txt|stdata|gz|xz|zst))+$", re.IGNORECASE)

@@ -1,43 +1,327 @@
 """A resonance test found in its recording: its true parameters, its start and the clock's drift.
 
-The pulses draw a line into the spectrogram (``chirp_line``). On a sensor's clock that is fast by
+The pulses draw a line into the spectrogram. On a sensor's clock that is fast by
 d its slope is hz_per_sec / (1 + d)². Then the motion itself is compared with the recording at low
 frequencies, where a printer still follows its motors: this gives the first frequency, the kind
 of pulses, the start, and the levels of pulses and sweeping.
+
+A chirp's frequency grows along f = slope·(t − origin), and its harmonics at 3f and 5f share the
+origin. Each frequency's power is divided by its median over time: that removes stationary noise,
+such as fans, and lets a printer's resonances count no more than other frequencies.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import next_fast_len, rfft, rfftfreq
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.signal import fftconvolve
 from scipy.signal.windows import hann
 
-from hframe_post.arrays import Array
+from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import PLAUSIBLE, Recording
-from hframe_post.identification.recordings.chirp_line import ChirpLine, find_line
-from hframe_post.identification.recordings.resonance_checks import (
-    check_level,
-    check_motion,
-    check_shaping,
-    rests_before,
-)
-from hframe_post.identification.recordings.resonance_match import (
-    RATE,
-    Match,
-    best_match,
-    cut_at_start,
-    low_part,
-)
 from hframe_post.identification.recordings.resonance_test import (
     DEFAULTS,
     FORMER_MAX_FREQ,
     ResonanceTest,
 )
+
+FRAME, HOP = 1.0, 0.25  # s of a spectrum, and between spectra
+LINE_HZ = (5.0, 200.0)  # frequencies in which lines are searched
+SLOPES = (0.08, 8.0)  # Hz/s
+TRIPLE = 110  # slopes from one to its triple
+ROW = 3.0  # Hz between the frequencies of the coarse search
+CLEAR = 10.0  # ratio of the line's power to the median power at its frequency
+NEAR = 3.0  # Hz around the line in which its power is looked for
+LOWEST_CENTRE = 8.0  # Hz; below it sweeping disturbs the line
+LEAST_ROWS = 8  # spectra through which a line is drawn
+CHIRP = 0.25  # score of a chirp, relative to that of its third harmonic, is more than this
+FITS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class ChirpLine:
+    """A line f = slope·(t − origin), in Hz, Hz/s and s from the first sample of the recording.
+
+    first, last: frequencies between which it is clearly seen, Hz. score: how far it stands out
+    from the rest of the recording; 0.2 or less without a chirp, 2 or more with a whole one.
+    """
+
+    slope: float
+    origin: float
+    first: float
+    last: float
+    score: float
+
+
+def find_line(a: Array, rate: float) -> ChirpLine:
+    """Return the brightest line in a signal (n, k) with ``rate`` samples a second."""
+    size, hop = round(FRAME * rate), round(HOP * rate)
+    if len(a) < 4 * size:
+        return ChirpLine(1.0, 0.0, 0.0, 0.0, 0.0)
+    frames = sliding_window_view(a, size, axis=0)[::hop] * hann(size, sym=False)
+    power = (np.abs(rfft(frames, axis=-1)) ** 2).sum(axis=1).T
+    hz = rfftfreq(size, 1.0 / rate)
+    inside = (hz >= LINE_HZ[0]) & (hz <= LINE_HZ[1])
+    hz, power = hz[inside], power[inside]
+    floor = 1e-9 * float(power.max()) + 1e-300
+    contrast = power / np.maximum(np.median(power, axis=1, keepdims=True), floor)
+    score, slope, origin = _brightest(hz, contrast)
+    t = (np.arange(power.shape[1]) * hop + size / 2.0) / rate
+    origin += t[0]
+    line = ChirpLine(slope, origin, 0.0, 0.0, score)
+    for _ in range(FITS):
+        line = _fitted(line, t, hz, power, contrast)
+    return line
+
+
+def _brightest(hz: Array, contrast: Array) -> tuple[float, float, float]:
+    """Return score, slope and origin (s from the first spectrum) of the brightest line."""
+    rows = slice(0, None, max(1, round(ROW / (hz[1] - hz[0]))))
+    hz, bright = hz[rows], np.log1p(contrast[rows] / 3.0)
+    bright -= bright.mean(axis=1, keepdims=True)
+    factors = np.exp(np.arange(0.0, np.log(SLOPES[1] / SLOPES[0]), np.log(3.0) / TRIPLE))
+    sums, firsts = [], []
+    for slope in SLOPES[0] * factors:
+        delay = np.rint(hz / slope / HOP).astype(np.int64)
+        most, n = int(delay[-1]), bright.shape[1]
+        total = np.zeros(n + most)  # for each origin, from −most to n
+        for row, by in zip(bright, delay, strict=True):
+            total[most - by : most - by + n] += row
+        sums.append(total)
+        firsts.append(-most)
+    at = [int(np.argmax(total)) for total in sums]
+    k = int(np.argmax([total[i] for total, i in zip(sums, at, strict=True)]))
+    score, origin = float(sums[k][at[k]]), at[k] + firsts[k]
+    if k >= TRIPLE:  # a third harmonic has the origin of its chirp
+        near = sums[k - TRIPLE][max(origin - firsts[k - TRIPLE] - 4, 0) :][:9]
+        if near.size and near.max() > CHIRP * score:
+            k -= TRIPLE
+    return score / len(hz), float(SLOPES[0] * factors[k]), origin * HOP
+
+
+def _fitted(line: ChirpLine, t: Array, hz: Array, power: Array, contrast: Array) -> ChirpLine:
+    """Return the line through the centres of power near it, by robust least squares."""
+    near = NEAR + line.slope * HOP
+    seen = []
+    for k, centre in enumerate(line.slope * (t - line.origin)):
+        if hz[0] <= centre <= hz[-1]:
+            low, high = np.searchsorted(hz, (centre - near, centre + near))
+            share = power[low:high, k]
+            place = float((share * hz[low:high]).sum() / max(float(share.sum()), 1e-300))
+            seen.append((t[k], place, centre, float(contrast[low:high, k].max())))
+    clear = np.array([row for row in seen if row[3] > CLEAR])
+    if len(clear) < LEAST_ROWS:
+        return line
+    fit = clear[
+        (clear[:, 2] > min(LOWEST_CENTRE, clear[-1, 2] / 2.0)) & (clear[:, 2] < hz[-1] - near)
+    ]
+    if len(fit) < LEAST_ROWS:
+        return line
+    weight = np.ones(len(fit))
+    columns = np.column_stack([fit[:, 0], np.ones(len(fit))])
+    slope, offset = line.slope, -line.slope * line.origin
+    for _ in range(20):
+        slope, offset = np.linalg.lstsq(columns * weight[:, None], fit[:, 1] * weight, rcond=None)[
+            0
+        ]
+        miss = fit[:, 1] - columns @ (slope, offset)
+        weight = 1.0 / np.hypot(1.0, miss / (1.5 * np.median(np.abs(miss)) + 1e-9))
+    if not SLOPES[0] < slope < SLOPES[1]:
+        return line
+    first, last = (float(f) for f in clear[[0, -1], 2])
+    return ChirpLine(float(slope), float(-offset / slope), first, last, line.score)
+
+
+RATE = 500.0  # samples a second of a recording that is searched
+SMOOTHING = 9.0  # ms, of motions before they are compared
+STEP = 5  # ms between their samples
+START_REACH = 16  # steps by which the start may be off the line's
+ALIKE = (
+    0.01  # of the share explained, by which the first frequency expected may fall behind another
+)
+LEAD = 11  # steps of rest before a motion
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """A test compared with a recording.
+
+    start: s on the command's clock; like: share explained; pulses, sweeping: responses to
+    accelerations of 1, (1,), along the direction in which the recording is strongest, axis (3,).
+    """
+
+    test: ResonanceTest
+    start: float
+    like: float
+    pulses: Array
+    sweeping: Array
+    axis: Array
+
+
+def low_part(a: Array, drift: float) -> Array:
+    """Return the slow part of a recording every ``STEP`` ms of the command's clock."""
+    smooth = gaussian_filter1d(a, SMOOTHING * TS * RATE, axis=0)
+    t = np.arange(len(a)) / RATE / (1.0 + drift)
+    at = np.arange(int(t[-1] / (STEP * TS))) * STEP * TS
+    return np.column_stack([np.interp(at, t, column) for column in smooth.T])
+
+
+def best_match(
+    low: Array, known: ResonanceTest, line: ChirpLine, drift: float, high: float
+) -> Match:
+    """Return the best comparison among all first frequencies and kinds of pulses."""
+    origin = line.origin / (1.0 + drift)
+    earliest = -known.hz_per_sec * origin - 0.5 * known.hz_per_sec
+    latest = line.first * (1.0 + drift) + 1.0
+    usual = np.arange(1.0, 300.0, 0.5)
+    starts = [known.min_freq, *usual[usual != known.min_freq].tolist()]
+    starts = [f for f in starts if max(earliest, 1.0) <= f <= latest]
+    if not starts:
+        raise cut_at_start(line, known.min_freq)
+    seconds = high / known.hz_per_sec + origin
+    low, axis = _strongest(low[: max(int(seconds / (STEP * TS)), 1)])
+    hz = np.maximum((np.arange(len(low)) * STEP * TS - origin) * known.hz_per_sec, latest - 1.0)
+    kinds = [False] if known.sweeping_period else [False, True]
+    unit = replace(known, accel_per_hz=1.0, sweeping_accel=1.0)
+    fits = [
+        _compared(low, axis, 1.0 / hz, replace(unit, min_freq=f, around_point=kind),
+                  f / known.hz_per_sec + origin)
+        for f, kind in product(starts, kinds)
+    ]  # fmt: skip
+    most = max(fit.like for fit in fits)
+    good = [fit for fit in fits if fit.like >= most - ALIKE]
+    return max(good, key=lambda fit: (fit.test.min_freq == known.min_freq, fit.like))
+
+
+def _strongest(a: Array) -> tuple[Array, Array]:
+    """Return the component (n, 1) of a signal (n, 3) along its strongest direction, and that (3,).
+
+    The motion has one direction, noise has three.
+    """
+    centred = a - a.mean(axis=0)
+    axis = np.linalg.eigh(centred.T @ centred)[1][:, -1:]
+    return np.asarray(centred @ axis), np.asarray(axis[:, 0])
+
+
+def _compared(low: Array, axis: Array, weight: Array, test: ResonanceTest, start: float) -> Match:
+    """Return the comparison at the best start near the one given, in s."""
+    n, first = len(low), round(start / (STEP * TS))
+    parts = [_slow(test.pulses())]
+    if test.sweeping_period:
+        parts.append(_slow(test.sweeping()))
+    margin = n + START_REACH + LEAD
+    least = margin - first + LEAD - START_REACH
+    views = [
+        sliding_window_view(np.pad(part, margin)[least : least + n + 2 * START_REACH], n)[::-1]
+        for part in parts
+    ]
+    columns = np.stack([*views, np.ones_like(views[0])], axis=2) * weight[:, None]
+    wanted = low * weight[:, None]
+    transposed = columns.transpose(0, 2, 1)
+    solved = np.linalg.solve(transposed @ columns, transposed @ wanted)
+    left = np.square(wanted - columns @ solved).sum(axis=(1, 2))
+    offset = weight[:, None] * np.linalg.lstsq(weight[:, None], wanted, rcond=None)[0]
+    like = 1.0 - left / float(np.square(wanted - offset).sum())
+    k = int(np.argmax(like))
+    late, top = float(k - START_REACH), float(like[k])
+    if 0 < k < len(like) - 1:  # the summit of a parabola
+        before, after = like[k - 1], like[k + 1]
+        by = 0.5 * float((before - after) / (before - 2.0 * top + after))
+        late, top = late + by, top - 0.25 * float(before - after) * by
+    sweeping = solved[k, 1] if test.sweeping_period else np.zeros(1)
+    return Match(test, (first + late) * STEP * TS, top, solved[k, 0], sweeping, axis)
+
+
+def _slow(displacement: Array) -> Array:
+    """Return the slow part of an acceleration, every ``STEP`` ms from ``LEAD`` steps before it."""
+    padded = np.pad(displacement, (LEAD * STEP, 0), mode="edge")
+    acceleration = np.diff(padded, 2, prepend=padded[0], append=padded[-1]) / TS**2
+    return np.asarray(gaussian_filter1d(acceleration, SMOOTHING)[::STEP])
+
+
+def cut_at_start(line: ChirpLine, expected: float) -> IdentificationError:
+    """Return the error for a recording that lacks the beginning of the test."""
+    begins = -line.slope * line.origin
+    return IdentificationError(
+        f"the recording begins in the middle of the resonance test, at {begins:.0f} Hz: it was cut "
+        f"(use the whole file), or min_freq was not {expected:g} as in [resonance_tester]: set it "
+        "as it was in the test"
+    )
+
+
+LEAST_LIKE = 0.6  # share of the recording at low frequencies that the motion explains
+LEAST_GROWTH = -0.5  # of the level at low frequencies, as a power of the frequency: sines have -1
+LEAST_MOVED = 0.2  # of the level expected: sensors and settings differ less
+LEAST_PEAK = 1.5  # of the level; with shaping 1.2, without 2.9 and more on 20 drawn printers
+REST = 0.05  # s before the motion that a whole recording has
+ELSEWHERE = (
+    "the sensor did not move with this axis (it sat on the frame, on another head, or on the head "
+    "while the bed moves, or the other way round)"
+)
+
+
+def rests_before(a: Array, start: float) -> bool:
+    """Return whether the printer of a recording rests before a motion that starts at s."""
+    first = int((start - REST) * RATE)
+    moving = float(a[max(first, 0) :][: int(RATE)].std(axis=0).max())
+    return first > 0 and float(a[:first].std(axis=0).max()) < 0.5 * moving
+
+
+def check_motion(fit: Match, line: ChirpLine, hz: Array, level: Array) -> None:
+    """Raise IdentificationError if what a recording shows at low frequencies is another motion."""
+    grows = f"the recording's frequency grows by {line.slope:.3g} Hz/s as in a resonance test, but"
+    if float(np.polyfit(np.log(hz), np.log(level), 1)[0]) < LEAST_GROWTH:
+        raise IdentificationError(
+            f"{grows} its acceleration does not grow with it: this is another program's sweep"
+        )
+    if fit.like < LEAST_LIKE:
+        raise IdentificationError(
+            f"{grows} only {100.0 * max(fit.like, 0.0):.0f} % of what it shows below "
+            f"{hz[-1]:.0f} Hz is that motion. Either {ELSEWHERE}, or input shaping was on "
+            "(INPUT_SHAPING=1), or another program made it"
+        )
+
+
+def check_level(fit: Match, level: float, expected: ResonanceTest) -> None:
+    """Raise IdentificationError if the sensor moved far less than the axis did.
+
+    A test of weak pulses still has its sweeping in full.
+    """
+    share = level / expected.accel_per_hz
+    sweeps = bool(fit.test.sweeping_period)
+    if share >= LEAST_MOVED:
+        return
+    if sweeps and np.linalg.norm(fit.sweeping) > 2.0 * LEAST_MOVED * expected.sweeping_accel:
+        return
+    cause = ELSEWHERE
+    if not sweeps and level > 1.0:
+        cause = (
+            f"either {ELSEWHERE}, or the test was run with ACCEL_PER_HZ={level:.2g}: set "
+            f"accel_per_hz in [resonance_tester], which is {expected.accel_per_hz:g}"
+        )
+    raise IdentificationError(
+        f"the recording shows {100.0 * share:.0f} % of the acceleration that the test makes: "
+        f"{cause}"
+    )
+
+
+def check_shaping(hz: Array, level: Array, base: float) -> None:
+    """Raise IdentificationError if a printer that falls behind its motors resonates nowhere."""
+    if level.max() < LEAST_PEAK * base and level.min() < 0.5 * base:
+        fades = float(hz[np.flatnonzero(level < 0.5 * base)[0]])
+        raise IdentificationError(
+            f"the recording shows no resonance, and from {fades:.0f} Hz on less than half of the "
+            "test's motion. Either input shaping was on (repeat TEST_RESONANCES without "
+            "INPUT_SHAPING=1), or something soft lies between motors and sensor, such as a slack "
+            "belt or a sensor that is not screwed on"
+        )
+
 
 LEAST_SCORE = 0.3  # of a line
 MOST_DRIFT = 0.03

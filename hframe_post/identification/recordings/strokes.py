@@ -24,8 +24,8 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import planned, sampled
 from hframe_post.errors import LimitError
 from hframe_post.identification.recordings.folder import STROKES
-from hframe_post.identification.recordings.sweep import (
-    SweepRun,
+from hframe_post.identification.recordings.runs import (
+    PlannedRun,
     allowed,
     check_records,
     named_places,
@@ -52,9 +52,12 @@ MASK = (1 << 64) - 1
 
 
 def runs(
-    printer: Printer, places: Sequence[tuple[float, float]] = (), seconds: float = SECONDS
-) -> list[SweepRun]:
+    printer: Printer, places: Sequence[tuple[float, float]] = (), seconds: float = SECONDS,
+    name: str = STROKES,
+) -> list[PlannedRun]:  # fmt: skip
     """Return the runs at places (x, y) in mm, by default in the middle; if it racks, three along x.
+
+    name: how their names begin.
 
     A run moves both axes. Only where the bed moves, which has a sensor of its own, it moves one.
     Raises HframeError, and LimitError at a place without room.
@@ -63,10 +66,10 @@ def runs(
     made = []
     for axes in [(X,), (Y,)] if printer.kinematics.bed_moves else [(X, Y)]:
         chosen = list(places) or positions(printer, axes[0])
-        prefix = STROKES if len(axes) > 1 else f"{STROKES}-{'xy'[axes[0]]}"
-        for name, at in zip(named_places(prefix, chosen), chosen, strict=True):
+        prefix = name if len(axes) > 1 else f"{name}-{'xy'[axes[0]]}"
+        for named, at in zip(named_places(prefix, chosen), chosen, strict=True):
             motion = frozen(command(printer, at, axes, seconds))
-            made.append(SweepRun(name, axes[0], at, motion, timed=True))
+            made.append(PlannedRun(named, axes[0], at, motion))
     return made
 
 
@@ -115,7 +118,7 @@ def within_limits(printer: Printer) -> Printer:
     return replace(printer, limits=gentle)
 
 
-def summary(printer: Printer, planned: Sequence[SweepRun]) -> str:
+def summary(printer: Printer, planned: Sequence[PlannedRun]) -> str:
     """Return what the owner will see: the time in all, and how hard the strokes are."""
     limits = within_limits(printer).limits
     text = (

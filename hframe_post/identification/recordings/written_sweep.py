@@ -15,7 +15,7 @@ Any program may record it: start and clock are found from the motion (``self_ali
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,12 +27,14 @@ from hframe_post.firmware.motion import SPARED
 from hframe_post.firmware.registry import firmware
 from hframe_post.firmware.written_moves import WrittenMoves
 from hframe_post.gcode.commands import OFF
-from hframe_post.identification.recordings.sweep import (
+from hframe_post.identification.recordings.runs import (
     APPROACH,
     LIFT,
-    SweepRun,
+    MULTIPLE,
+    PlannedRun,
+    allowed,
+    named_places,
     room,
-    within_limits,
 )
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, frozen
@@ -72,7 +74,20 @@ class _Moves:
         return np.asarray(passed)
 
 
-def played(printer: Printer, run: SweepRun, z: float) -> tuple[SweepRun, list[str]]:
+def runs(
+    printer: Printer, axis: int, places: Sequence[tuple[float, float]], z: float
+) -> list[tuple[PlannedRun, list[str]]]:
+    """Return a run along an axis (0: x, 1: y) at each place (x, y) in mm, as it is played, and the
+    G-code for it. Raises HframeError.
+    """
+    names = named_places("xy"[axis], places)
+    planned = (
+        PlannedRun(name, axis, at, np.zeros((0, 2))) for name, at in zip(names, places, strict=True)
+    )
+    return [played(printer, run, z) for run in planned]
+
+
+def played(printer: Printer, run: PlannedRun, z: float) -> tuple[PlannedRun, list[str]]:
     """Return a run as it is played, and the G-code for it. run: names place and axis; z: mm.
 
     Raises PrinterError if the profile lacks the firmware's table, and LimitError without room or
@@ -84,10 +99,10 @@ def played(printer: Printer, run: SweepRun, z: float) -> tuple[SweepRun, list[st
     reach = min(room(printer, run.axis, run.position), REACH)
     if reach < NARROWEST:
         raise LimitError("room to either side (mm)", reach, NARROWEST, None, "choose another place")
-    sweep, velocity = within_limits(printer)
+    sweep, (velocity, acceleration) = printer.sweep, allowed(printer, 1.0, MULTIPLE)
     if velocity < 2.0 * SLOW:
         raise LimitError("speed (mm/s)", velocity, 2.0 * SLOW, None, "raise limits.velocity")
-    a = float(np.floor(sweep.amplitude))
+    a = float(np.floor(min(sweep.amplitude, acceleration)))
     lines_per_second = own.motion(printer, None).lines_per_second
     end_hz = min(sweep.end_hz, SPARED * lines_per_second / 2.0)  # two lines a period
     pulses = _pulses(play, a, min(RISE, velocity - SLOW), reach, end_hz, sweep.rate_hz_per_s)
@@ -98,12 +113,12 @@ def played(printer: Printer, run: SweepRun, z: float) -> tuple[SweepRun, list[st
     along = np.pad(play.motion(cells, moves.v, moves.turns, a), PAD, mode="edge")
     command = np.tile(np.array([x, y]), (len(along), 1))
     command[:, run.axis] += along
-    done = SweepRun(run.name, run.axis, (x, y), frozen(command))
+    done = PlannedRun(run.name, run.axis, (x, y), frozen(command))
     ends = (x, y)[run.axis] + cells[1:, run.axis] * play.step
     return done, _gcode(printer, play, done, np.asarray(ends), moves.v, a, z)
 
 
-def summary(stem: str, played: list[SweepRun], bed_may_move: bool) -> str:
+def summary(stem: str, played: list[PlannedRun], bed_may_move: bool) -> str:
     """Return what the owner does with the files of the runs, whose names begin with ``stem``."""
     lines = [f"{stem}.{run.name}.gcode: {run.seconds + BEFORE + AFTER:.0f} s" for run in played]
     lines.append(
@@ -160,7 +175,7 @@ def _safe_speed(play: WrittenMoves, a: float, most: float, steps: int) -> float:
 
 
 def _gcode(
-    printer: Printer, play: WrittenMoves, run: SweepRun, at: Array, v: Array, a: float, z: float
+    printer: Printer, play: WrittenMoves, run: PlannedRun, at: Array, v: Array, a: float, z: float
 ) -> list[str]:
     """Return the lines of the file. at (k,): where each move ends along the axis."""
     axis, height = "XY"[run.axis], plain(z, 3)

@@ -10,6 +10,15 @@ commanded,
     H_y(p) = (p − x_c)·Gxθ + ψ·Gxx
 
 is a straight line over p: its slope is Gxθ, whatever ψ; its offset gives x_c and ψ.
+
+Frequency responses of strokes, in which both axes move at once and the start is known.
+
+With the spectra of the commands u and of what the sensor shows, y,
+
+    H = P_yu P_uu⁻¹,   noise = P_yy − H P_uu Hᴴ,   var H_ij = noise_i · (P_uu⁻¹)_jj
+
+(Bendat, Piersol, Random Data, 2010, chapter 7). So 1 / (P_uu⁻¹)_jj is the power of a command that
+the other one does not explain.
 """
 
 from __future__ import annotations
@@ -18,26 +27,28 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import signal
 
 from hframe_post.arrays import Array, Complex, X, Y
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import Recording
-from hframe_post.identification.recordings.alignment import acceleration, aligned, heading, turned
-from hframe_post.identification.recordings.known_start import KnownStart, on_command_clock
+from hframe_post.identification.recordings.clock import KnownStart, acceleration, on_command_clock
 from hframe_post.identification.responses.frequency_response import (
+    BANDWIDTH,
+    OVERLAP,
+    RATE_HZ,
+    SEGMENT,
+    TINY,
     FrequencyResponse,
     advanced,
     delays,
-    estimate,
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One sweep. command (m, 2): x and y in mm, every 1 ms; recordings in the printer's axes.
+    """A recording. command (m, 2): x and y in mm, every 1 ms; nozzle: in the sensor's axes.
 
-    calibrated: whether command and recording are those of our own sweep, which tell start and
-    clock; else ``nozzle`` may be in the sensor's axes, and all this is found from the motion.
     rough_clock: start (s) and drift, if they are known to 20 ms. start: of the command, for motions
     of `measure`, whose recordings tell it.
     """
@@ -45,7 +56,6 @@ class Run:
     name: str
     command: Array
     nozzle: Recording
-    calibrated: bool = True
     rough_clock: tuple[float, float] | None = None
     start: KnownStart | None = None
 
@@ -70,15 +80,6 @@ class Run:
             return on_command_clock(self.command, self.nozzle, self.start)
         except IdentificationError as error:
             raise IdentificationError(f"{self.name}: {error}") from None
-
-    @property
-    def axis(self) -> int:
-        """Return X or Y, the axis that moves. Raise IdentificationError unless exactly one does."""
-        moving = np.flatnonzero(np.ptp(self.command, axis=0) > 0.0)
-        if len(moving) != 1:
-            cause = "both axes move" if len(moving) else "no axis moves"
-            raise IdentificationError(f"{self.name}: {cause}; a run must sweep x or y alone")
-        return int(moving[0])
 
     @property
     def direction(self) -> Array:
@@ -121,7 +122,7 @@ class RunResponse:
     response: along the swept axis. y: along y, which shows racking. place: x of the sensor, mm.
     late: half-width of the uncertainty of the recording's start, s. across: of the other axis.
     direction: unit vector of the motion; both responses are per motion along the axis. point: x and
-    y of the sensor, mm. These three: not of our own sweep.
+    y of the sensor, mm.
     """
 
     place: float
@@ -158,26 +159,6 @@ class RunGroup:
     resonance_hz: float | None = None
     lowest_hz: float = 0.0
     known_start: bool = False
-
-
-def nozzle_responses(runs: list[Run], settings: MeasurementSettings) -> RunGroup:
-    """Return the responses of runs of one axis.
-
-    All runs are rotated by the same angle so that the sensor looks along the swept axis: at low
-    frequencies racking looks like a rotation, too, by another angle at each place. Raises
-    IdentificationError.
-    """
-    commands = [acceleration(run.command[:, run.axis]) for run in runs]
-    recorded = [aligned(u, run.nozzle, run.axis) for u, run in zip(commands, runs, strict=True)]
-    triples = list(zip(commands, recorded, runs, strict=True))
-    angles = [heading(u, one.acceleration, run.axis) for u, one, run in triples]
-    responses = []
-    for u, one, run in triples:
-        a = turned(one.acceleration, float(np.mean(angles)))
-        along, y = (estimate(u, a[:, k]).within(settings.band_hz) for k in (run.axis, Y))
-        place = run.place + settings.offset[X]
-        responses.append(RunResponse(place, along, y, one.uncertainty))
-    return with_common_delay(responses)
 
 
 def with_common_delay(responses: Sequence[RunResponse]) -> RunGroup:
@@ -276,3 +257,67 @@ def _noise(response: FrequencyResponse) -> Array:
     coherence = np.clip(response.coherence, 1e-12, 1.0)
     noise: Array = (1.0 / coherence - 1.0) * np.abs(response.H) ** 2
     return noise
+
+
+def stroke_responses(runs: Sequence[Run], settings: MeasurementSettings) -> dict[int, RunGroup]:
+    """Return the responses of the runs of each axis, X or Y. Raises IdentificationError."""
+    found: dict[int, list[RunResponse]] = {X: [], Y: []}
+    for run in runs:
+        responses = _responses(run, settings)
+        for axis in run.axes:
+            along, across = responses[axis][axis], responses[axis][1 - axis]
+            x, y = (at + off for at, off in zip(run.point, settings.offset, strict=True))
+            assert run.start is not None
+            response = RunResponse(
+                x, along, responses[axis][Y], 2.0 * run.start.sd,
+                across=across, direction=(1.0 - axis, float(axis)), point=(x, y),
+            )  # fmt: skip
+            found[axis].append(response)
+    return {
+        axis: replace(with_common_delay(made), known_start=True)
+        for axis, made in found.items()
+        if made
+    }
+
+
+def _responses(run: Run, settings: MeasurementSettings) -> dict[int, list[FrequencyResponse]]:
+    """Return what a command in each axis that moves does to x and y."""
+    u = np.column_stack([acceleration(run.command[:, axis]) for axis in run.axes])
+    found = by_axis(u, run.on_command_clock()[:, :2])
+    return {
+        axis: [one.within(settings.band_hz) for one in each]
+        for axis, each in zip(run.axes, found, strict=True)
+    }
+
+
+def by_axis(u: Array, a: Array) -> list[list[FrequencyResponse]]:
+    """Return what each of the commands u (n, k) does to x and to y, a (n, 2), mm/s²."""
+    segment = min(SEGMENT, len(u) // 2)
+    hz, P = _spectra(np.hstack([u, a]), segment)
+    k, averages = u.shape[1], BANDWIDTH * len(u) / segment
+    P_uu, P_yu, P_yy = P[:, :k, :k], P[:, k:, :k], P[:, k:, k:]
+    least = TINY + 1e-12 * np.trace(P_uu, axis1=1, axis2=2).real.max()
+    inverse = np.linalg.inv(P_uu + least * np.eye(k))
+    H = P_yu @ inverse
+    noise = np.einsum("fii->fi", P_yy - H @ P_yu.conj().transpose(0, 2, 1)).real
+    found: list[list[FrequencyResponse]] = []
+    for j in range(k):
+        power = 1.0 / np.maximum(inverse[:, j, j].real, TINY)
+        found.append([])
+        for i in (X, Y):
+            shown = np.abs(H[:, i, j]) ** 2 * power
+            coherence = shown / np.maximum(shown + np.maximum(noise[:, i], 0.0), TINY)
+            found[-1].append(FrequencyResponse(hz, H[:, i, j], coherence, power, averages))
+    return found
+
+
+def _spectra(values: Array, segment: int) -> tuple[Array, Complex]:
+    """Return frequencies (f,) and cross spectra (f, k, k), [i, j]: conj(j)·i, of values (n, k)."""
+    padded = np.pad(values, ((segment, segment), (0, 0))).T
+    options = {
+        "fs": RATE_HZ, "window": "hann", "nperseg": segment,
+        "noverlap": int(OVERLAP * segment), "detrend": False,
+    }  # fmt: skip
+    hz, spectra = signal.csd(padded[None, :, :], padded[:, None, :], **options)
+    kept = slice(2, None, 2)  # those between add nothing, with a Hann window
+    return hz[kept], np.moveaxis(spectra, -1, 0)[kept]

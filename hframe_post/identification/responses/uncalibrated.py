@@ -1,4 +1,9 @@
-"""Frequency responses from recordings that tell neither start, nor axes, nor gain.
+"""The axis along which a recorded printer moved, as its sensor sees it.
+
+Below its resonances the printer follows its command, so the response there points along the swept
+axis, whatever way the sensor is mounted.
+
+Frequency responses from recordings that tell neither start, nor axes, nor gain.
 
     runs → own clock and direction → responses along and across → one delay and gain for each axis
 
@@ -12,12 +17,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import find_peaks
 
-from hframe_post.arrays import Array, X, Y
+from hframe_post.arrays import Array, Complex, Flags, X, Y
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.alignment import acceleration
-from hframe_post.identification.recordings.self_alignment import SelfAligned, self_aligned
-from hframe_post.identification.responses.direction import Direction, direction
+from hframe_post.identification.recordings.clock import (
+    SelfAligned,
+    acceleration,
+    not_found,
+    self_aligned,
+)
 from hframe_post.identification.responses.frequency_response import (
     FrequencyResponse,
     estimate,
@@ -29,6 +39,122 @@ from hframe_post.identification.responses.measured import (
     RunResponse,
     with_common_delay,
 )
+
+EXCITED = 0.1  # of a test's usual power, from which a frequency counts as excited
+LEAST_HZ = 8.0  # to which a test lasts at least; slow sweeping lies below
+SHOWN = 2.0  # times the coherence that noise has, from which a frequency is seen
+ROUGH = 0.01  # share of a response that is not linear, where nothing is noisy
+LATEST = 0.08  # s by which the rough start may be off
+SLOW_HZ = 25.0  # below it a printer moves more than it racks
+ACROSS = 0.5  # of the response at low frequencies that may be out of phase
+
+
+@dataclass(frozen=True, slots=True)
+class Direction:
+    """Where the swept axis points, as the sensor sees it.
+
+    axis (3,): unit vector. delay: s by which the response is late, ±2 ms. resonance_hz: of the
+    lowest strong resonance. excited_hz: lowest and highest frequency at which the command explains
+    the response.
+    """
+
+    axis: Array
+    delay: float
+    resonance_hz: float
+    excited_hz: tuple[float, float]
+
+
+def direction(responses: list[FrequencyResponse]) -> Direction:
+    """Return the axis that three responses (one for each of the sensor's axes) show.
+
+    Raises IdentificationError if the printer does not follow the command at low frequencies.
+    """
+    hz = responses[0].hz
+    H = np.array([one.H for one in responses])
+    size = np.sqrt((np.abs(H) ** 2).sum(axis=0))
+    slow = hz <= SLOW_HZ  # in the fast part the nozzle may rack more than it moves
+    strongest = int(np.argmax((np.abs(H) ** 2 * responses[0].power)[:, slow].sum(axis=1)))
+    excited = _excited(responses[strongest])
+    resonance = _first_resonance(hz, size, excited)
+    low, high = hz[excited][[0, -1]].tolist()
+    low_end = max(0.7 * resonance, 2.5 * low)
+    used = excited & (hz <= low_end)
+    unit = H[:, used] / np.abs(H[strongest, used])
+    weight = _weights(responses[strongest])[used]
+    delays = np.arange(-LATEST, LATEST, 2e-4)
+    turned = np.exp(2j * np.pi * np.outer(hz[used], delays)) * weight[:, None]
+    delay = float(delays[np.argmax((np.abs(unit @ turned) ** 2).sum(axis=0))])
+    lowest = hz[used] <= 0.6 * low_end
+    along = (unit * np.exp(2j * np.pi * hz[used] * delay))[:, lowest]
+    axis = _at_rest(along, hz[used][lowest], weight[lowest])
+    mean = along @ weight[lowest]
+    if np.linalg.norm(mean.imag) > ACROSS * np.linalg.norm(mean.real):
+        raise not_found()
+    return Direction(axis / np.linalg.norm(axis), delay, resonance, (low, high))
+
+
+def _weights(response: FrequencyResponse) -> Array:
+    """Return the weights (k,) of responses, which fall with their noise."""
+    gamma = np.clip(response.coherence, 0.0, 1.0)
+    return np.asarray(np.sqrt(gamma / (1.0 - gamma + ROUGH)))
+
+
+def _excited(response: FrequencyResponse) -> Flags:
+    """Flag the frequencies (k,) from the last gap at the low end to where the test ended.
+
+    A test's pulses grow with the frequency. The slow sweeping under them has lines below, too, and
+    the pulses have harmonics of a ninth of their power.
+    """
+    coherence = _smoothed(response.coherence, response.hz, 1.0)
+    middle = response.hz <= 30.0
+    step = float(response.hz[1] - response.hz[0])
+    level = response.power / np.square(response.hz)
+    steady = median_filter(level, max(round(2.0 / step), 1), mode="nearest")
+    usual = float(
+        np.median(level[steady > EXCITED * steady[response.hz > LEAST_HZ].max(initial=0.0)])
+    )
+    inside = ~middle & (steady > EXCITED * usual)
+    if not inside.any() or np.median(coherence[inside]) < 0.25:
+        raise not_found()
+    gap = steady < EXCITED * usual
+    gap |= coherence * response.averages < SHOWN
+    gaps = np.flatnonzero(gap & middle)
+    flags = np.zeros(len(response.hz), dtype=bool)
+    ends = slice(int(gaps[-1]) + 1 if gaps.size else 0, int(np.flatnonzero(inside)[-1]) + 1)
+    flags[ends] = True
+    return flags
+
+
+def _first_resonance(hz: Array, size: Array, excited: Flags) -> float:
+    """Return the lowest frequency at which the response has a clear peak.
+
+    A peak far below the strongest one counts if it is half as high: a frame that rocks is not.
+    """
+    smooth = _smoothed(size, hz, 2.0)[excited]
+    octave = hz[excited] < 2.0 * hz[excited][0]
+    clear = max(0.1 * float(smooth.max()), 0.3 * float(np.median(smooth[octave])))
+    peaks, _ = find_peaks(np.append(smooth, 0.0), prominence=clear)
+    if not peaks.size:  # a stiff printer: what rings lies far above what was excited
+        return 3.0 * float(hz[-1])
+    high = smooth[peaks]
+    at = hz[excited][peaks]
+    return float(at[(at > at[np.argmax(high)] / 3.0) | (high > 0.5 * high.max())][0])
+
+
+def _smoothed(values: Array, hz: Array, width_hz: float) -> Array:
+    n = max(int(width_hz / (hz[1] - hz[0])) | 1, 1)
+    padded = np.pad(values, n // 2, mode="edge")
+    return np.convolve(padded, np.ones(n) / n, "valid")
+
+
+def _at_rest(response: Complex, hz: Array, weight: Array) -> Array:
+    """Return the response (3,) at rest by a line through (3, k): racking grows with j·f."""
+    columns = np.column_stack([weight, 1j * weight * hz / hz[-1]])
+    stacked = np.concatenate([columns.real, columns.imag])
+    response = response * weight
+    wanted = np.concatenate([response.T.real, response.T.imag])
+    return np.asarray(np.linalg.lstsq(stacked, wanted, rcond=None)[0][0])
+
 
 ALIKE = np.cos(np.radians(8.0))  # of gravity in two recordings of one mounting
 SQUARE = np.sin(np.radians(25.0))  # by which directions in the sensor may differ from the command's

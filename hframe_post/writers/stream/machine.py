@@ -234,6 +234,14 @@ class Machine:
             yield from self._move_at_rest(dwell, action)
             return
         releases = action.handling is Handling.RELEASE
+        if releases and self._inside and (around := self._code.around(action)) is not None:
+            assert self._at is not None
+            assert action.end is not None
+            before, after = around
+            (x, y, z, _), (*_, e) = self._units.place(action.end), self._at
+            self._at = x, y, z, e
+            yield LimitChange(b"%b%b\n%b" % (before, action.text, after))
+            return
         if releases:
             yield self._release(action)
         if action.text or not releases:

@@ -1,1 +1,0 @@
-"""What has drifted since a profile was identified, from a short run."""

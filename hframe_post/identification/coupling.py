@@ -1,0 +1,472 @@
+"""What a command in one axis does to the other: only what several recordings share is compensated.
+
+On a published CoreXY what x does to y came back the next day, on another one it did not.
+
+    C_k(f) = g·e^{−2πifτ}·(ψ_k·D(z) + G_k(z)),  G = −lag·(1 − 1/z) + (z − 2 + 1/z)·Q(z)
+
+=============  ==========================================================================
+``C_k, D``     response across, measured in run k, and the axis' own, which is 1 at rest
+``ψ_k``        angle by which the sensor is turned about the vertical: its share of D is the same
+               from rest on, while nothing couples at rest, so that C/D shows it at low frequencies
+``G_k``        coupling in run k: a response as along, but 0 at rest, regressed run by run
+``g, τ``       gain and delay of the commanded axis
+=============  ==========================================================================
+
+Over the runs G_k = Σ_j A_kj·β_j + e_k,  A = [1, x_k − x̄, y_k − ȳ]: a coupling is constant, or
+linear in the place where that foresees a run better that was left out. What does not repeat, e,
+makes β uncertain: of its lag, and of its Q at each frequency, only 1 − var(β)/|β|² is known.
+
+A print is accelerated for times from a few ms to tenths of a second, so that its motion falls with
+the square of the frequency. Responses are compared with that weight.
+
+Tests along both diagonals tell the axes together. A run along the unit vector d at the place p
+makes i = x and y respond with
+
+    H_i(f) = Σ_j G_ij(f, p)·d_j
+    G_ij(f, p) = G_ij(f, p̄) + Σ_c (p_c − p̄_c)·S_cij(f),    j, c = x, y
+
+G_ij is what a command in j does to i, p̄ the mean place, and S its change per mm of the place: the
+lever arm of racking, above all. At each frequency this is a linear problem with real columns d_j
+and (p_c − p̄_c)·d_j, solved by least squares with the noise of each run. Runs along x and y tell
+a column of G each, and so do both tests of belts, along (1, 1) and (1, −1), together. A slope is
+free where places lie far enough apart; elsewhere it is 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.fft import irfft, rfft
+
+from hframe_post.arrays import TS, Array, Complex, X, Y
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.estimation.regression import (
+    Data,
+    Estimated,
+    Mode,
+    regress,
+    transfer,
+)
+from hframe_post.identification.responses.frequency_response import (
+    NOISE_FLOOR,
+    FrequencyResponse,
+    check_same_frequencies,
+)
+from hframe_post.identification.responses.measured import RunGroup, RunResponse
+from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.plant import Coupling
+
+LEAST_SPREAD = 14.0  # mm: two places that are 20 mm apart
+
+
+@dataclass(frozen=True, slots=True)
+class DirectedRun:
+    """A run along ``direction`` (x, y) of any length, around ``place`` (x, y), mm.
+
+    x, y: responses of the nozzle per commanded acceleration along the direction. All runs have
+    one common delay.
+    """
+
+    direction: tuple[float, float]
+    place: tuple[float, float]
+    x: FrequencyResponse
+    y: FrequencyResponse
+
+
+@dataclass(frozen=True, slots=True)
+class FullResponse:
+    """The matrix at the frequencies hz (k,).
+
+    G (k, 2, 2): [i, j], what a command in j does to i at the place ``middle`` (mm), and its
+    variance. slopes (k, 2, 2, 2): [c, i, j], 1/mm, change with x and y of the place; 0 where the
+    runs do not tell. commanded: whether x, y were commanded; the other columns are 0. power (k,)
+    and averages as in FrequencyResponse.
+    """
+
+    hz: Array
+    G: Complex
+    variance: Array
+    slopes: Complex
+    middle: tuple[float, float]
+    commanded: tuple[bool, bool]
+    power: Array
+    averages: float
+
+    def entry(self, moved: int, command: int) -> FrequencyResponse:
+        """Return what a command in an axis (0: x, 1: y) does to another, or to itself."""
+        H = self.G[:, moved, command]
+        signal, noise = np.abs(H) ** 2, self.averages * self.variance[:, moved, command]
+        coherence = np.divide(signal, signal + noise, out=np.zeros(len(H)), where=signal > 0.0)
+        return FrequencyResponse(self.hz, H, coherence, self.power, self.averages)
+
+    def at(self, place: tuple[float, float]) -> Complex:
+        """Return the matrix (k, 2, 2) at a place (x, y), mm."""
+        away = np.subtract(place, self.middle)
+        return np.asarray(self.G + np.einsum("c,kcij->kij", away, self.slopes))
+
+
+def full_response(runs: Sequence[DirectedRun]) -> FullResponse:
+    """Return the matrix from runs on the same frequencies.
+
+    Raises IdentificationError if all runs that move both axes have one direction: x and y cannot
+    be told apart.
+    """
+    responses = [response for run in runs for response in (run.x, run.y)]
+    check_same_frequencies(responses)
+    directions = np.array([np.divide(run.direction, np.hypot(*run.direction)) for run in runs])
+    places = np.array([run.place for run in runs])
+    middle = places.mean(axis=0)
+    names, A = _columns(directions, places - middle)
+    hz, averages = responses[0].hz, min(response.averages for response in responses)
+    G, variance = np.zeros((len(hz), 2, 2), complex), np.zeros((len(hz), 2, 2))
+    slopes = np.zeros((len(hz), 2, 2, 2), complex)
+    for i, responses in enumerate(([run.x for run in runs], [run.y for run in runs])):
+        solution, covariance = _solved(A, responses)
+        for column, (j, c) in enumerate(names):
+            if c is None:
+                G[:, i, j], variance[:, i, j] = solution[:, column], covariance[:, column]
+            else:
+                slopes[:, c, i, j] = solution[:, column]
+    known = {j for j, _ in names}
+    return FullResponse(
+        hz, G, variance, slopes, (float(middle[0]), float(middle[1])), (0 in known, 1 in known),
+        np.mean([response.power for response in responses], axis=0), averages,
+    )  # fmt: skip
+
+
+def _columns(directions: Array, away: Array) -> tuple[list[tuple[int, int | None]], Array]:
+    """Return which entries are free, as (command, None or place coordinate), and their columns."""
+    moved = [j for j in (0, 1) if np.abs(directions[:, j]).max() > 1e-6]
+    A = directions[:, moved]
+    names: list[tuple[int, int | None]] = [(j, None) for j in moved]
+    if np.linalg.matrix_rank(A, 0.1) < len(moved):
+        raise IdentificationError(
+            "runs along one diagonal alone do not tell x from y. Add a run along the other "
+            "diagonal (TEST_RESONANCES AXIS=1,-1 as well as AXIS=1,1), or one along x or y"
+        )
+    for j in moved:
+        for c in (0, 1):
+            column = directions[:, j] * away[:, c]
+            free = column - A @ np.linalg.lstsq(A, column, rcond=None)[0]
+            if np.linalg.norm(free) >= LEAST_SPREAD:
+                A = np.column_stack([A, column])
+                names.append((j, c))
+    return names, A
+
+
+def _solved(A: Array, responses: Sequence[FrequencyResponse]) -> tuple[Complex, Array]:
+    """Return the unknowns and variances, (k, m) each, from responses to the columns (n, m)."""
+    H = np.array([response.H for response in responses])
+    noise = np.array([response.noise for response in responses]) * np.abs(H)
+    # places are on a line no better than this share of the strongest of them
+    least = NOISE_FLOOR * np.abs(H).max(axis=0) + 1e-9
+    variance = noise**2 + least**2
+    weighted = np.einsum("nm,nk->kmn", A, 1.0 / variance)
+    inverse = np.linalg.inv(weighted @ A)
+    solution = np.einsum("kml,kln,nk->km", inverse, weighted, H)
+    return solution, np.einsum("kmm->km", inverse)
+
+
+ROCKING = 1.0 / 3.0  # of the lowest resonance, below which a frame rocks
+
+
+@dataclass(frozen=True, slots=True)
+class Crossed:
+    """Responses along and across the commanded axis, around ``place`` (x, y), mm."""
+
+    along: FrequencyResponse
+    across: FrequencyResponse
+    place: tuple[float, float]
+
+
+def crossed(axis: int, group: RunGroup, band_hz: tuple[float, float]) -> list[Crossed]:
+    """Return what each recording shows of a command in an axis, X or Y, within what is excited.
+
+    Far below the resonances the frame may rock on its table, and sideways, too: that is left out.
+    """
+    rocking = ROCKING * min(group.lowest_hz, band_hz[1])  # a stiff printer has no resonance
+    low, high = group.excited_hz
+    band = max(band_hz[0], low, rocking), min(band_hz[1], high)
+    alone = [run for run in group.runs if run.direction and run.direction[1 - axis] == 0.0]
+    found = [
+        Crossed(run.response, run.across, run.point) for run in alone if run.across is not None
+    ]
+    return [
+        replace(one, along=one.along.within(band), across=one.across.within(band))
+        for one in found or _of_diagonals(axis, group.runs)
+    ]
+
+
+def _of_diagonals(axis: int, runs: Sequence[RunResponse]) -> list[Crossed]:
+    """Return what a command in an axis does, from all runs along diagonals together.
+
+    It is a difference of recordings whose starts are not known to each other, wrong alike if all
+    are repeated. So it counts as one recording.
+    """
+    directed = [_directed(axis, run) for run in runs if run.across is not None]
+    try:
+        full = full_response(directed)
+    except IdentificationError:  # all have one direction
+        return []
+    return [Crossed(full.entry(axis, axis), full.entry(1 - axis, axis), full.middle)]
+
+
+def _directed(axis: int, run: RunResponse) -> DirectedRun:
+    assert run.direction is not None
+    moved = run.scaled(run.direction[axis])  # per motion along the diagonal
+    assert moved.across is not None
+    x, y = (moved.response, moved.across)[:: 1 if axis == X else -1]
+    return DirectedRun(run.direction, run.point, x, y)
+
+
+BEFORE, AFTER = 4, 250  # samples of q before and after the command; modes may ring for longer
+LONGEST = 1900  # samples of q
+SILENT = 2e-3  # of the largest q
+UNKNOWN = 0.02  # share of C, or of its RMS, that no linear model explains
+TURN_SD, LAG_SD = 0.03, 0.3  # rad, after a rough one; samples
+BELOW = 0.6  # of the resonance, below which a turned sensor shows
+FEWEST = 20  # frequencies that this takes
+BETTER = 0.8  # times what a constant coupling leaves, from which one linear in place is believed
+MOST_MODES = 3
+FINE = 4096
+
+Axes = tuple[int | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """What runs share of a coupling.
+
+    omega (k,): rad/sample, measured. turns (runs,): ψ. C (runs, k): G. axes: on what the coupling
+    depends, None for its constant part. centre (2,): mm. arms (axes,): mm from it, at the most; 1
+    for the constant part. parts: what is known, per mm or constant; empty if a further run would be
+    needed. left: share of a run that the others do not foresee.
+    """
+
+    omega: Array
+    turns: Array
+    C: Complex
+    axes: Axes
+    centre: Array
+    arms: Array
+    parts: tuple[ImpulseResponse, ...]
+    left: float
+
+    @property
+    def sizes(self) -> list[float]:
+        """Return what each part moves in a print, where it is largest."""
+        return [
+            float(arm) * in_print(G.response(self.omega), self.omega)
+            for G, arm in zip(self.parts, self.arms, strict=False)
+        ]
+
+
+def shared(runs: Sequence[Crossed], along: Estimated, known: int) -> Shared:
+    """Return what the runs share, constant or linear in place.
+
+    along: response of the commanded axis. known: lever arms found from the same runs, which have
+    been removed from them.
+    """
+    turns, each = zip(*(_regressed(run, along) for run in runs), strict=True)
+    omega, places = 2.0 * np.pi * TS * runs[0].across.hz, np.array([run.place for run in runs])
+    centre = places.mean(axis=0)
+    C = np.array([G.response(omega) for G in each])
+    axes: Axes = (None,)
+    A = _design(places - centre, axes)
+    left = _left(C, omega, A)
+    for axis in (X, Y):
+        free = len(runs) - len(axes) - known
+        spread = np.linalg.norm(places[:, axis] - centre[axis])
+        if spread < LEAST_SPREAD or free < 2 or (known and axis == X):
+            continue
+        linear = _design(places - centre, (*axes, axis))
+        if (its_left := _left(C, omega, linear)) < BETTER * left:
+            axes, A, left = (*axes, axis), linear, its_left
+    free, arms = len(runs) - len(axes) - known, np.abs(A).max(axis=0)
+    parts = _parts(each, A, free) if free > 0 else ()
+    return Shared(omega, np.array(turns), C, axes, centre, arms, parts, left)
+
+
+def in_print(C: Complex, omega: Array) -> float:
+    """Return the size of responses (…, k) as a print weighs them."""
+    return float(np.linalg.norm(C / omega**2))
+
+
+def _regressed(run: Crossed, along: Estimated) -> tuple[float, ImpulseResponse]:
+    """Return ψ and G of one run."""
+    rough = _turn(run, along.resonance_hz)
+    hz, C = run.across.hz, (run.across.H - rough * run.along.H) / along.gain
+    k, z = np.arange(-BEFORE, AFTER, dtype=float), np.exp(2j * np.pi * TS * hz)
+    late = np.exp(-2j * np.pi * hz * along.delay)
+    acceleration = late * (z - 2.0 + 1.0 / z)
+    size = np.abs(run.across.H / along.gain)
+    noise = np.hypot(run.across.noise, UNKNOWN) * size
+    sd = np.hypot(noise, UNKNOWN * np.sqrt(np.mean(size**2)) + 1e-12) / np.sqrt(2.0)
+
+    def rows(columns: Complex) -> Array:
+        weighted = (columns.T / sd).T
+        return np.concatenate([weighted.real, weighted.imag])
+
+    def by_modes(modes: Sequence[Mode], onset: int) -> Array:
+        # below what was measured a mode could pass for a turned sensor
+        measured = np.repeat([mode.omega >= 2.0 * np.pi * TS * hz[0] for mode in modes], 2)
+        return rows(acceleration[:, None] * transfer(z, modes, onset) * measured)
+
+    columns = np.column_stack(
+        [late, late * (1.0 / z - 1.0), acceleration[:, None] * z[:, None] ** -k]
+    )
+    precision = np.array([TURN_SD**-2.0, LAG_SD**-2.0])
+    found = regress(Data.of(rows(columns), rows(C), k, precision, by_modes), most=MOST_MODES)
+    # what does not vanish at rest is the turned sensor's, and so is its share of what D rings
+    turn, lag = float(found.mean[0]), float(found.mean[1]) - float(found.mean[0]) * along.G.lag
+    at = np.arange(-BEFORE, LONGEST, dtype=float)
+    known = np.arange(len(along.G.deviation), dtype=float) - along.G.lead
+    q = found.response(at) - turn * np.interp(at, known, along.G.deviation, 0.0, 0.0)
+    return rough + turn, ImpulseResponse(q, BEFORE, rest=0.0, lag=lag)
+
+
+def _turn(run: Crossed, resonance_hz: float) -> float:
+    """Return ψ to TURN_SD: below the resonance C/D is ψ, and a coupling grows with f and f²."""
+    hz, noise = run.across.hz, run.across.noise * np.abs(run.across.H)
+    low = hz <= max(BELOW * resonance_hz, float(hz[min(FEWEST, len(hz) - 1)]))
+    r = hz[low] / resonance_hz
+    size = np.abs(run.along.H[low])
+    weight = size / np.hypot(noise[low], UNKNOWN * size)
+    columns = weight[:, None] * np.column_stack([np.ones(len(r)), r * r, 1j * r])
+    wanted = weight * run.across.H[low] / run.along.H[low]
+    A = np.concatenate([columns.real, columns.imag])
+    return float(np.linalg.lstsq(A, np.concatenate([wanted.real, wanted.imag]), rcond=None)[0][0])
+
+
+def _design(away: Array, axes: Axes) -> Array:
+    ones = np.ones(len(away))
+    return np.column_stack([ones if axis is None else away[:, axis] for axis in axes])
+
+
+def _left(C: Complex, omega: Array, A: Array) -> float:
+    """Return the share of C (runs, k) that each run's others do not foresee by least squares."""
+    foreseen = []
+    for k in range(len(C)):
+        others = A.copy()
+        others[k] = 0.0
+        foreseen.append(A[k] @ np.linalg.pinv(others) @ C)
+    return in_print(C - np.array(foreseen), omega) / max(in_print(C, omega), 1e-300)
+
+
+def _parts(each: Sequence[ImpulseResponse], A: Array, free: int) -> tuple[ImpulseResponse, ...]:
+    """Return what is known of β."""
+    found = np.array([[G.lag, *rfft(G.deviation, FINE)] for G in each])
+    beta = np.linalg.pinv(A) @ found
+    variance = (np.abs(found - A @ beta) ** 2).sum(axis=0) / free
+    uncertain = np.linalg.inv(A.T @ A).diagonal()[:, None] * variance
+    known = beta * np.maximum(1.0 - uncertain / np.maximum(np.abs(beta) ** 2, 1e-300), 0.0)
+    return tuple(_ending(irfft(one[1:], FINE)[:LONGEST], float(one[0].real)) for one in known)
+
+
+def _ending(q: Array, lag: float) -> ImpulseResponse:
+    last = int(np.flatnonzero(np.abs(q) >= SILENT * np.abs(q).max())[-1]) + 1
+    return ImpulseResponse(q[:last], BEFORE, rest=0.0, lag=lag)
+
+
+REPEATS = 0.7  # share of a recording's coupling that the others may fail to foresee
+LEAST_SHARE = 0.02  # of the axis' own error in a print, from which a coupling is compensated
+LEAST_SIZE = 0.06  # of the command, below which there is none, unless it is compensated
+TURNED = np.radians(2.0)  # by which a sensor is turned before the report says so
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredCoupling:
+    """What a command in ``axis`` does to ``other``, x or y.
+
+    runs: without what a turned sensor sees. gain: of the sensor. terms: what they share, to be
+    compensated. turn: rad by which the sensor is turned, at the most. hz, size, wrong: where the
+    coupling is greatest, how great, and |G − 1| of the axis itself there. unexplained: share of the
+    coupling of a recording that the others do not foresee; None if there are too few.
+    """
+
+    axis: str
+    other: str
+    runs: tuple[Crossed, ...]
+    gain: float
+    terms: tuple[Coupling, ...]
+    turn: float
+    hz: float
+    size: float
+    wrong: float
+    unexplained: float | None
+
+    @property
+    def counts(self) -> bool:
+        """Return whether several recordings show it alike."""
+        return self.unexplained is not None and self.unexplained <= REPEATS
+
+    def as_text(self) -> str:
+        """Return one sentence for the report."""
+        if not self.terms and self.size < LEAST_SIZE:
+            return f"a command in {self.axis} does not move {self.other}"
+        text = (
+            f"a command in {self.axis} moves {self.other} by {self.size:.2f} at {self.hz:.0f} Hz, "
+            f"{100 * self.size / self.wrong:.0f} % of {self.axis}'s own error there"
+        )
+        if self.unexplained is None:
+            tests = f"two tests of {self.axis} alone show whether it repeats"
+            return f"{text}; it is not compensated: {tests}"
+        if not self.counts:
+            differ = f"{100 * self.unexplained:.0f} % differ"
+            return f"{text}; it does not repeat ({differ}) and is not compensated"
+        repeats = f"it repeats within {max(100 * self.unexplained, 1.0):.0f} %"
+        if not self.terms:
+            return f"{text}; {repeats}, but is too small to be compensated"
+        axes = [axis for axis in (X, Y) if any(term.along == axis for term in self.terms)]
+        along = "".join(f" and changes along {'xy'[axis]}" for axis in axes)
+        return f"{text}; {repeats}{along}, and is compensated"
+
+    def warnings(self) -> list[str]:
+        if abs(self.turn) < TURNED:
+            return []
+        return [
+            f"the sensor is turned by {np.degrees(abs(self.turn)):.0f}° about the vertical: it "
+            f"shows in {self.other} a constant share of {self.axis}, which is removed"
+        ]
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "axis": self.axis, "other": self.other, "repeats": self.counts,
+            "unexplained": self.unexplained, "hz": self.hz, "size": self.size,
+            "axis_itself_off": self.wrong, "sensor_turned_deg": float(np.degrees(self.turn)),
+        }  # fmt: skip
+
+
+def find_coupling(
+    axis: str, runs: Sequence[Crossed], along: Estimated, known: int = 0
+) -> MeasuredCoupling:
+    """Return what a command in ``axis`` (x or y) does to the other axis.
+
+    runs: on one delay and the same frequencies. along: response of the axis itself, on that delay.
+    known: lever arms that were found from the same runs, and have been removed from them.
+    """
+    found, omega = shared(runs, along, known), 2.0 * np.pi * TS * runs[0].across.hz
+    repeats = found.left <= REPEATS
+    # the mean of what changes, with the place or by itself, may be 0
+    alike = repeats and len(found.axes) == 1
+    sizes = np.abs(found.C.mean(axis=0, keepdims=True) if alike else found.C).max(axis=0)
+    most, error = int(np.argmax(sizes)), along.G.response(omega) - 1.0
+    moved, other = (Y, "y") if axis == "x" else (X, "x")
+    least = LEAST_SHARE * in_print(error, omega)
+    terms = [
+        Coupling(moved, Y - moved, G, lever, 0.0 if lever is None else float(found.centre[lever]))
+        for G, lever, size in zip(found.parts, found.axes, found.sizes, strict=False)
+        if repeats and size > least
+    ]
+    straight = [
+        replace(run, across=replace(run.across, H=run.across.H - turn * run.along.H))
+        for run, turn in zip(runs, found.turns, strict=True)
+    ]
+    return MeasuredCoupling(
+        axis, other, tuple(straight), along.gain, tuple(terms), float(max(found.turns, key=abs)),
+        float(runs[0].across.hz[most]), float(sizes[most]), float(np.abs(error[most])),
+        found.left if found.parts else None,
+    )  # fmt: skip

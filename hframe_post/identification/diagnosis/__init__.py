@@ -1,1 +1,0 @@
-"""Nonlinearity, changes along x, and uncertainty of the model."""

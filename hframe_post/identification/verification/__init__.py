@@ -1,1 +1,0 @@
-"""Measured proof that compensation helps on the machine."""

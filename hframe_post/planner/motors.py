@@ -1,0 +1,60 @@
+"""Paths that motors can follow whose limits the printer's owner stated.
+
+A move that asks a belt for more gets slower: in its speed, its acceleration, and in the corners at
+its ends. Compensation moves harder than the path, so the path gets a SHARE of the acceleration.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from hframe_post.arrays import E, lengths
+from hframe_post.printer.settings import CORNER, Printer
+from hframe_post.stream.types import FileLimits, Item, Moves, frozen
+
+SHARE = 0.6  # of the belts' acceleration: with 0.75, slices had to be clamped a fifth of the time
+
+
+class WithinMotors:
+    """Slows moves down. path, slowed: mm of all moves, and of those that became slower."""
+
+    def __init__(self, printer: Printer) -> None:
+        motors, kinematics = printer.stated or printer.motors, printer.kinematics
+        v, a = motors.belt_velocity, SHARE * motors.belt_acceleration
+        (ax, ay), (bx, by) = kinematics.matrix.tolist()
+        none = (math.inf, math.inf)
+        self._limits = FileLimits((v, v, *none), (a, a, *none), belts=((ax, ay), (bx, by)))
+        # in a right angle the speed changes by √2 times itself
+        self._corner = kinematics.min_speed_ratio * CORNER * a / math.sqrt(2.0)
+        self.path = self.slowed = 0.0
+
+    @property
+    def share(self) -> float:
+        """Return the share of the path that is slower."""
+        return self.slowed / self.path if self.path else 0.0
+
+    def items(self, items: Iterable[Item]) -> Iterator[Item]:
+        """Yield the items with moves that the motors can follow."""
+        for item in items:
+            yield self._slower(item) if isinstance(item, Moves) else item
+
+    def _slower(self, moves: Moves) -> Moves:
+        delta = np.diff(moves.points, axis=0)
+        speed, acceleration = moves.speed.copy(), moves.acceleration.copy()
+        moves.limits.lower(speed, acceleration, delta)
+        asked = speed.copy(), acceleration.copy()
+        self._limits.lower(speed, acceleration, delta)
+        corner = np.minimum(moves.corner, self._corner)
+        slowed = (speed < asked[0]) | (acceleration < asked[1]) | (corner < moves.corner)
+        length = lengths(delta[:, :E])
+        self.path += float(length.sum())
+        if not slowed.any():
+            return moves
+        self.slowed += float(length[slowed].sum())
+        return replace(
+            moves, speed=frozen(speed), acceleration=frozen(acceleration), corner=frozen(corner)
+        )

@@ -1,0 +1,98 @@
+"""Write docs/results.md: what the sample prints take and leave, on whatever machine runs it.
+
+make results
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import hframe_post as hp
+from examples.paper import tables
+
+ROOT = Path(__file__).resolve().parents[1]
+SAMPLES = ROOT / "sample_gcode"
+PRINTS = ("rectangle", "cube", "prism")
+PRINTERS = ("paper", "example-corexy", "example-cartesian")
+STRATEGIES = ("none", "fbs", "racking")
+OFF = (0.05, 0.1, 0.2)  # shares by which random printers differ from the model
+HEAD = """\
+# Results
+
+`make results` computes this page anew: the predicted contour error of the sample prints on shipped
+profiles, what the stages of a conversion take, and the paper's tables. The profiles' plants are
+exact here; [identify.md](identify.md#how-far-to-trust-it) says what is left on real printers.
+"""
+
+
+def rows() -> Iterator[str]:
+    yield HEAD
+    yield from errors()
+    yield from inexact()
+    yield from stages()
+    yield "## The paper's tables\n"
+    yield "What they say is in [derivations.md](derivations.md#the-papers-figures).\n"
+    prism = (SAMPLES / "prism.gcode").read_bytes().splitlines(keepends=True)
+    yield tables.computed(hp.load_printer("paper"), prism)
+
+
+def errors() -> Iterator[str]:
+    yield "## Contour error\n\nWhile extruding, RMS µm; the time is that of the converted print.\n"
+    yield table_head(
+        "print", "profile", "no compensation", "ringing", "ringing and racking", "time"
+    )
+    for part in PRINTS:
+        for name in PRINTERS:
+            found = hp.simulate(SAMPLES / f"{part}.gcode", hp.load_printer(name))
+            rms = [1e3 * found.parts.whole[each].contour.rms for each in STRATEGIES]
+            yield line(part, name, *(f"{each:.1f}" for each in rms), f"{found.time.after:.0f} s")
+    yield ""
+
+
+def inexact() -> Iterator[str]:
+    yield "## An inexact model\n"
+    yield "The rectangle on the paper's printer: 50 random printers that differ by up to a share.\n"
+    yield table_head("off by up to", "median µm", "worst µm")
+    printer = hp.load_printer("paper")
+    found = hp.simulate(SAMPLES / "rectangle.gcode", printer, model_error=OFF, draws=50)
+    for similar in found.model_error:
+        rms = sorted(1e3 * each for each in similar.rms("racking"))
+        yield line(f"{100 * similar.share:.0f} %", f"{rms[len(rms) // 2]:.1f}", f"{rms[-1]:.1f}")
+    yield ""
+
+
+def stages() -> Iterator[str]:
+    machine = f"{platform.machine()} with Python {platform.python_version()}"
+    yield f"## Time\n\nCPU seconds of each stage, with `paper`, on {machine}.\n"
+    found = {part: converted(part) for part in PRINTS[1:]}
+    names = list(dict.fromkeys(name for one in found.values() for name in one.seconds))
+    yield table_head("print", *names)
+    for part, report in found.items():
+        label = f"{part}, {report.time.after:.0f} s of print"
+        yield line(label, *(f"{report.seconds.get(name, 0.0):.2f}" for name in names))
+    yield ""
+
+
+def converted(part: str) -> hp.Report:
+    target = ROOT / "build" / f"{part}.gcode"
+    target.parent.mkdir(exist_ok=True)
+    options = hp.Options(force=True)
+    return hp.convert(SAMPLES / f"{part}.gcode", target, hp.load_printer("paper"), options)
+
+
+def table_head(*names: str) -> str:
+    return f"{line(*names)}\n{line(*['---'] * len(names))}"
+
+
+def line(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def main(written: Sequence[str]) -> None:
+    (ROOT / "docs" / "results.md").write_text("\n".join(written), "utf-8")
+
+
+if __name__ == "__main__":
+    main([*rows()])
