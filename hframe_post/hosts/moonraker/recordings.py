@@ -135,9 +135,7 @@ def _updated(
     plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
     lines = [*result_lines, f"the model is written into {profile}{plots}"]
     if profile.with_suffix(".kernel").is_file():
-        lines.append(
-            "with [hframe_live] in printer.cfg, restart Klipper: it then compensates by this"
-        )
+        lines.append("with [hframe_live] in printer.cfg, restart Klipper: it takes this model")
     interface.report("\n".join(lines))  # at once: some consoles show the newest message first
     interface.report(f"how the printer does: {PAGE}")  # KlipperScreen shows no message with a link
     return 0
