@@ -137,10 +137,16 @@ def _number(hint: type[float], value: Any, rules: Rules, key: str) -> float:
     return hint(value)
 
 
+STROKES = "Klipper is measured by strokes within [limits] ('hframe-post measure')"
+OLD_KEYS = {f"sweep.{key}": STROKES for key in ("start_hz", "stroke", "sway", "quiet")}
+
+
 def known_keys(table: dict[str, Any], known: tuple[str, ...], path: str) -> None:
     """Raise PrinterError for an unknown key, with the nearest known one."""
     for key in table:
         if key not in known:
+            if (gone := OLD_KEYS.get(f"{path}.{key}")) is not None:
+                raise PrinterError(f"is gone, delete it: {gone}", f"{path}.{key}")
             near = get_close_matches(key, known, n=1, cutoff=0.0)
             where = f"{path}.{key}" if path else key
             raise PrinterError(f"unknown key; nearest known is {near[0]!r}", where)

@@ -25,8 +25,8 @@ LONGEST_RAMP = 60.0  # s
 JERK = 1e7
 LONGEST_PREVIEW = 2000  # samples; the matrix of a window has as many rows and columns
 HIGHEST_HZ = 200.0  # of a sweep: five samples per period, joined by straight lines
-SHORTEST, LONGEST = 1.0, 900.0  # s of a sweep; Klipper records at most 1000 s
-QUIET = 0.1  # s; a shorter rest does not separate the parts of a sweep
+LEAST_END_HZ = 30.0  # Hz, above which printers resonate
+SHORTEST, LONGEST = 1.0, 900.0  # s of a sweep
 CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")  # of an accelerometer in Klipper's commands
 # share by which printers differ from their model a day after it was measured, and the exponent of
 # its growth with the days: the figures are in docs/identify.md
@@ -197,20 +197,15 @@ class Compensation:
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """The motion that measures a printer. Raises ArgumentError if the settings do not fit together.
+    """What measures a printer. Raises ArgumentError if the settings do not fit together.
 
-    amplitude: mm/s²; stroke: limit of the amplitude at low frequencies, ± mm; sway: amplitude of
-    the slow motion below the sweep, ± mm; quiet: s of rest before, after and between the parts.
-    chip_x, chip_y: names of the accelerometers that record the axes, empty where unknown.
+    end_hz, rate_hz_per_s, amplitude (mm/s²): of the sweep for Marlin. chip_x, chip_y: names of the
+    accelerometers that record the axes, empty where unknown.
     """
 
-    start_hz: float = positive(2.0)
     end_hz: float = positive(120.0)
     rate_hz_per_s: float = positive(3.4)
     amplitude: float = positive(5000.0)
-    stroke: float = positive(5.0)
-    sway: float = not_negative(2.0)
-    quiet: float = positive(1.0)
     chip_x: str = ""
     chip_y: str = ""
 
@@ -221,28 +216,16 @@ class Sweep:
                     f"{chip!r} is not a chip's name: for [adxl345 hotend] in printer.cfg write "
                     "hotend"
                 )
-        values = (self.start_hz, self.rate_hz_per_s, self.amplitude, self.stroke)
-        if not all(0.0 < value < math.inf for value in values):
-            raise ArgumentError("frequencies, rate, amplitude and stroke must be above 0")
-        if not 0.0 <= self.sway < math.inf:
-            raise ArgumentError(f"sway must be at least 0, it is {self.sway:g}")
-        if not self.start_hz < self.end_hz <= HIGHEST_HZ:
+        if not 0.0 < self.amplitude < math.inf:
+            raise ArgumentError("amplitude must be above 0")
+        if not LEAST_END_HZ <= self.end_hz <= HIGHEST_HZ:
+            raise ArgumentError(f"end_hz must be {LEAST_END_HZ:g} to {HIGHEST_HZ:g}")
+        seconds = self.end_hz / self.rate_hz_per_s if self.rate_hz_per_s > 0.0 else 0.0
+        if not SHORTEST <= seconds <= LONGEST:
             raise ArgumentError(
-                f"from {self.start_hz:g} to {self.end_hz:g} Hz is not a sweep: end_hz must be "
-                f"above start_hz and at most {HIGHEST_HZ:g}"
+                f"at {self.rate_hz_per_s:g} Hz/s a sweep takes {seconds:.0f} s; {SHORTEST:g} to "
+                f"{LONGEST:g} s are possible"
             )
-        if not self.quiet >= QUIET:
-            raise ArgumentError(f"quiet must be at least {QUIET:g} s, it is {self.quiet:g}")
-        if not SHORTEST <= self.seconds <= LONGEST - 4.0 * self.quiet:
-            raise ArgumentError(
-                f"at {self.rate_hz_per_s:g} Hz/s the sweep takes {self.seconds:g} s; between "
-                f"{SHORTEST:g} s and, with the rests, {LONGEST:g} s are possible"
-            )
-
-    @property
-    def seconds(self) -> float:
-        """Return the duration of the sine without the rests."""
-        return (self.end_hz - self.start_hz) / self.rate_hz_per_s
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,6 +96,7 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
     ("text", "key", "cause"),
     [
         ("colour = 3", "colour", "unknown key"),
+        ("[sweep]\nstroke = 5", "sweep.stroke", "is gone, delete it: Klipper is measured"),
         ("[limits]\nvelocty = 3", "limits.velocty", "nearest known is 'velocity'"),
         ("[firmware.klipper]\naccelaration = 3", "firmware.klipper.accelaration",
          "nearest known is 'acceleration'"),
