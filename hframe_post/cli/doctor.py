@@ -41,7 +41,7 @@ PACKAGES = (
     "platformdirs",
     "zstandard",
 )
-EXTRAS = ("matplotlib", "distributed")
+EXTRAS = ("distributed",)
 
 
 class _Findings:

@@ -296,11 +296,11 @@ def write_kernel(outputs: Outputs, profile: Path, printer: Printer) -> None:
         outputs.open(name_of(profile)).write(data)
 
 
-def old_option(name: str, instead: str) -> Callable[[Command], Command]:
+def old_option(name: str, instead: str, flag: bool = False) -> Callable[[Command], Command]:
     """Return a hidden option that ends in one line: what replaced it."""
 
-    def gone(_: click.Context, option: click.Parameter, value: str | None) -> None:
-        if value is not None:
+    def gone(_: click.Context, option: click.Parameter, value: str | bool | None) -> None:
+        if value:
             raise click.UsageError(f"{option.opts[0]} is gone: {instead}")
 
-    return click.option(name, hidden=True, expose_value=False, callback=gone)
+    return click.option(name, is_flag=flag, hidden=True, expose_value=False, callback=gone)

@@ -40,6 +40,7 @@ COSTS = {  # causes of a longer print, for people
     "stops": "rests at stops",
 }
 WORTH_SAYING = 2e-3  # of the print's time
+MOST_WIPED = 8.0  # mm of filament; long tubes retract 6 mm, and less in motion
 JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
 _RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
 
@@ -50,13 +51,15 @@ _RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
 class InputSummary:
     """What a file holds: lines, moves at known positions, filament (mm).
 
-    firmware_retractions: G10 and G11 lines whose motion only the firmware knows.
+    firmware_retractions: G10 and G11 lines whose motion only the firmware knows. taken_back: line
+    of the first move of x and y that takes back more than MOST_WIPED, and how much, mm.
     """
 
     lines: int = 0
     moves: int = 0
     filament: float = 0.0
     firmware_retractions: int = 0
+    taken_back: tuple[int, float] | None = None
 
 
 class InputMeter:
@@ -75,6 +78,11 @@ class InputMeter:
             if isinstance(item, Moves):
                 summary.moves += len(item.line)
                 summary.filament += float(item.points[-1, E] - item.points[0, E])
+                if summary.taken_back is None:
+                    fed = np.diff(item.points[:, E])
+                    if fed.min() < -MOST_WIPED:
+                        k = int((fed < -MOST_WIPED).argmax())
+                        summary.taken_back = int(item.line[k]), float(-fed[k])
             elif isinstance(item, MoveAtRest):
                 summary.moves += 1
                 summary.filament += item.end[E] - item.start[E]

@@ -53,7 +53,7 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.planner.motors import WithinMotors
 from hframe_post.planner.pacing import PieceStart, pace
 from hframe_post.planner.sampling import sample
-from hframe_post.planner.sliced import seconds_of_ramps
+from hframe_post.planner.sliced import run_seconds
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Motors, Printer
@@ -318,7 +318,7 @@ class PlannedFile:
         """Add up the time of plans if nothing limited their jerk."""
         for item in plans:
             if isinstance(item, Plan):
-                self._ramps += seconds_of_ramps(item)
+                self._ramps += float(run_seconds(item).sum())
             yield item
 
     def _print_time(self, motion: MotionSummary) -> PrintTime:

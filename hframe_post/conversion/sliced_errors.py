@@ -7,8 +7,11 @@ all over the print: a print of any length needs four minutes of motion at most.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
 
 from hframe_post.arrays import TS, E
 from hframe_post.compensation.shape import LIVE, SHAPER, Shapes, shape
@@ -18,14 +21,15 @@ from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
 from hframe_post.planner.bands import MotorBands
-from hframe_post.planner.sliced import AsSliced
+from hframe_post.planner.sliced import AsSliced, run_seconds
 from hframe_post.prediction.best_shaper import Paths, paths, ranked
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import ended, successive
-from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Planned, Samples
+from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Planned, Samples, frozen
 
-PIECE_S = 3.0  # of a piece, which begins and ends at rest; 4 times as long at most
+PIECE_S = 3.0  # of motion in a piece; more only if a single run lasts longer, 4 times at most
+SETTLED = 300  # samples after which it does not matter how a piece began
 LEAST_S = 120.0  # to keep of a print; at most twice as much is kept
 SHAPED = 4  # pieces on which the shaper is chosen: its error is within 5 % of that on all
 
@@ -51,7 +55,7 @@ class SlicedFile:
         rules = firmware(printer).limits(printer)
         self._printer, self.own = printer, AsSliced(rules, MotorBands.from_printer(printer))
         self._pieces, self._every, self._count = list[Piece](), 1, 0
-        self._piece, self._begun_at = list[Planned](), 0.0  # s of the print
+        self._piece, self._seconds = list[Planned](), 0.0  # of motion
 
     @classmethod
     def from_items(cls, items: Iterable[Item], printer: Printer) -> SlicedFile:
@@ -96,32 +100,38 @@ class SlicedFile:
         return successive(ended(self._motion(piece)) for _, piece in pieces)
 
     def _motion(self, piece: tuple[Planned, ...]) -> Iterator[Samples]:
-        """Yield a piece's samples, not many more than it may have."""
-        most = round(4.0 * PIECE_S / TS)
+        """Yield a piece's samples, not many more than it may have.
+
+        Of a piece that begins in motion the first samples do not count: they extrude nothing.
+        """
+        first, most = piece[0], round(4.0 * PIECE_S / TS)
+        lead = SETTLED if isinstance(first, Plan) and first.speed[0] else 0
         for chunk in self.own.sampled(piece, most // 4):
+            if lead and len(chunk):
+                xyze = chunk.xyze.copy()
+                xyze[:lead, E] = xyze[min(lead, len(chunk)) - 1, E]
+                chunk, lead = replace(chunk, xyze=frozen(xyze)), 0
             yield chunk
             if (most := most - len(chunk)) <= 0:
                 return
 
     def _keep(self, planned: Iterable[Planned]) -> None:
         for item in planned:
-            if isinstance(item, Passthrough) and item.handling is not Handling.REST:
-                if item.handling is Handling.RELEASE:
-                    self._end()
-                continue
-            leaves, arrives = item.speed[[0, -1]] if isinstance(item, Plan) else (1.0, 0.0)
-            if not self._piece and leaves:
-                self._begun_at = self.own.seconds
-                continue
-            self._piece.append(item)
-            seconds = self.own.seconds - self._begun_at
-            if seconds >= PIECE_S and (not arrives or seconds >= 4.0 * PIECE_S):
+            if isinstance(item, Plan):
+                for part, seconds in _parts(item):
+                    self._piece.append(part)
+                    self._seconds += seconds
+                    if self._seconds >= PIECE_S:
+                        self._end()
+            elif isinstance(item, Passthrough) and item.handling is Handling.RELEASE:
                 self._end()
+            elif not isinstance(item, Passthrough) or item.handling is Handling.REST:
+                self._piece.append(item)
 
     def _end(self) -> None:
         """End the piece; keep every n-th in which anything is extruded."""
-        piece, seconds = tuple(self._piece), self.own.seconds - self._begun_at
-        self._piece, self._begun_at = [], self.own.seconds
+        piece, seconds = tuple(self._piece), self._seconds
+        self._piece, self._seconds = [], 0.0
         plans = (item.points[:, E] for item in piece if isinstance(item, Plan))
         if not any((e[1:] > e[:-1]).any() for e in plans):
             return
@@ -130,3 +140,18 @@ class SlicedFile:
         self._count += 1
         while sum(seconds for seconds, _ in self._pieces) > 2.0 * LEAST_S and len(self._pieces) > 1:
             self._pieces, self._every = self._pieces[::2], 2 * self._every
+
+
+def _parts(plan: Plan) -> Iterator[tuple[Plan, float]]:
+    """Yield a plan in parts of about a piece's duration, each with its seconds."""
+    seconds = run_seconds(plan)
+    at = np.cumsum(seconds) // PIECE_S
+    cuts = [0, *(np.flatnonzero(np.diff(at)) + 1).tolist(), len(seconds)]
+    for low, high in pairwise(cuts):
+        first, last = plan.ends[[low, high]].tolist()
+        part = Plan(
+            plan.line[first:last], plan.points[first : last + 1],
+            plan.s[first : last + 1] - plan.s[first], plan.ends[low : high + 1] - first,
+            plan.speed[low : high + 1], plan.cruise[low:high], plan.acceleration[low:high], (),
+        )  # fmt: skip
+        yield part, float(seconds[low:high].sum())

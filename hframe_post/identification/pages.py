@@ -14,7 +14,6 @@ from hframe_post.identification.responses.frequency_response import FrequencyRes
 from hframe_post.identification.verify import Verdict
 from hframe_post.model.impulse_response import ImpulseResponse, Linear
 from hframe_post.page.measured import Card, Chart, Curve, Section, page
-from hframe_post.plotting import decibel, degrees
 
 TITLES = {
     "Gxx": "x: from the motors to the nozzle (Gxx)",
@@ -195,3 +194,12 @@ def verification_page(verdict: Verdict, name: str, setup: list[tuple[str, str]])
     notes = verdict.as_text().splitlines()[-1:]  # the verdict; the cards show the rest
     lead = lead[:1].upper() + lead[1:]
     return page(name, lead, cards, [Section("Along the motion", charts)], notes, setup)
+
+
+def decibel(H: Complex) -> Array:
+    return np.asarray(20.0 * np.log10(np.maximum(np.abs(H), 1e-12)))
+
+
+def degrees(H: Complex) -> Array:
+    """Return the unwrapped phase of ``H`` in degrees."""
+    return np.degrees(np.unwrap(np.angle(H)))

@@ -15,11 +15,11 @@ symbol      meaning                                                         sour
 ``A, m``    constraints A·h = m: Σ h = D(0), Σ k·h = lag_D − D(0)·lag_G
 ==========  ==============================================================  ==============
 
-h minimises Σ W·(|G·B·h − D|² + λ·|ω²·B·h|²), so H·h = r + Aᵀμ with a Toeplitz matrix H, subject to
-A·h = m: rest and constant speed are exact. An axis has D = 1. What a command of axis j adds to
-another axis (eq. 13, 19) is removed from that axis' target by taps with G = Gjj and D the coupling:
-their product is the coupling's answer to the finished command. Common poles of both cancel, so
-that these taps are short where those of the coupling itself are long.
+h minimises Σ W·(|G·B·h − D|² + λ·|ω²·B·h|²), expected over what is not known of G (its doubts). So
+H·h = r + Aᵀμ with a Toeplitz matrix H, subject to A·h = m: rest and constant speed are exact. An
+axis has D = 1. What a command of axis j adds to another axis (eq. 13, 19) is taken off its target
+by taps with G = Gjj and D the coupling: their product is the coupling's answer to the finished
+command. Common poles of both cancel, so that these taps are short where the coupling's are long.
 """
 
 from __future__ import annotations
@@ -44,6 +44,9 @@ WINDOWS = ((100, 400), (80, 400), (60, 400), (60, 300), (60, 250), (60, 200), (4
 LOST = 1.1  # factor on the error of the longest window that a shorter one may leave
 NEGLIGIBLE_MM = 1e-3  # an error of which nothing shows
 EFFORTS = tuple(10.0 ** (k / 4.0) for k in range(17))  # λ = 1 … 10⁴
+# λ of a measured model: half the peak of 1, and on next sessions of two Vorons and an SV08 0 to 3 %
+# less error
+MEASURED_EFFORT = 10.0
 STROKES = 100  # of the test path: 6 s, lengths of 0.2 to 60 mm
 
 
@@ -149,7 +152,8 @@ def kernel(plant: Plant, kinematics: Kinematics, bounds: Bounds) -> Kernel:
     limits = bounds.belt_velocity, bounds.belt_acceleration
     each = plant.Gxx, plant.Gyy, *(coupling.G for coupling in plant.couplings)
     spectra = tuple(map(Spectrum.of, each))
-    for effort in EFFORTS:
+    least = MEASURED_EFFORT if any(G.variance.any() for G in spectra) else EFFORTS[0]
+    for effort in (each for each in EFFORTS if each >= least):
         longest = _Try.of(plant, spectra, path, effort, WINDOWS[0], WINDOWS[0])
         rates = _rates(kinematics, longest.command)
         if all(rate <= limit for rate, limit in zip(rates, limits, strict=True)):
@@ -227,9 +231,10 @@ def _command(
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """A response at ``OMEGA``, at rest and at low speed."""
+    """A response at ``OMEGA``, at rest and at low speed; variance: of what is not known of it."""
 
     at: Complex
+    variance: Array
     rest: float
     lag: float
 
@@ -237,7 +242,10 @@ class Spectrum:
     def of(cls, G: Linear) -> Spectrum:
         slow = 1e-5  # rad/sample
         lag = -G.response(np.array([slow])).imag[0] / slow
-        return cls(G.response(np.maximum(OMEGA, 1e-9)), G.dc_gain, float(lag))
+        variance = np.zeros(len(OMEGA))
+        for doubt in G.doubts:
+            variance += np.abs(doubt.response(OMEGA)) ** 2
+        return cls(G.response(np.maximum(OMEGA, 1e-9)), variance, G.dc_gain, float(lag))
 
 
 def taps(G: Spectrum, D: Spectrum | None, ahead: int, past: int, effort: float) -> Taps:
@@ -252,7 +260,8 @@ def taps(G: Spectrum, D: Spectrum | None, ahead: int, past: int, effort: float) 
     wanted, rest, lag = (1.0, 1.0, 0.0) if D is None else (D.at, D.rest, D.lag)
     n, k = ahead + past + 1, np.arange(-ahead, past + 1)
     acceleration = (2.0 - 2.0 * np.cos(OMEGA)) * B
-    H = np.fft.irfft(W * (np.abs(GB) ** 2 + effort * acceleration**2))[:n]
+    expected = np.abs(GB) ** 2 + G.variance * B**2
+    H = np.fft.irfft(W * (expected + effort * acceleration**2))[:n]
     r = np.fft.irfft(W * np.conj(GB) * wanted)[k]
     A = np.stack([np.ones(n), k / past])
     m = np.array([rest, (lag - rest * G.lag) / past])

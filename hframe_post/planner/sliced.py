@@ -165,12 +165,12 @@ class AsSliced:
         return float(d / top + top / a)
 
 
-def seconds_of_ramps(plan: Plan) -> float:
-    """Return how long a plan takes if nothing limits its jerk."""
+def run_seconds(plan: Plan) -> Array:
+    """Return how long each run of a plan takes if nothing limits its jerk, (r,)."""
     d, v, a = np.diff(plan.s[plan.ends]), plan.speed, plan.acceleration
     v_s, v_e = v[:-1], v[1:]
     reached = np.sqrt(np.maximum(a * d + (v_s**2 + v_e**2) / 2.0, np.maximum(v_s, v_e) ** 2))
-    return float(_seconds(d, v_s, v_e, np.minimum(plan.cruise, reached), a).sum())
+    return _seconds(d, v_s, v_e, np.minimum(plan.cruise, reached), a)
 
 
 def _seconds(d: Array, v_s: Array, v_e: Array, top: Array, a: Array) -> Array:

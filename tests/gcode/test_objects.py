@@ -63,3 +63,17 @@ def test_a_spiral_lift_after_an_object_is_a_lift() -> None:
     items = read([line.encode() + b"\n" for line in lines], ReadOptions(Klipper.dialect))
     (lift,) = (item for item in items if isinstance(item, MoveAtRest))
     assert (lift.start[:3], lift.end[:3]) == ((20.0, 20.0, 0.2), (20.0, 20.0, 0.6))
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["M808 L2", "M808", "SDCARD_LOOP_BEGIN COUNT=2", "SDCARD_LOOP_END", "SDCARD_RESET_FILE", "M24",
+     "M25", "M26 S0", "M600", "M0", "PAUSE", "RESUME", "CANCEL_PRINT", "EXCLUDE_OBJECT NAME=a",
+     "RESTORE_GCODE_STATE NAME=a MOVE=1", "PARK"],
+)  # fmt: skip
+def test_after_what_may_leave_the_machine_elsewhere_the_next_move_is_copied(line: str) -> None:
+    lines = [*BEGIN, *WALL, line, "G1 X50", "G1 Y30", "G1 X60 Y60"]
+    for dialect in (Klipper.dialect, Marlin.dialect):
+        items = list(read([each.encode() for each in lines], ReadOptions(dialect)))
+        text = [item.text.decode() for item in items if isinstance(item, Passthrough)]
+        assert text[text.index(line) :] == [line, "G1 X50", "G1 Y30", ""]

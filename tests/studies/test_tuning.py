@@ -108,9 +108,6 @@ def test_a_window_that_diverges_is_refused_and_the_others_are_tried(profiled: Pr
     assert recommended([refused, tried], profiled.motors) is tried
 
 
-# ---------------------------------------------------------------------- pieces of a print
-
-
 # ---------------------------------------------------------------------- recommendation
 
 

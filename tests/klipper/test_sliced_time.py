@@ -1,0 +1,45 @@
+"""The time of a file as sliced is the one that Klipper's own host takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import parsed
+from hframe_post.firmware.registry import firmware
+from hframe_post.planner.sliced import AsSliced
+from hframe_post.printer.profile import load
+from tests.quantities import near
+
+from .host import play
+from .test_playback import hops
+
+
+def turns(seed: int, count: int) -> list[bytes]:
+    """Return lines of all lengths and accelerations, at which a cruise ratio slows the head."""
+    rng, at = np.random.default_rng(seed), np.array([140.0, 140.0])
+    lines = ["G28", "M83", "G1 Z0.3 F600", "G0 X140 Y140 F9000"]
+    for k in range(count):
+        if k % 20 == 0:
+            lines.append(f"M204 S{rng.choice([500, 3000, 5000, 12_000])}")
+        at = np.clip(at + rng.normal(0.0, rng.choice([0.3, 3.0, 30.0]), 2), 20.0, 250.0)
+        lines.append(f"G1 X{at[0]:.3f} Y{at[1]:.3f} E0.01 F{rng.choice([3000, 9000, 18_000])}")
+    return [line.encode() + b"\n" for line in lines]
+
+
+@pytest.mark.klipper
+@pytest.mark.parametrize("lines", [turns(0, 400), hops(0, 40)], ids=["turns", "lifts"])
+def test_it_has_klippers_cruise_ratio_and_corners_of_lifts(
+    lines: list[bytes], tmp_path: Path
+) -> None:
+    printer, lines = load("paper"), [*lines[:1], b"G92 X0 Y0 Z0\n", *lines[1:]]
+    own = AsSliced(firmware(printer).limits(printer))
+    for item in [*parsed(lines, printer, Options("racking").resolved(printer)), None]:
+        list(own.planned(item))
+    path = tmp_path / "sliced.gcode"
+    path.write_bytes(b"".join(lines))
+    played = play(path, workdir=tmp_path / "host")
+    near(own.seconds, played.duration, 0.004 * played.duration, "print time, s")
