@@ -11,6 +11,7 @@ from hframe_post.arrays import TS, X, Y
 from hframe_post.model.plant import Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.profile import load
+from tests.plants import as_response
 
 CENTRE = 140.0  # of the bed, mm
 
@@ -54,10 +55,10 @@ def coupled_plant(seed: int, least: float = 0.05, most: float = 0.3, racks: bool
         one
         for answer, command in ((Y, X), (X, Y))
         for one in (
-            Coupling(answer, command, across),
-            Coupling(answer, command, varying, along, CENTRE),
+            Coupling(answer, command, as_response(across, 0.0)),
+            Coupling(answer, command, as_response(varying, 0.0), along, CENTRE),
         )
     ]
     Gxx, Gyy = mixed(c * c, x, s * s, y), mixed(s * s, x, c * c, y)
     Gxtheta = load("paper").plant.Gxtheta if racks else None
-    return Plant(Gxx, Gyy, Gxtheta, CENTRE, tuple(cross))
+    return Plant(as_response(Gxx), as_response(Gyy), Gxtheta, CENTRE, tuple(cross))

@@ -20,6 +20,7 @@ from hframe_post.identification.recordings.resonance_search import find
 from hframe_post.identification.responses.measured import Run
 from hframe_post.model.plant import Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
+from tests.plants import as_response
 from tests.resonance_recordings import X, Y, drawn_sensor, klipper, recorded
 from tests.simulator import RATE, STEPS, Chip
 
@@ -88,11 +89,11 @@ class CoupledMachine:
             for answer, command in ((1, 0), (0, 1)) for along in (None, 0)
         }  # fmt: skip
         cross = [
-            Coupling(answer, command, self._discrete(share, 1), along, MIDDLE)
+            Coupling(answer, command, as_response(self._discrete(share, 1), 0.0), along, MIDDLE)
             for (answer, command, along), share in shares.items()
             if any(share)
         ]
-        return Plant(Gxx, Gyy, None, MIDDLE, tuple(cross))
+        return Plant(as_response(Gxx), as_response(Gyy), None, MIDDLE, tuple(cross))
 
     def _discrete(self, shares: Sequence[float], zeros_at_rest: int) -> TransferFunction:
         assert not self.delay

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import sosfilt
 
+from examples.paper.tables import transfer_functions
 from hframe_post.arrays import Array, Complex
-from hframe_post.model.impulse_response import transfer_function
+from hframe_post.model.filters import FiniteFilter
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.printer import profile
 
 
 def resonant(hz: float, damping: float, *real: float, moving: bool = False) -> TransferFunction:
@@ -33,10 +35,29 @@ def drawn(seed: int) -> list[TransferFunction]:
 
 def all_of_them() -> list[TransferFunction]:
     """Return the paper's three and those of three random printers."""
-    plant = profile.load("paper").plant
-    assert plant.Gxtheta is not None
-    paper = [transfer_function(G) for G in (plant.Gxx, plant.Gyy, plant.Gxtheta)]
+    paper = [*transfer_functions().values()]
     return paper + [G for seed in (1, 2, 3) for G in drawn(seed)]
+
+
+class Filter:
+    """A response applied to a stream, its state carried; of a transfer function, by scipy."""
+
+    def __init__(self, G: TransferFunction | ImpulseResponse) -> None:
+        self._own = FiniteFilter(G, 0) if isinstance(G, ImpulseResponse) else None
+        if isinstance(G, TransferFunction):
+            self._sections, self._state = G.sections, np.zeros((len(G.sections), 2))
+
+    def run(self, u: Array) -> Array:
+        if self._own is not None:
+            return self._own.run(u)
+        y, self._state = sosfilt(self._sections, u, zi=self._state)
+        return np.asarray(y)
+
+
+def as_response(G: TransferFunction | ImpulseResponse, rest: float = 1.0) -> ImpulseResponse:
+    if isinstance(G, ImpulseResponse):
+        return G
+    return ImpulseResponse.from_transfer_function(G, rest)
 
 
 def at_rest(G: TransferFunction) -> float:

@@ -25,6 +25,7 @@ from hframe_post.arrays import TS, Array
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
 from hframe_post.model.plant import Plant
 from hframe_post.model.transfer_function import TransferFunction
+from tests.plants import as_response
 
 RATE = 20000
 STEPS = 20  # a millisecond
@@ -150,12 +151,13 @@ class Machine:
         """Return the plant of a linear machine, exactly discretised for straight lines of 1 ms."""
         Gxx, Gyy = (_discrete(axis.response(), axis.delay) for axis in (self.x, self.y))
         if not self.racking:
-            return Plant(Gxx, Gyy, None, self.x_c)
+            return Plant(as_response(Gxx), as_response(Gyy), None, self.x_c)
         w, x = 2.0 * np.pi * self.racking_mode.hz, self.x.response()
         mode = [1.0, 2.0 * self.racking_mode.damping * w, w * w]
         num = np.polymul(x.num, [self.racking * w * w, 0.0, 0.0])
         both = signal.TransferFunction(num, np.polymul(x.den, mode))
-        return Plant(Gxx, Gyy, _discrete(both, self.x.delay, True), self.x_c)
+        Gxtheta = as_response(_discrete(both, self.x.delay, True), 0.0)
+        return Plant(as_response(Gxx), as_response(Gyy), Gxtheta, self.x_c)
 
     def played(self, command: Array, keep: int = STEPS, step: float = 0.0) -> Array:
         """Return x, y, their accelerations, θ and θ″ (n, 6) of the nozzle, every ``keep`` / 20 kHz.

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from examples.paper import results, tables
-from examples.paper.commands import WholeTrajectory, basis, knots, windowed
+from examples.paper.commands import WholeTrajectory, basis, knots, lifted, windowed
+from examples.paper.tables import transfer_functions
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import compensate
 from hframe_post.errors import GcodeError
-from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.nozzle import Response
 from hframe_post.model.plant import Plant
@@ -21,6 +21,7 @@ from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer import profile
 from hframe_post.stream.types import Samples
 from tests.conftest import SAMPLES
+from tests.plants import as_response
 
 pytestmark = pytest.mark.paper
 
@@ -49,8 +50,8 @@ def short_path(n: int) -> Array:
 # ---------------------------------------------------------------------- Sec. II
 
 
-def test_tables_i_and_ii_round_to_the_printed_digits(plant: Plant) -> None:
-    assert max(tables.coefficients_off(plant).values()) <= 1.0
+def test_tables_i_and_ii_round_to_the_printed_digits() -> None:
+    assert max(tables.coefficients_off().values()) <= 1.0
 
 
 def test_tables_i_and_ii_as_printed_are_unstable() -> None:
@@ -118,9 +119,7 @@ def test_eq_18_minimises_both_errors_at_once(plant: Plant) -> None:
     whole = WholeTrajectory(plant, xy, 20)
     N, lever = basis(20, 199), xy[:, 0] - plant.x_c
     assert plant.Gxtheta is not None
-    Gxx, Gyy, Gxtheta = (
-        transfer_function(G).lifted(200)[0] for G in (plant.Gxx, plant.Gyy, plant.Gxtheta)
-    )
+    Gxx, Gyy, Gxtheta = (lifted(G, 200) for G in (plant.Gxx, plant.Gyy, plant.Gxtheta))
 
     def squares(command: Array) -> float:
         u = command - xy[0]
@@ -145,9 +144,10 @@ def test_eq_23_equals_eq_25_for_n_equal_to_E(plant: Plant) -> None:
     def undelayed(G: TransferFunction) -> TransferFunction:
         return TransferFunction(np.append(G.zeros, 0.0), G.poles, G.gain)
 
+    functions = transfer_functions()
     prompt = Plant(
-        undelayed(transfer_function(plant.Gxx)),
-        undelayed(transfer_function(plant.Gyy)),
+        as_response(undelayed(functions["Gxx"])),
+        as_response(undelayed(functions["Gyy"])),
         plant.Gxtheta,
         plant.x_c,
     )
@@ -155,9 +155,7 @@ def test_eq_23_equals_eq_25_for_n_equal_to_E(plant: Plant) -> None:
     E = len(xy) - 1
     whole = WholeTrajectory(prompt, xy, E)
     assert prompt.Gxtheta is not None
-    Gxx, Gyy, Gxtheta = (
-        transfer_function(G).lifted(E + 1)[0] for G in (prompt.Gxx, prompt.Gyy, prompt.Gxtheta)
-    )
+    Gxx, Gyy, Gxtheta = (lifted(G, E + 1) for G in (prompt.Gxx, prompt.Gyy, prompt.Gxtheta))
     Gxy = np.diag(xy[:, 0] - prompt.x_c) @ Gxtheta
     x_d, y_d = (xy - xy[0]).T
     x_dm = np.linalg.solve(Gxx, x_d)  # eq. 22, 24

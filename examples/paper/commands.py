@@ -26,10 +26,10 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.model.impulse_response import Linear, transfer_function
+from hframe_post.model.filters import FiniteFilter
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Window, bsplines, window_splines
 from hframe_post.model.plant import Plant
-from hframe_post.model.transfer_function import TransferFunction
 
 DEGREE = 5  # of every figure of the paper
 
@@ -47,6 +47,12 @@ def basis(n: int, E: int, m: int = DEGREE) -> Array:
     return bsplines(knots(n, m), m, np.linspace(0.0, 1.0, E + 1))
 
 
+def lifted(G: ImpulseResponse, n: int) -> Array:
+    """Return the lifted form of a causal response over n samples, (n, n): Appendix A."""
+    reversed_h = np.concatenate([G.impulse(n)[::-1], np.zeros(n - 1)])
+    return np.lib.stride_tricks.sliding_window_view(reversed_h, n)[::-1]
+
+
 class WholeTrajectory:
     """The filtered splines of one plant and trajectory, and the commands they give.
 
@@ -58,10 +64,11 @@ class WholeTrajectory:
         self._origin = xy[0]
         self._x_d, self._y_d = (xy - xy[0]).T
         self._N = N = basis(n, E)
-        Gxx, Gyy = (transfer_function(G).lifted(E + 1)[0] for G in (plant.Gxx, plant.Gyy))
+        Gxx, Gyy = lifted(plant.Gxx, E + 1), lifted(plant.Gyy, E + 1)
         self._N_xx, self._N_yy = Gxx @ N, Gyy @ N
-        Gxtheta = plant.Gxtheta and transfer_function(plant.Gxtheta)
-        self._N_xtheta = Gxtheta.lifted(E + 1)[0] @ N if Gxtheta else 0.0 * N
+        self._N_xtheta = 0.0 * N
+        if plant.Gxtheta is not None:
+            self._N_xtheta = lifted(plant.Gxtheta, E + 1) @ N
         self._D = xy[:, :1] - plant.x_c
 
     def decoupled(self, racking: bool = True) -> Array:
@@ -116,8 +123,7 @@ class _Axes:
     def __init__(self, plant: Plant, windows: tuple[Window, Window]) -> None:
         self.x = _Filtered(plant.Gxx, windows[0])
         self.y = _Filtered(plant.Gyy, windows[1])
-        none = np.zeros(0, dtype=complex)
-        nothing = TransferFunction(none, none, 0.0)
+        nothing = ImpulseResponse(np.zeros(1), 0, rest=0.0)
         self.theta = _Filtered(plant.Gxtheta or nothing, windows[0])
 
 
@@ -146,34 +152,36 @@ def _coupled(axes: _Axes, x_d: Array, y_d: Array, D: Array) -> tuple[Array, Arra
 
 
 class _Filtered:
-    """A window's splines through one transfer function, and what the past left behind.
+    """A window's splines through one response, and what the past left behind.
 
-    N_C, N_P: filtered splines Ñ. effort_C, effort_P: √λ D N. z: state of the filter; p_P:
-    the last m + 1 control points.
+    N_C, N_P: filtered splines Ñ. effort_C, effort_P: √λ D N. past: filter whose state is the
+    command so far; p_P: the last m + 1 control points.
     """
 
-    def __init__(self, linear: Linear, w: Window) -> None:
-        G = transfer_function(linear)
+    def __init__(self, G: ImpulseResponse, w: Window) -> None:
         N_P, N_C, D_P, D_C = window_splines(w)
-        lifted, self._O, _, _ = G.lifted(w.L_C)
-        self.N_P, self.N_C = lifted @ N_P, lifted @ N_C
+        by_window = lifted(G, w.L_C)
+        self.N_P, self.N_C = by_window @ N_P, by_window @ N_C
         self.effort_P, self.effort_C = np.sqrt(w.effort) * D_P, np.sqrt(w.effort) * D_C
         self.pinv = np.linalg.pinv(np.vstack([self.N_C, self.effort_C]))
-        _, _, self._A_T, self._R = G.lifted(w.stride)
+        self._past, self._nothing = FiniteFilter(G, 0), np.zeros(w.L_C)
         self._kept_P, self._kept_C = N_P[: w.stride], N_C[: w.stride, : w.n_up]
-        self.z, self.p_P, self._n_up = np.zeros(len(self._A_T)), np.zeros(w.degree + 1), w.n_up
+        self.p_P, self._n_up = np.zeros(w.degree + 1), w.n_up
 
     def free(self, p_P: Array) -> Array:
         """Return the motion that the past alone causes in the window, (L_C,).
 
         p_P: past control points of the axis that drives this one.
         """
-        return self._O @ self.z + self.N_P @ p_P
+        state = self._past.state.copy()
+        left = self._past.run(self._nothing)
+        self._past.state[:] = state
+        return left + self.N_P @ p_P
 
     def advance(self, p_P: Array, p_C: Array) -> Array:
         """Advance the state over the kept control points; return their command (stride,)."""
         u = self._kept_P @ p_P + self._kept_C @ p_C[: self._n_up]
-        self.z = self._A_T @ self.z + self._R @ u
+        self._past.advance(u)
         return np.asarray(u)
 
     def keep(self, p_C: Array) -> None:

@@ -9,7 +9,9 @@ prints the widths of Fig. 11, too.
 from __future__ import annotations
 
 import sys
+import tomllib
 from collections.abc import Sequence
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +19,7 @@ import numpy as np
 import hframe_post as hp
 from examples.paper import results
 from examples.paper.results import Approximation, Preview, TimeResponse, Widths
-from hframe_post.model.impulse_response import transfer_function
-from hframe_post.model.plant import Plant
+from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 
@@ -45,7 +46,7 @@ def computed(printer: Printer, prism: Sequence[bytes] | None) -> str:
     """Return all tables. prism: lines of the slice for Fig. 11, if any."""
     xy = results.path(printer)
     texts = [
-        coefficients(coefficients_off(printer.plant)),
+        coefficients(coefficients_off()),
         approximation(results.approximations(printer, xy)),
         time_response(results.time_responses(printer, xy)),
         previews(results.previews(printer, xy)),
@@ -69,14 +70,29 @@ def markdown(title: str, head: Row, rows: Sequence[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def coefficients_off(plant: Plant) -> dict[str, float]:
+def transfer_functions() -> dict[str, TransferFunction]:
+    """Return Gxx, Gyy, Gxtheta as the profile of the paper's printer writes them."""
+    text = files("hframe_post.printer").joinpath("profiles/paper.toml").read_text("utf-8")
+    plant = tomllib.loads(text)["plant"]
+    roots = {
+        name: [[complex(*pair) for pair in plant[name][key]] for key in ("zeros", "poles")]
+        for name in PRINTED
+    }
+    return {
+        name: TransferFunction(np.array(zeros), np.array(poles), plant[name]["gain"])
+        for name, (zeros, poles) in roots.items()
+    }
+
+
+def coefficients_off() -> dict[str, float]:
     """Return the largest distance of each printed coefficient, in half units of its last digit.
 
     At most 1: the model is among those that the printed tables may mean.
     """
     off = {}
+    functions = transfer_functions()
     for name, texts in PRINTED.items():
-        G = transfer_function(getattr(plant, name))
+        G = functions[name]
         gain = G.gain * (1e3 if name == "Gxtheta" else 1.0)  # rad/mm to rad/m
         worst = 0.0
         for text, roots, factor in zip(texts, (G.zeros, G.poles), (gain, 1.0), strict=True):

@@ -15,7 +15,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, X, Y, Z
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.model.kinematics import Differences, Kinematics, Rates
-from hframe_post.model.plant import Plant, there
+from hframe_post.model.plant import Plant
 from hframe_post.model.rounds import contraction
 from hframe_post.native.guard import farthest, is_safe
 from hframe_post.printer.settings import Limits, Motors, Printer, Travel
@@ -65,7 +65,7 @@ def max_deviation(plant: Plant, limits: Limits) -> float:
     """
     omega = 2.0 * np.pi * SLOW_HZ
     lead = 0.0
-    each = [(there(plant.Gxx, x), there(plant.Gyy, x)) for x in plant.places]
+    each = [(plant.Gxx.at(x), plant.Gyy.at(x)) for x in plant.places]
     for G in chain.from_iterable(each):
         response = complex(G.response(np.array([omega * TS]))[0])
         lag, compliance = -response.imag / omega, abs(1.0 - response.real) / omega**2

@@ -311,7 +311,7 @@ class PlannedFile:
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
             bands=self._bands(motion.in_bands), metered=motion.metered,
-            predicted=motion.judged / max(motion.samples, 1),
+            predicted=(motion.judged or motion.samples) / max(motion.samples, 1),
         )  # fmt: skip
 
     def _timed(self, plans: Iterable[Planned]) -> Iterator[Planned]:

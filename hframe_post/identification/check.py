@@ -29,7 +29,7 @@ from hframe_post.identification.responses.frequency_response import (
     whole_record,
 )
 from hframe_post.identification.responses.measured import Run, by_axis
-from hframe_post.model.impulse_response import ImpulseResponse, Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
@@ -109,7 +109,7 @@ def drifts(plant: Plant, runs: Sequence[Run]) -> dict[str, Drift]:
     return found
 
 
-def drift(old: Linear, response: FrequencyResponse, unseen: tuple[Array, Array]) -> Drift:
+def drift(old: ImpulseResponse, response: FrequencyResponse, unseen: tuple[Array, Array]) -> Drift:
     """Return how an axis' response changed.
 
     response: of the part that is fitted. unseen: the rest, commanded and measured acceleration
@@ -128,7 +128,7 @@ def drift(old: Linear, response: FrequencyResponse, unseen: tuple[Array, Array])
             f"leaves {100 * left[1]:.0f} % of the motion unexplained. Identify again"
         )
     G = replace(found.G, drift=DRIFT)
-    if isinstance(old, ImpulseResponse) and old.elsewhere:
+    if old.elsewhere:
         by = before[0] / now[0]
         there = tuple(replace(one, G=one.G.stretched(by)) for one in old.elsewhere)
         G = replace(G, x=old.x, elsewhere=there)
@@ -151,11 +151,11 @@ def _split(run: Run) -> dict[int, tuple[FrequencyResponse, tuple[Array, Array]]]
     }
 
 
-def _at_hz(G: Linear, hz: Array) -> Complex:
+def _at_hz(G: ImpulseResponse, hz: Array) -> Complex:
     return np.asarray(G.response(2.0 * np.pi * TS * hz))
 
 
-def _main(G: Linear) -> tuple[float, float]:
+def _main(G: ImpulseResponse) -> tuple[float, float]:
     """Return Hz and |G| of the resonance that moves a print most: of G − 1 over f²."""
     H = _at_hz(G, PEAK_HZ)
     moving = PEAK_HZ[np.argmax(np.abs(H - 1.0) / PEAK_HZ**2)]
@@ -164,7 +164,7 @@ def _main(G: Linear) -> tuple[float, float]:
     return float(PEAK_HZ[k]), float(np.abs(H[k]))
 
 
-def _foreseen(G: Linear, unseen: tuple[Array, Array]) -> FrequencyResponse:
+def _foreseen(G: ImpulseResponse, unseen: tuple[Array, Array]) -> FrequencyResponse:
     """Return what a response makes of the unseen motion, cut off where the recording ends."""
     u, _ = unseen
     n = 4 * len(u)

@@ -10,9 +10,8 @@ import numpy as np
 from hframe_post.identification.coupling import MeasuredCoupling
 from hframe_post.identification.estimation.axes import Fit, Measured
 from hframe_post.identification.places import DAY_TO_DAY, MOST, ModeShift
-from hframe_post.model.impulse_response import ImpulseResponse, Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
-from hframe_post.model.transfer_function import TransferFunction
 
 STROKES_OFF, OFF = 0.075, 0.35  # of a sensor's gain: accel_per_hz may be wrong, too
 MOST_LEFT = 0.6  # of a measurement, by the model: of an SV08 after ten weeks 0.52
@@ -27,7 +26,7 @@ DRIFT = 0.02
 DRIFT_ALONE = 0.03
 BY_SHIFT = 5.0  # times the relative shift of a mode is the change of the response, usually
 AXIS = {"Gxx": "x", "Gyy": "y"}
-RIGID = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 1.0)
+RIGID = ImpulseResponse(np.zeros(1), 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +38,7 @@ class Repetition:
     """
 
     share: float
-    functions: tuple[Linear, ...]
+    functions: tuple[ImpulseResponse, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +123,7 @@ class Identified:
         An axis that was not measured is taken to follow its command exactly. One whose response was
         measured is expected to drift.
         """
-        found: dict[str, Linear] = {name: fit.G for name, fit in self.fits.items()}
+        found: dict[str, ImpulseResponse] = {name: fit.G for name, fit in self.fits.items()}
         for name in AXIS.keys() & found.keys():
             G = self.fits[name].G
             found[name] = replace(G, drift=DRIFT if len(G.unknown) else DRIFT_ALONE)

@@ -12,7 +12,7 @@ from hframe_post.identification.identified import AXIS
 from hframe_post.identification.report import IdentificationReport
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.identification.verify import Verdict
-from hframe_post.model.impulse_response import ImpulseResponse, Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.page.measured import Card, Chart, Curve, Section, page
 
 TITLES = {
@@ -87,7 +87,7 @@ def _fact(measured: Measured, found: Fit) -> str:
     )
 
 
-def _charts(name: str, measured: Measured, found: Fit, held: Linear | None) -> list[Chart]:
+def _charts(name: str, measured: Measured, found: Fit, held: ImpulseResponse | None) -> list[Chart]:
     """Return charts of the responses without the sensor's gain and the recording's delay.
 
     held: the response in the profile, which may say how well it is known.
@@ -114,7 +114,7 @@ def _charts(name: str, measured: Measured, found: Fit, held: Linear | None) -> l
     phases = [Curve(label, run.hz, phase(run), ink or None) for label, run, ink in runs]
     for lines, of in ((magnitudes, decibel), (phases, degrees)):
         lines.append(Curve("model", hz, of(model(hz)), "var(--racking)", strong=True, dashed=True))
-    if isinstance(held, ImpulseResponse) and held.doubts:
+    if held is not None and held.doubts:
         sd = uncertain(held, hz)
         for label, size in (("model + 2 σ", 2.0), ("model − 2 σ", -2.0)):
             edge = np.maximum(np.abs(model(hz)) + size * sd, LEAST_SHOWN)

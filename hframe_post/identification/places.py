@@ -43,7 +43,6 @@ from hframe_post.model.impulse_response import (
     MOST_PLACES,
     Elsewhere,
     ImpulseResponse,
-    Linear,
 )
 
 SAMPLES = 12  # of racking, with as much noise added as the coherence tells
@@ -165,9 +164,9 @@ def fit_places(found: Fit, places: Places) -> Fit:
     return begun(replace(fits[middle], G=G), found.recording_delay)
 
 
-def factor(G: Linear, place: float) -> float:
+def factor(G: ImpulseResponse, place: float) -> float:
     """Return the frequencies at a place (mm), relative to those at the response's own."""
-    if not isinstance(G, ImpulseResponse) or not G.elsewhere:
+    if not G.elsewhere:
         return 1.0
     known = sorted([(G.x, 1.0), *((one.x, one.frequency) for one in G.elsewhere)])
     x, frequency = zip(*known, strict=True)

@@ -8,7 +8,6 @@ from math import cos, sin, tau
 from typing import Any
 
 from hframe_post.conversion.options import Options
-from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
@@ -118,12 +117,10 @@ def _best(printer: Printer, printers: list[Plant]) -> Trial | None:
     """
     # what nobody stated grows with the file that is converted, and limits no window
     motors = printer.motors if printer.stated is None else printer.stated
-    plant, compensation = printer.plant, printer.compensation
+    compensation = printer.compensation
     spared = replace(motors, belt_acceleration=SPARED * motors.belt_acceleration)
-    grids = [candidates(compensation)]
-    if all(isinstance(G, ImpulseResponse) for G in (plant.Gxx, plant.Gyy)):
-        alike = replace(compensation, effort=(1.0, 1.0))
-        grids = [candidates(alike, KNOTS[:1], [effort]) for effort in MEASURED]
+    alike = replace(compensation, effort=(1.0, 1.0))
+    grids = [candidates(alike, KNOTS[:1], [effort]) for effort in MEASURED]
     tried = list[tuple[Trial, Trial]]()
     for grid in grids:
         at_corners = tune(square(printer), printer, grid, [])

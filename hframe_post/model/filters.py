@@ -1,91 +1,23 @@
 """A linear response applied to a stream: filters that carry their state from piece to piece.
 
-A transfer function is filtered as it stands (``Filter``), an impulse response as a sum over the
-latest samples (``FiniteFilter``), and one that changes along x as a mixture (``FilterAlongX``).
+Each output is a sum over the latest samples (``FiniteFilter``). A response that changes along x is
+a mixture (``FilterAlongX``).
 """
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.model.impulse_response import ImpulseResponse, Linear, transfer_function
-from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.native.plant import filtered, sliding_sums
+from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.native.plant import sliding_sums
 
 PIECE = 256  # outputs for which the nodes of a response along x are chosen together
 
 
-class StreamFilter(Protocol):
-    """A linear response applied to a stream, its state carried: equal bits however it is cut."""
-
-    state: Array
-
-    def run(self, u: Array) -> Array:
-        """Return the output (n,) at the next samples of the input u (n,)."""
-
-    def advance(self, u: Array) -> None:
-        """Take the state that the next samples of the input lead to."""
-
-    def settle(self, u: float) -> None:
-        """Take the state that a constant input leads to."""
-
-
-def stream_filter(G: Linear, late: int) -> StreamFilter:
+def stream_filter(G: ImpulseResponse, late: int) -> FiniteFilter:
     """Return the filter of G whose output comes ``late`` samples late, at least G.ahead."""
-    if isinstance(G, ImpulseResponse) and G.elsewhere:
-        return FilterAlongX(G, late)
-    if isinstance(G, ImpulseResponse):
-        return FiniteFilter(G, late)
-    return LateFilter(G, late) if late else Filter(G)
-
-
-class Filter:
-    """A transfer function applied to a stream, its state carried: equal bits however it is cut."""
-
-    def __init__(self, G: Linear) -> None:
-        self.sections = transfer_function(G).sections
-        self.state = np.zeros((len(self.sections), 2))
-
-    def run(self, u: Array) -> Array:
-        """Return the output (n,) at the next samples of the input u (n,)."""
-        return filtered(self.sections, self.state, u)
-
-    def advance(self, u: Array) -> None:
-        """Take the state that the next samples of the input lead to."""
-        self.run(u)
-
-    def settle(self, u: float) -> None:
-        """Take the state that a constant input leads to."""
-        for (b0, b1, b2, _, a1, a2), state in zip(self.sections.tolist(), self.state, strict=True):
-            y = u * (b0 + b1 + b2) / (1.0 + a1 + a2)
-            state[1] = b2 * u - a2 * y
-            state[0] = b1 * u - a1 * y + state[1]
-            u = y
-
-
-class LateFilter:
-    """A transfer function applied to a stream, its output ``late`` samples late."""
-
-    def __init__(self, G: TransferFunction, late: int) -> None:
-        self._filter, self._dc_gain = Filter(G), G.dc_gain
-        size = self._filter.state.size
-        self.state = np.zeros(size + late)
-        self._filter.state, self._waiting = self.state[:size].reshape(-1, 2), self.state[size:]
-
-    def run(self, u: Array) -> Array:
-        y = np.concatenate([self._waiting, self._filter.run(u)])
-        self._waiting[:] = y[len(u) :]
-        return y[: len(u)]
-
-    def advance(self, u: Array) -> None:
-        self.run(u)
-
-    def settle(self, u: float) -> None:
-        self._filter.settle(u)
-        self._waiting[:] = self._dc_gain * u
+    return FilterAlongX(G, late) if G.elsewhere else FiniteFilter(G, late)
 
 
 class FiniteFilter:
@@ -100,6 +32,7 @@ class FiniteFilter:
         self.state = np.zeros(max(len(self._taps) + 1, late + (1 if G.lag else 0)))
 
     def run(self, u: Array) -> Array:
+        """Return the output (n,) at the next samples of the input u (n,)."""
         n, memory = len(u), len(self._taps) - 1
         known = np.concatenate([self.state, u])
         y = sliding_sums(self._taps, np.diff(known[len(self.state) - memory - 2 :], n=2))
@@ -111,11 +44,13 @@ class FiniteFilter:
         return y
 
     def advance(self, u: Array) -> None:
+        """Take the state that the next samples of the input lead to."""
         n = min(len(u), len(self.state))
         self.state[: len(self.state) - n] = self.state[n:].copy()
         self.state[len(self.state) - n :] = u[len(u) - n :]
 
     def settle(self, u: float) -> None:
+        """Take the state that a constant input leads to."""
         self.state[:] = u
 
 

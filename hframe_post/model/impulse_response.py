@@ -25,7 +25,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TypeAlias
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from hframe_post.errors import ArgumentError
 from hframe_post.model.transfer_function import TransferFunction
 
 LONGEST = 2000  # samples of a response
+ENDED = 1e-5  # share of all deviation after the end: 0.01 µm of a strong acceleration's
 AROUND = 4  # samples on either side from which one in between is interpolated
 MOST_PLACES = 16
 FARTHEST = 2.0  # factor between the frequencies of two places, at most
@@ -114,17 +114,24 @@ class ImpulseResponse:
                 raise ArgumentError("a place has one response, with the same gain at rest")
 
     @classmethod
-    def from_transfer_function(cls, G: TransferFunction, m: int, rest: float) -> ImpulseResponse:
-        """Return the first m samples of a causal response as they act on acceleration.
+    def from_transfer_function(cls, G: TransferFunction, rest: float) -> ImpulseResponse:
+        """Return a causal response as it acts on acceleration, until it has ended.
 
-        rest: its gain at rest. The lag is the response's own. It is only complete if it settles
-        within m samples.
+        rest: its gain at rest. The lag is the response's own. Raises ArgumentError if it has not
+        ended within LONGEST samples.
         """
         lag = G.lag
-        h = G.impulse(max(m - 1, 0))
-        h[:1] += lag - rest
-        h[1:2] -= lag
-        return cls(np.concatenate([[0.0], np.cumsum(np.cumsum(h))]), 0, rest, lag)
+        h = G.impulse(2 * LONGEST)
+        h[0] += lag - G.dc_gain
+        h[1] -= lag
+        deviation = np.concatenate([[0.0], np.cumsum(np.cumsum(h))])
+        left = np.cumsum(np.abs(deviation[::-1]))[::-1]
+        m = max(int(np.count_nonzero(left > ENDED * left[0])), 1)
+        if m > LONGEST:
+            raise ArgumentError(
+                f"the response still rings after {LONGEST} ms: its poles are too close to 1"
+            )
+        return cls(deviation[:m], 0, rest, lag)
 
     @cached_property
     def ahead(self) -> int:
@@ -292,16 +299,3 @@ def _stretched(q: Array, lead: int, factor: float) -> tuple[Array, int]:
                 weight *= (part - other) / (node - other)
         stretched += weight * q[whole + node + AROUND + 1]
     return stretched, new
-
-
-Linear: TypeAlias = TransferFunction | ImpulseResponse
-
-
-def transfer_function(G: Linear) -> TransferFunction:
-    """Return G if it has poles and zeros. Raises ArgumentError otherwise."""
-    if isinstance(G, ImpulseResponse):
-        raise ArgumentError(
-            "this needs a model of poles and zeros; that of this printer is a measured impulse "
-            "response"
-        )
-    return G

@@ -33,7 +33,7 @@ from hframe_post.arrays import TS, Array, Complex, X, Y
 from hframe_post.errors import ArgumentError
 from hframe_post.hosts.klipper.kernel_file import signed
 from hframe_post.model.constant_acceleration import Trapezoid
-from hframe_post.model.impulse_response import Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.nozzle import nozzle
 from hframe_post.model.plant import Coupling, Plant
@@ -239,7 +239,7 @@ class Spectrum:
     lag: float
 
     @classmethod
-    def of(cls, G: Linear) -> Spectrum:
+    def of(cls, G: ImpulseResponse) -> Spectrum:
         slow = 1e-5  # rad/sample
         lag = -G.response(np.array([slow])).imag[0] / slow
         variance = np.zeros(len(OMEGA))

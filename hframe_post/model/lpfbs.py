@@ -10,15 +10,13 @@ symbol          meaning                                                      sou
 ``N_filtered``  the same through the plant, Ñ, and its doubts                eq. 8
 ``p_C, p_P``    control points of the window, and the m + 1 before it        eq. 39
 ``effort``      λ, weight on the command's second difference                 —
-``s``           the past, as the next window needs it: (plant state, p_P)    —
+``s``           the past, as the next window needs it: p_P of all the reach  —
 ``lead``        samples by which the plant responds before the command       —
 ==============  ===========================================================  ==========
 
-The paper truncates the impulse response where it reaches back (the bar over N). Here the past
-enters as the plant's state and the last control points, which is exact, so one step of the
-recursion is a constant linear map of (s, window of x_d).
-
-A finite impulse response has no state: the past is then all control points that it reaches. If it
+The paper truncates the impulse response where it reaches back (the bar over N). Here the past is
+all control points that the response reaches, which is exact, so one step of the recursion is a
+constant linear map of (s, window of x_d). If the response
 begins before the command, the solver sees the plant and its target ``lead`` samples late: the
 command comes at its right time, and the preview is shorter by the lead. Where the response says
 how well it is known, the command has the least expected squared error: its doubts are more filters
@@ -34,8 +32,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.errors import ArgumentError
 from hframe_post.model.filters import FiniteFilter
-from hframe_post.model.impulse_response import ImpulseResponse, Linear
-from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.native.linear import product, pseudo_inverse, recursion, windows_product
 
 CONDITION = 1e12  # greatest condition number of a window that can be solved
@@ -112,18 +109,14 @@ class Lpfbs:
     ``radius``, the spectral radius of one step's map of the past, must be below one.
     """
 
-    def __init__(self, G: Linear, window: Window, lead: int = 0, reach: int = 0) -> None:
+    def __init__(self, G: ImpulseResponse, window: Window, lead: int = 0, reach: int = 0) -> None:
         """Solve the window, with at least this lead and so many control points of the past."""
         self.window, self.lead = window, max(G.ahead, lead)
         self._basis = np.asfortranarray(uniform_basis(window.L, window.degree))
-        if isinstance(G, ImpulseResponse):
-            gains = _solve_finite(G, window, self.lead, reach)
-        else:
-            gains = _solve(G, window)
-        K_target, K_past, z_target, step_past = gains
+        K_target, K_past, step_past = _solve(G, window, self.lead, reach)
         # their transposes are multiplied, window by window, and need no copy then
         self._K_past, self._step_past = np.asfortranarray(K_past), np.asfortranarray(step_past)
-        self._by_target = np.ascontiguousarray(np.vstack([K_target, z_target]).T)
+        self._by_target = np.ascontiguousarray(K_target.T)
         self.rest = np.zeros(len(self._step_past))  # the past of an axis that stood at zero
         self.radius = float(np.abs(np.linalg.eigvals(self._step_past)).max())
         if not self.radius < 1.0:
@@ -171,47 +164,23 @@ class Lpfbs:
                 f"of {w.stride}); command() takes any length"
             )
         by_target = windows_product(np.ascontiguousarray(x_d), w.stride, self._by_target)
-        points = min(w.n_up, len(s) - by_target.shape[1] + w.n_up)  # that the next window needs
+        points = min(w.n_up, len(s))  # that the next window needs
         steps = np.zeros((len(by_target), len(s)))
-        steps[:, : by_target.shape[1] - w.n_up] = by_target[:, w.n_up :]
-        steps[:, len(s) - points :] = by_target[:, w.n_up - points : w.n_up]
+        steps[:, len(s) - points :] = by_target[:, w.n_up - points :]
         past = recursion(self._step_past, steps, s)
-        p = by_target[:, : w.n_up] + product(past[:-1], self._K_past.T)  # (W, n_up), eq. 39
+        p = by_target + product(past[:-1], self._K_past.T)  # (W, n_up), eq. 39
         control = np.concatenate([s[-w.degree :], p.ravel()])
         return windows_product(control, 1, self._basis.T).ravel(), past[-1]
 
 
-def _solve(G: TransferFunction, w: Window) -> tuple[Array, Array, Array, Array]:
+def _solve(G: ImpulseResponse, w: Window, lead: int, reach: int) -> tuple[Array, Array, Array]:
     """Return the gains of a window, p_C = K_target x_d + K_past s, and the step of s to the next.
 
-    Minimises ‖x_d − Ñ_C p_C − Ñ_P p_P − O z‖² + λ‖D(N_C p_C + N_P p_P)‖², D the second
-    difference: eq. 39 with the past exact and an effort penalty. Of p_C, the first n_up are kept;
-    s = (z, p_P) becomes step_past s + (z_target x_d, K_target x_d), of which p_P keeps the last
-    m + 1. Returns K_target (n_up, L_C), K_past (n_up, d + m + 1), z_target (d, L_C),
-    step_past (d + m + 1, d + m + 1).
-    """
-    N_P, N_C, D_P, D_C = window_splines(w)
-    lifted, O, _, _ = G.lifted(w.L_C)
-    N_P_filtered, N_C_filtered = product(lifted, N_P), _shifted(product(lifted, N_C[:, :1]), w)
-    past_filtered = np.hstack([O, N_P_filtered])
-    D_past = np.hstack([np.zeros((w.L_C, O.shape[1])), D_P])
-    K_target, K_past = _gains(N_C_filtered, D_C, past_filtered, D_past, w)
-
-    past, T = w.degree + 1, w.stride
-    _, _, A_T, R = G.lifted(T)
-    reach_C, reach_P = product(R, N_C[:T, : w.n_up]), product(R, N_P[:T])
-    z_target = product(reach_C, K_target)
-    z_past = product(reach_C, K_past) + np.hstack([A_T, reach_P])
-    old = np.hstack([np.zeros((past, O.shape[1])), np.eye(past)])
-    return K_target, K_past, z_target, np.vstack([z_past, np.vstack([old, K_past])[-past:]])
-
-
-def _solve_finite(
-    G: ImpulseResponse, w: Window, lead: int, reach: int
-) -> tuple[Array, Array, Array, Array]:
-    """Return what ``_solve`` does, for a plant without state: s = p_P, all points in its reach.
-
-    The rows of the plant come first, then those of its doubts.
+    Minimises ‖x_d − Ñ_C p_C − Ñ_P s‖² + λ‖D(N_C p_C + N_P s)‖², D the second difference: eq. 39
+    with the past exact and an effort penalty. Of p_C, the first n_up are kept; s, all control
+    points in the response's reach, becomes step_past s, of which the last are K_target x_d more.
+    Returns K_target (n_up, L_C), K_past (n_up, d), step_past (d, d). The rows of the plant come
+    first, then those of its doubts.
     """
     _, _, D_P, D_C = window_splines(w)
     first = bsplines(
@@ -227,7 +196,7 @@ def _solve_finite(
     D_past = np.pad(D_P, ((0, 0), (past - w.degree - 1, 0)))
     K_target, K_past = _gains(N_filtered[:, past:], D_C, N_filtered[:, :past], D_past, w)
     step_past = np.vstack([np.eye(past), K_past])[-past:]
-    return K_target, K_past, np.zeros((0, w.L_C)), step_past
+    return K_target, K_past, step_past
 
 
 def _gains(
@@ -244,9 +213,3 @@ def _gains(
     pinv = pinv[: w.n_up]
     free = np.vstack([past_filtered, weight * D_past])
     return pinv[:, : w.L_C], -product(pinv, free)
-
-
-def _shifted(first: Array, w: Window) -> Array:
-    """Return the filtered splines of a window, (L_C, n_C): each is the first, L samples later."""
-    padded = np.concatenate([np.zeros(w.L_C), first[:, 0]])
-    return np.column_stack([padded[w.L_C - j * w.L :][: w.L_C] for j in range(w.n_C)])

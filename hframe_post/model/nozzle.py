@@ -7,22 +7,16 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y
-from hframe_post.model.filters import (
-    Filter,
-    FilterAlongX,
-    FiniteFilter,
-    StreamFilter,
-    stream_filter,
-)
-from hframe_post.model.impulse_response import ImpulseResponse, Linear
-from hframe_post.model.plant import Coupling, Plant, varies
+from hframe_post.model.filters import FilterAlongX, FiniteFilter, stream_filter
+from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.plant import Coupling, Plant
 from hframe_post.native import plant as native
-from hframe_post.native.plant import Couplings, Sections, coupled, sum_of
+from hframe_post.native.plant import Couplings, sum_of
 
 STIFF = ImpulseResponse(np.zeros(1), 0)
 
 
-def _output(f: StreamFilter, u: Array, x: Array) -> Array:
+def _output(f: FiniteFilter, u: Array, x: Array) -> Array:
     """Return the output (n,) of a filter, which may change along x (n,), mm."""
     return f.along(u, x) if isinstance(f, FilterAlongX) else f.run(u)
 
@@ -30,18 +24,18 @@ def _output(f: StreamFilter, u: Array, x: Array) -> Array:
 class Filters:
     """Filters side by side, each ``late`` samples late; ``along_x``: whether one changes along x.
 
-    couplings: the last filters'. If all are transfer functions without delay they are ``fused``, in
-    one block of memory.
+    couplings: the last filters'.
     """
 
-    def __init__(self, direct: Sequence[Linear], couplings: Sequence[Coupling], late: int) -> None:
+    def __init__(
+        self, direct: Sequence[ImpulseResponse], couplings: Sequence[Coupling], late: int
+    ) -> None:
         functions = (*direct, *(coupling.G for coupling in couplings))
         self.each = [stream_filter(G, late) for G in functions]
-        self.late, self.along_x = late, any(map(varies, functions))
+        self.late, self.along_x = late, any(G.elsewhere for G in functions)
         axes = [(c.answer, c.command, -1 if c.along is None else c.along) for c in couplings]
         centres = np.array([coupling.centre for coupling in couplings])
         self.couplings = Couplings(np.array(axes, np.int64).reshape(-1, 3), centres)
-        self.fused = _fused(self.each)
 
     @classmethod
     def of_plant(cls, plant: Plant, late: int) -> Filters:
@@ -52,19 +46,6 @@ class Filters:
         """Return the axis of the command of each coupling."""
         commands: list[int] = self.couplings.axes[:, 1].tolist()
         return commands
-
-
-def _fused(filters: Sequence[StreamFilter]) -> Sections | None:
-    """Return the sections of all filters, whose states become parts of it; None if not all have."""
-    alone = [f for f in filters if isinstance(f, Filter)]
-    if len(alone) < len(filters):
-        return None
-    table = np.concatenate([f.sections for f in alone])
-    counts = np.array([len(f.sections) for f in alone])
-    fused = Sections(table, np.zeros((len(table), 2)), counts)
-    for f, (_, state) in zip(alone, fused.each(), strict=True):
-        f.state = state
-    return fused
 
 
 class Coupled:
@@ -83,8 +64,6 @@ class Coupled:
         All are relative to the origin. The lever arms are those of the path.
         """
         filters, couplings, commands = self._filters, self._filters.couplings, (x_dm, y_dm)
-        if filters.fused is not None:
-            return coupled(filters.fused, couplings, self._origin, path, commands)
         place = path + self._origin
         outputs = [
             _output(G, commands[axis], place[:, X])
@@ -119,14 +98,11 @@ class Response:
 
     def advance(self, command: Array) -> None:
         """Go on to the state after the next samples of the command (n, 2)."""
-        if self._filters.fused is not None:  # all at once is faster than one by one
-            self.run(command)
-            return
         u = (command - self._origin).T
         for f, axis in self._commanded():
             f.advance(u[axis])
 
-    def _commanded(self) -> Iterator[tuple[StreamFilter, int]]:
+    def _commanded(self) -> Iterator[tuple[FiniteFilter, int]]:
         """Yield each filter with the axis of its command."""
         yield from zip(self._filters.each, (X, Y, *self._filters.commands), strict=True)
         if self._x is not None:
@@ -155,8 +131,6 @@ class Response:
 
     def _motion(self, command: Array, motion: Array) -> Array:
         filters, couplings = self._filters, self._filters.couplings
-        if filters.fused is not None:
-            return native.response(filters.fused, couplings, self._origin, command, motion)
         u = np.subtract(command.T, self._origin[:, None], order="C")
         x = u[X] if self._x is None else self._x.run(u[X]) + self._from_x
         axes = X, Y, *filters.commands

@@ -12,15 +12,13 @@ may have others, each the same all over the bed or with a lever arm as θ has.
 
 from __future__ import annotations
 
-import cmath
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y
-from hframe_post.model.impulse_response import ImpulseResponse, Linear
-from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.model.impulse_response import ImpulseResponse
 
 HEAVIER = 0.005  # step of the logarithm of a bed's mass; frequencies follow within 0.13 %
 
@@ -35,7 +33,7 @@ class Coupling:
 
     answer: int
     command: int
-    G: Linear
+    G: ImpulseResponse
     along: int | None = None
     centre: float = 0.0
 
@@ -61,9 +59,9 @@ class Plant:
     or nothing is known of it.
     """
 
-    Gxx: Linear
-    Gyy: Linear
-    Gxtheta: Linear | None
+    Gxx: ImpulseResponse
+    Gyy: ImpulseResponse
+    Gxtheta: ImpulseResponse | None
     x_c: float
     cross: tuple[Coupling, ...] = ()
     bed: Bed | None = None
@@ -96,14 +94,14 @@ class Plant:
     def places(self) -> tuple[float, ...]:
         """Return x (mm) of all nodes between which responses change; one, if none changes."""
         each = self.Gxx, self.Gyy, *(coupling.G for coupling in self.couplings)
-        moving = [G for G in each if isinstance(G, ImpulseResponse) and G.elsewhere]
+        moving = [G for G in each if G.elsewhere]
         return tuple(sorted({x for G in moving for x, _ in G.nodes})) or (0.0,)
 
     def at(self, x: float) -> Plant:
         """Return the plant as it is near this x (mm), all along x."""
-        Gxtheta = None if self.Gxtheta is None else there(self.Gxtheta, x)
-        cross = tuple(replace(each, G=there(each.G, x)) for each in self.cross)
-        Gxx, Gyy = there(self.Gxx, x), there(self.Gyy, x)
+        Gxtheta = None if self.Gxtheta is None else self.Gxtheta.at(x)
+        cross = tuple(replace(each, G=each.G.at(x)) for each in self.cross)
+        Gxx, Gyy = self.Gxx.at(x), self.Gyy.at(x)
         return replace(self, Gxx=Gxx, Gyy=Gyy, Gxtheta=Gxtheta, cross=cross)
 
     def decoupled(self) -> Plant:
@@ -124,38 +122,10 @@ class Plant:
         return replace(self, Gyy=heavier(self.Gyy, math.exp(HEAVIER * load)), bed=None)
 
 
-def varies(G: Linear) -> bool:
-    """Return whether a response changes along x."""
-    return isinstance(G, ImpulseResponse) and bool(G.elsewhere)
-
-
-def there(G: Linear, x: float) -> Linear:
-    """Return the response as it is near this x (mm), all along x."""
-    return G.at(x) if isinstance(G, ImpulseResponse) else G
-
-
-def heavier(G: Linear, factor: float) -> Linear:
+def heavier(G: ImpulseResponse, factor: float) -> ImpulseResponse:
     """Return G with ``factor`` times the mass behind its modes.
 
-    A measured response takes √factor times as long; its lag stays.
-
-    Of a transfer function's s²/ω² + 2ζs/ω + 1, for each pair of poles or zeros, only the first
-    term grows: ω and ζ fall by √factor, and G at rest and the lag at low speed stay. So do real
-    roots, and pairs above a quarter of the sampling rate: lags and delays.
+    It takes √factor times as long; its lag stays.
     """
-
-    if isinstance(G, ImpulseResponse):
-        longer = math.sqrt(factor)
-        return G.everywhere(lambda one: replace(one.stretched(longer), lag=one.lag))
-
-    def moved(root: complex) -> complex:
-        if root.imag == 0.0 or root.real <= 0.0:
-            return root
-        s = cmath.log(root)
-        decay = s.real / factor
-        ringing = math.sqrt(abs(s) ** 2 / factor - decay * decay)
-        return cmath.exp(complex(decay, math.copysign(ringing, s.imag)))
-
-    zeros, poles = (np.array([*map(moved, roots.tolist())]) for roots in (G.zeros, G.poles))
-    new = TransferFunction(zeros, poles, G.gain)
-    return replace(new, gain=G.gain * G.dc_gain / new.dc_gain)
+    longer = math.sqrt(factor)
+    return G.everywhere(lambda one: replace(one.stretched(longer), lag=one.lag))

@@ -29,7 +29,7 @@ import numpy as np
 from hframe_post.arrays import Array, X, Y, moved
 from hframe_post.errors import ArgumentError, HframeError
 from hframe_post.model.along_x import SolversAlongX
-from hframe_post.model.impulse_response import ImpulseResponse, Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Lpfbs, Window
 from hframe_post.model.nozzle import Coupled
 from hframe_post.model.plant import HEAVIER, Coupling, Plant
@@ -285,9 +285,9 @@ class _AlongX:
         return np.concatenate(made)
 
 
-def _solver(G: Linear, window: Window) -> Lpfbs | SolversAlongX:
+def _solver(G: ImpulseResponse, window: Window) -> Lpfbs | SolversAlongX:
     """Return the solver of an axis, or those along x."""
-    if isinstance(G, ImpulseResponse) and G.elsewhere:
+    if G.elsewhere:
         return SolversAlongX(G, window)
     return Lpfbs(G, window)
 

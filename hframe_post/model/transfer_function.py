@@ -1,35 +1,23 @@
-"""Discrete transfer functions: roots, state space and lifted form.
+"""Discrete transfer functions: a way to write a response, and how it becomes one.
 
-=================  ====================================================  ===========
-symbol             meaning                                               source
-=================  ====================================================  ===========
-``A, B, C, D``     state space of one transfer function                  eq. 4
-``G``              lifted (matrix) form: Toeplitz of impulse response    Appendix A
-``O``              free response of a block to the state before it       Appendix A
-``R``              state after a block, reached by the block's input     Appendix A
-=================  ====================================================  ===========
-
-Transfer functions are kept as zeros, poles and gain, and computed as cascades of second-order
-sections: the poles of a printer cluster near z = 1, where the expanded polynomial of eq. 4 loses
-all its digits.
+They are zeros, poles and gain, and computed as cascades of second-order sections with a real state
+space A, B, C, D: the poles of a printer cluster near z = 1, where the expanded polynomial of eq. 4
+loses all its digits.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 
 from hframe_post.arrays import Array, Complex
 from hframe_post.errors import ArgumentError
-from hframe_post.native.linear import power, product, recursion
+from hframe_post.native.linear import product, recursion
 
 REAL_TOLERANCE = 1e-10  # imaginary part up to which a root counts as real
-FORGOTTEN = 1e-8  # share of a pulse
 PAIR_TOLERANCE = 1e-9  # between a root and the conjugate of its partner
 
 
@@ -44,8 +32,6 @@ class TransferFunction:
     zeros: Complex
     poles: Complex
     gain: float
-    ahead: ClassVar[int] = 0  # samples of the command after a sample that its output depends on
-    doubts: ClassVar[tuple[TransferFunction, ...]] = ()  # its poles do not say how well it is known
 
     def __post_init__(self) -> None:
         for name in ("zeros", "poles"):
@@ -67,12 +53,6 @@ class TransferFunction:
     def order(self) -> int:
         """Return the number of poles."""
         return len(self.poles)
-
-    @property
-    def memory(self) -> int:
-        """Return after how many samples a pulse of the input no longer shows in the output."""
-        radius = float(np.abs(self.poles).max(initial=0.0))
-        return 2 + (math.ceil(math.log(FORGOTTEN) / math.log(radius)) if radius > 0.0 else 0)
 
     @property
     def dc_gain(self) -> float:
@@ -103,7 +83,7 @@ class TransferFunction:
     def state_space(self) -> tuple[Array, Array, Array, float]:
         """Return real (A, B, C, D) of the cascade, shapes (d, d), (d,), (d,), scalar.
 
-        The state is that of ``Filter``: two numbers for each section.
+        The state has two numbers for each section.
         """
         A, B, C, D = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
         for b0, b1, b2, _, a1, a2 in self.sections.tolist():
@@ -117,20 +97,6 @@ class TransferFunction:
         A, B, C, D = self.state_space
         states = recursion(A, np.zeros((n, len(A))), B)[:-1]
         return np.concatenate([[D], product(states, C[:, None])[:, 0]])[:n]
-
-    def lifted(self, n: int) -> tuple[Array, Array, Array, Array]:
-        """Return the lifted form over blocks of ``n`` samples: (G, O, An, R).
-
-        With the state s before a block and its input u (n,): output y = G u + O s and
-        next state An s + R u. Shapes (n, n), (n, d), (d, d), (d, n). Appendix A, with the
-        past carried as a state in place of the rows above the block.
-        """
-        A, B, C, _ = self.state_space
-        nothing = np.zeros((n, len(A)))
-        O, R = recursion(A.T, nothing, C)[:-1], recursion(A, nothing, B)[-2::-1].T
-        reversed_h = np.concatenate([self.impulse(n)[::-1], np.zeros(max(n - 1, 0))])
-        G = np.lib.stride_tricks.sliding_window_view(reversed_h, n)[::-1]
-        return G, O, power(A, n), R
 
     @cached_property
     def sections(self) -> Array:

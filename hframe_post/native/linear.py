@@ -40,16 +40,6 @@ def recursion(A: Array, W: Array, s: Array) -> Array:
     return states
 
 
-def power(A: Array, n: int) -> Array:
-    """Return A to the power of n ≥ 0, by squaring."""
-    result = np.eye(len(A))
-    while n:
-        if n % 2:
-            result = product(result, A)
-        A, n = product(A, A), n // 2
-    return result
-
-
 def pseudo_inverse(A: Array, condition: float) -> Array | None:
     """Return the inverse (n, m) of A (m, n) in the sense of least squares.
 

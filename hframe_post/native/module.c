@@ -16,10 +16,8 @@
 #define LOOPS(EACH)                                                                           \
     EACH(breakpoints)                                                                         \
     EACH(count_turns)                                                                         \
-    EACH(coupled)                                                                             \
     EACH(deviation)                                                                           \
     EACH(farthest)                                                                            \
-    EACH(filtered)                                                                            \
     EACH(find_runs)                                                                           \
     EACH(fitted)                                                                              \
     EACH(follow)                                                                              \
@@ -47,8 +45,6 @@
     EACH(product)                                                                             \
     EACH(ramps)                                                                               \
     EACH(recursion)                                                                           \
-    EACH(response)                                                                            \
-    EACH(responses)                                                                           \
     EACH(safe)                                                                                \
     EACH(sliding_sums)                                                                        \
     EACH(too_thick)

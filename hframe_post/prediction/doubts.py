@@ -14,14 +14,13 @@ import numpy as np
 
 from hframe_post.arrays import Array, Integers, X, Y
 from hframe_post.model.error_range import products
-from hframe_post.model.impulse_response import LONGEST, ImpulseResponse, Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Coupling, Plant
 from hframe_post.native.plant import sliding_sums
 from hframe_post.stream.types import Samples
 
 EVERY = 16  # samples, a power of two and a multiple of those at which errors are judged
 RINGS = 3.0  # times the mean time of a squared response after which it has decayed
-SETTLED = 1e-4  # share of its largest deviation below which a response has settled
 NOWHERE = 1e-9  # mm; a nozzle so near to the path has no direction from it
 TINY = 1e-300  # mm, of a path at rest
 
@@ -67,13 +66,14 @@ class Doubts:
         not tell their drift.
         """
         drift = 0.5 * (uncertainty or 0.0)
-        axes = [_doubtful(plant.Gxx, 1.0, drift), _doubtful(plant.Gyy, 1.0, drift)]
+        axes = [replace(G, drift=G.drift or drift) for G in (plant.Gxx, plant.Gyy)]
         parts: list[tuple[int, int, Coupling | None, ImpulseResponse]] = [
             (axis, axis, None, G) for axis, G in zip((X, Y), axes, strict=True)
         ]
         for each in plant.couplings:
             own = axes[each.command].drift
-            parts.append((each.answer, each.command, each, _doubtful(each.G, 0.0, own)))
+            G = replace(each.G, drift=each.G.drift or own)
+            parts.append((each.answer, each.command, each, G))
         parts = [part for part in parts if part[-1].doubts]
         return cls(parts) if parts else None
 
@@ -115,16 +115,6 @@ class Doubts:
         first = start + self.ahead + 1 - self._longest - EVERY * self._lasting
         n = EVERY * (count + self._lasting) + self._longest - EVERY
         return np.ascontiguousarray(np.diff(u[first - 2 : first + n], n=2).reshape(-1, EVERY).T)
-
-
-def _doubtful(G: Linear, rest: float, drift: float) -> ImpulseResponse:
-    """Return the response as an impulse response with a drift."""
-    if not isinstance(G, ImpulseResponse):
-        G = ImpulseResponse.from_transfer_function(G, LONGEST, rest)
-        size = np.abs(G.deviation)
-        ringing = np.flatnonzero(size > SETTLED * size.max(initial=0.0))
-        G = replace(G, deviation=G.deviation[: ringing[-1] + 1 if len(ringing) else 1])
-    return replace(G, drift=G.drift or drift)
 
 
 def _part(

@@ -15,7 +15,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E
 from hframe_post.model.advance import extruding
-from hframe_post.native.plant import filtered
+from hframe_post.native.linear import recursion
 
 
 class Melt:
@@ -45,8 +45,7 @@ class Melt:
     def _part(self, fed: Array, K: float) -> Array:
         """Return what comes out in steps that feed this much, with one K."""
         kept = np.exp(-TS / K) if K else 0.0
-        section = np.array([[1.0 - kept, 0.0, 0.0, 1.0, -kept, 0.0]])
         fed[0] += self._held
-        laid = filtered(section, np.zeros((1, 2)), fed)
+        laid = recursion(np.array([[kept]]), (1.0 - kept) * fed[:, None], np.zeros(1))[1:, 0]
         self._held = float(laid[-1]) * kept / (1.0 - kept)
         return laid

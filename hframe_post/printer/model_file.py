@@ -17,12 +17,11 @@ import numpy as np
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from hframe_post.arrays import TS, Array, Complex
+from hframe_post.arrays import TS, Array
 from hframe_post.errors import PrinterError
-from hframe_post.model.impulse_response import ImpulseResponse, Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Coupling, Plant
-from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.profile import AXES, MICRORAD, parse, shipped, text_of
 from hframe_post.printer.settings import Printer
 
@@ -177,7 +176,7 @@ def _lines(printer: Printer, notes: Sequence[str]) -> Iterator[str]:
     if plant.bed is not None:
         yield f"moving_mass = {plant.bed.mass!r}\n"
     yield f"Ts = {TS}\nx_c = {plant.x_c!r}\n"
-    no_racking = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 0.0)
+    no_racking = ImpulseResponse(np.zeros(1), 0, rest=0.0)
     functions = {"Gxx": plant.Gxx, "Gyy": plant.Gyy, "Gxtheta": plant.Gxtheta or no_racking}
     for name, G in functions.items():
         yield f"\n[plant.{name}]\n{_linear(G, f'plant.{name}', angle=name == 'Gxtheta')}"
@@ -194,31 +193,27 @@ def _coupling(coupling: Coupling) -> str:
     )
 
 
-def _linear(G: Linear, table: str, angle: bool) -> str:
-    """Return the lines of a transfer function, or of a response; angle: one in rad.
+def _linear(G: ImpulseResponse, table: str, angle: bool) -> str:
+    """Return the lines of a response; angle: one in rad.
 
     table: its name in the profile.
     """
-    if isinstance(G, ImpulseResponse):
-        unit, name = (MICRORAD, "µrad") if angle else (1.0, "µm")
-        comment = f"{name} at each ms, by a pulse of 1000 mm/s² for 1 ms"
-        lines = f"lead = {G.lead}\n"
-        for key, value in _known(G, unit).items():
-            if isinstance(value, list):
-                lines += _list(key, value, "standard deviation of what is not known, likewise")
-            else:
-                late = f"{name} behind at 1 mm/s"
-                meaning = late if key == "lag" else "standard deviation of all frequencies"
-                lines += f"{key} = {value!r}  # {meaning}\n"
-        lines += f"x = {G.x!r}  # mm, where it holds\n" if G.elsewhere else ""
-        lines += _list("deviation", _rounded(G.deviation, unit), comment)
-        for one in G.elsewhere:
-            lines += f"\n[[{table}.places]]\nx = {one.x!r}\nfrequency = {one.frequency!r}\n"
-            lines += _linear(one.G, table, angle)
-        return lines
-    roots = {"zeros": G.zeros, "poles": G.poles}
-    lists = "".join(f"{key} = [{_pairs(values)}]\n" for key, values in roots.items())
-    return f"gain = {G.gain!r}\n{lists}"
+    unit, name = (MICRORAD, "µrad") if angle else (1.0, "µm")
+    comment = f"{name} at each ms, by a pulse of 1000 mm/s² for 1 ms"
+    lines = f"lead = {G.lead}\n"
+    for key, value in _known(G, unit).items():
+        if isinstance(value, list):
+            lines += _list(key, value, "standard deviation of what is not known, likewise")
+        else:
+            late = f"{name} behind at 1 mm/s"
+            meaning = late if key == "lag" else "standard deviation of all frequencies"
+            lines += f"{key} = {value!r}  # {meaning}\n"
+    lines += f"x = {G.x!r}  # mm, where it holds\n" if G.elsewhere else ""
+    lines += _list("deviation", _rounded(G.deviation, unit), comment)
+    for one in G.elsewhere:
+        lines += f"\n[[{table}.places]]\nx = {one.x!r}\nfrequency = {one.frequency!r}\n"
+        lines += _linear(one.G, table, angle)
+    return lines
 
 
 def _known(G: ImpulseResponse, unit: float) -> dict[str, Any]:
@@ -241,8 +236,3 @@ def _rows(values: Sequence[float]) -> str:
     shown = [f"{value:.{DIGITS}f}" for value in values]
     rows = (", ".join(shown[k : k + IN_A_LINE]) for k in range(0, len(shown), IN_A_LINE))
     return "".join(f"    {row},\n" for row in rows)
-
-
-def _pairs(roots: Complex) -> str:
-    pairs = (f"    [{root.real!r}, {root.imag!r}],\n" for root in (roots + 0.0).tolist())
-    return "\n" + "".join(pairs) if len(roots) else ""

@@ -13,14 +13,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, X, Y
+from hframe_post.arrays import TS, X, Y
 from hframe_post.errors import ArgumentError, PrinterError, one_line
 from hframe_post.model.impulse_response import (
     FARTHEST,
     LONGEST,
     Elsewhere,
     ImpulseResponse,
-    Linear,
 )
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Bed, Coupling, Plant
@@ -50,6 +49,7 @@ PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured", "cross", "moving_ma
 # a profile without a plant: the nozzle follows the motors exactly
 NOT_MEASURED = {"Ts": TS} | {G: {"gain": 1.0, "zeros": [], "poles": []} for G in ("Gxx", "Gyy")}
 MASS = {"least": 0.05, "most": 50.0}  # kg
+GAIN_TOLERANCE = {1.0: 1e-4, 0.0: 1e-9}  # of axes, whose roots may be rounded, and couplings
 FUNCTION = ("zeros", "poles", "gain")
 RESPONSE = ("deviation", "lead")
 KNOWN = ("lag", "drift", "unknown", "x", "places")  # of a response, too, if they are not 0
@@ -306,13 +306,8 @@ def _plant(table: dict[str, Any]) -> Plant:
         for key, rest, angle in (("Gxx", 1.0, False), ("Gyy", 1.0, False), ("Gxtheta", 0.0, True))
         if key in table
     }
-    for key in ("Gxx", "Gyy"):
-        if not abs((gain := functions[key].dc_gain) - 1.0) <= 1e-4:
-            raise PrinterError(f"gain at rest must be 1, it is {gain:.6g}", f"plant.{key}")
     racking = functions.get("Gxtheta")
-    if racking is not None:
-        _check_at_rest(racking, "plant.Gxtheta")
-    if racking is not None and not np.any(_scale(racking)):
+    if racking is not None and not np.append(racking.deviation, racking.lag).any():
         racking = None
     x_c = checked_value(float, table.get("x_c", 0.0), PLACES, "plant.x_c")
     return Plant(functions["Gxx"], functions["Gyy"], racking, x_c, _cross(table.get("cross", [])))
@@ -326,17 +321,6 @@ def _bed(mass: Any, limits: Limits, kinematics: Kinematics) -> Bed | None:
         raise PrinterError(cause, "plant.moving_mass")
     mass = checked_value(float, mass, MASS, "plant.moving_mass")
     return Bed(mass, limits.filament_mass)
-
-
-def _scale(G: Linear) -> Array | float:
-    """Return what is zero if G is."""
-    return G.gain if isinstance(G, TransferFunction) else np.append(G.deviation, G.lag)
-
-
-def _check_at_rest(G: Linear, key: str) -> None:
-    if not abs(G.dc_gain) <= 1e-9:
-        cause = "gain at rest must be 0: a printer at rest stands at its command"
-        raise PrinterError(cause, key)
 
 
 def _cross(tables: Any) -> tuple[Coupling, ...]:
@@ -369,12 +353,11 @@ def _coupling(table: dict[str, Any], key: str) -> Coupling:
     centre = checked_value(float, table.get("centre", 0.0), PLACES, f"{key}.centre")
     function = {name: value for name, value in table.items() if name not in axis_keys}
     G = _linear(function, key, rest=0.0, angle="along" in axes)
-    _check_at_rest(G, key)
     return Coupling(axes["answer"], axes["command"], G, axes.get("along"), centre)
 
 
-def _linear(table: Any, key: str, rest: float, angle: bool) -> Linear:
-    """Return a transfer function, or an impulse response with this gain at rest.
+def _linear(table: Any, key: str, rest: float, angle: bool) -> ImpulseResponse:
+    """Return a response with this gain at rest, written as such or as a transfer function.
 
     angle: the response is one in rad, to a command in mm.
     """
@@ -397,7 +380,14 @@ def _linear(table: Any, key: str, rest: float, angle: bool) -> Linear:
             return _response(table, key, rest, MICRORAD if angle else 1.0)
         zeros, poles = (roots(table[name], f"{key}.{name}") for name in ("zeros", "poles"))
         gain = checked_value(float, table["gain"], {}, f"{key}.gain")
-        return TransferFunction(zeros, poles, gain)
+        function = TransferFunction(zeros, poles, gain)
+        if not abs(function.dc_gain - rest) <= GAIN_TOLERANCE[rest]:
+            cause = (
+                f"gain at rest must be {rest:g}, it is {function.dc_gain:.6g}: a printer at "
+                "rest stands at its command"
+            )
+            raise PrinterError(cause, key)
+        return ImpulseResponse.from_transfer_function(function, rest)
     except ArgumentError as error:
         raise PrinterError(str(error), key) from None
 

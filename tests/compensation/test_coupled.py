@@ -10,7 +10,6 @@ import pytest
 from hframe_post.arrays import Array, X, Y
 from hframe_post.compensation.guard import check_model
 from hframe_post.errors import PrinterError
-from hframe_post.model.impulse_response import transfer_function
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.nozzle import Response
 from hframe_post.model.plant import Coupling, Plant
@@ -102,7 +101,7 @@ def test_stronger_couplings_take_more_rounds_and_no_command_cancels_too_strong_o
     assert rounds_needed(strong, windows) == 4
     check_model(replace(paper, plant=strong))
     stronger = [
-        replace(c, G=replace(transfer_function(c.G), gain=3.0 * transfer_function(c.G).gain))
+        replace(c, G=replace(c.G, deviation=3.0 * c.G.deviation, lag=3.0 * c.G.lag))
         for c in strong.cross
     ]
     with pytest.raises(PrinterError, match="couplings of this model are so strong"):

@@ -27,6 +27,7 @@ from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Motors, Printer, Travel
 from hframe_post.stream.chunks import batches, join
 from hframe_post.stream.types import Dwell, Handling, ModalState, Passthrough, Samples
+from tests.plants import as_response
 from tests.quantities import below
 from tests.random_paths import walk
 
@@ -86,9 +87,9 @@ def test_a_command_farther_off_its_path_than_any_lag_explains_is_refused(
 
 def test_the_axis_that_lags_more_decides_how_far_a_command_may_lead(paper: Printer) -> None:
     both, limits = paper.plant, paper.limits
-    x = max_deviation(replace(both, Gyy=IDEAL), limits)
-    y = max_deviation(replace(both, Gxx=IDEAL), limits)
-    neither = max_deviation(replace(both, Gxx=IDEAL, Gyy=IDEAL), limits)
+    x = max_deviation(replace(both, Gyy=as_response(IDEAL)), limits)
+    y = max_deviation(replace(both, Gxx=as_response(IDEAL)), limits)
+    neither = max_deviation(replace(both, Gxx=as_response(IDEAL), Gyy=as_response(IDEAL)), limits)
     assert neither == pytest.approx(3.0), "mm"
     assert min(x, y) > 3.1, "mm"
     assert max_deviation(both, limits) == max(x, y)

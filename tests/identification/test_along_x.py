@@ -29,8 +29,6 @@ from hframe_post.identification.responses.measured import RunResponse, with_comm
 from hframe_post.model.impulse_response import (
     Elsewhere,
     ImpulseResponse,
-    Linear,
-    transfer_function,
 )
 from tests.modes import deviation_of_mode
 from tests.quantities import below, near
@@ -101,10 +99,6 @@ def shown(H: Complex) -> FrequencyResponse:
     return FrequencyResponse(HZ, H, 0.9999 * one, one, 10.0)
 
 
-def as_response(G: Linear) -> ImpulseResponse:
-    return ImpulseResponse.from_transfer_function(transfer_function(G), 500, 0.0)
-
-
 def off(found: Complex, wanted: Complex) -> float:
     return float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
 
@@ -139,7 +133,7 @@ def test_racking_moves_with_the_axis_and_keeps_its_measured_size() -> None:
     slope = shown(racking.response(OMEGA))
     larger = {80.0: 0.9, 140.0: 1.0, 200.0: 1.2}
     seen = [(x, x - x_c, shown(size * (x - x_c) * slope.H)) for x, size in larger.items()]
-    found = racking_along_x(as_response(racking), G, slope, seen)
+    found = racking_along_x(racking, G, slope, seen)
     below(off(found.response(OMEGA), slope.H), 0.01, "error of racking where it holds")
     for one in found.elsewhere:
         stretched = replace(found, elsewhere=()).stretched(1.0 / factor(G, one.x))

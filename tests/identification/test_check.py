@@ -18,7 +18,7 @@ from hframe_post.errors import IdentificationError, PrinterError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import text_from_klipper
 from hframe_post.identification.check import runs
-from hframe_post.model.impulse_response import Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.model_file import model_path
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -49,14 +49,14 @@ def changed(machine: Machine, **first: float) -> Machine:
     )
 
 
-def peak(G: Linear) -> tuple[float, float]:
+def peak(G: ImpulseResponse) -> tuple[float, float]:
     """Return where a response is largest, Hz, and how large."""
     hz = np.arange(15.0, 60.0, 0.005)
     size = np.abs(G.response(2.0 * np.pi * TS * hz))
     return float(hz[np.argmax(size)]), float(size.max())
 
 
-def off(found: Linear, true: Linear) -> float:
+def off(found: ImpulseResponse, true: ImpulseResponse) -> float:
     """Return how far a response is from the true one, of what deviates from the command."""
     hz = np.arange(10.0, 100.0, 0.25)
     G, H = (one.response(2.0 * np.pi * TS * hz) / hz**2 for one in (found, true))

@@ -13,9 +13,8 @@ from hframe_post.identification.responses.frequency_response import (
     estimate,
     spread,
 )
-from hframe_post.model.filters import Filter
 from hframe_post.model.transfer_function import TransferFunction
-from tests.plants import all_of_them, at, resonant, sweep
+from tests.plants import Filter, all_of_them, at, resonant, sweep
 
 BAND = (5.0, 80.0)
 

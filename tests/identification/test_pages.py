@@ -16,7 +16,7 @@ HZ = np.arange(5.0, 100.0, 5.0)
 
 
 def test_the_band_is_what_drift_and_doubt_make_of_the_response() -> None:
-    G = ImpulseResponse.from_transfer_function(axis_mode(40.0, 0.1), 440, 1.0)
+    G = ImpulseResponse.from_transfer_function(axis_mode(40.0, 0.1), 1.0)
     omega = 2.0 * np.pi * TS * HZ
     changed = (G.stretched(1.001).response(omega) - G.response(omega)) / 0.001
     drifts = uncertain(replace(G, drift=0.03), HZ)

@@ -92,8 +92,8 @@ def test_the_nozzle_follows_the_mix_of_both_neighbours() -> None:
     path = rectangle(30.0, 200.0)
     printer = replace(plant(), Gxtheta=None)
     found = nozzle(printer, path[0], path)
-    outputs = [nozzle(printer.at(x), path[0], path) for x, _ in printer.Gxx.nodes]  # type: ignore[union-attr]
-    places = np.array([x for x, _ in printer.Gxx.nodes])  # type: ignore[union-attr]
+    outputs = [nozzle(printer.at(x), path[0], path) for x, _ in printer.Gxx.nodes]
+    places = np.array([x for x, _ in printer.Gxx.nodes])
     weights = np.array([np.interp(path[:, X], places, one) for one in np.eye(len(places))])
     wanted = np.einsum("kn,knc->nc", weights, np.array(outputs))
     assert found == pytest.approx(wanted, abs=1e-9)

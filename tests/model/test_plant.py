@@ -1,4 +1,4 @@
-"""Transfer functions and their lifted form against scipy."""
+"""Transfer functions against scipy."""
 
 from __future__ import annotations
 
@@ -8,20 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
+from examples.paper.tables import transfer_functions
 from hframe_post.arrays import Array, Complex
-from hframe_post.model.filters import Filter
-from hframe_post.model.impulse_response import transfer_function
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.printer import profile
+from tests.plants import Filter, as_response
 
-
-def functions() -> list[TransferFunction]:
-    plant = profile.load("paper").plant
-    assert plant.Gxtheta is not None
-    return [transfer_function(G) for G in (plant.Gxx, plant.Gyy, plant.Gxtheta)]
-
-
-ALL = pytest.mark.parametrize("G", functions(), ids=["Gxx", "Gyy", "Gxtheta"])
+ALL = pytest.mark.parametrize("G", [*transfer_functions().values()], ids=[*transfer_functions()])
 
 
 def by_scipy(G: TransferFunction, u: Array) -> Array:
@@ -39,40 +32,27 @@ def test_eq_4_impulse_response(G: TransferFunction) -> None:
     np.testing.assert_allclose(G.impulse(600), by_scipy(G, pulse), atol=1e-9)
 
 
+@pytest.mark.paper
+@ALL
+def test_the_response_of_a_transfer_function_moves_the_nozzle_alike(G: TransferFunction) -> None:
+    """It ends where its rest is below 0.01 µm of a motion at 10 000 mm/s²."""
+    u = np.cumsum(np.cumsum(np.random.default_rng(0).uniform(-0.01, 0.01, 4000)))
+    response = as_response(G, float(round(G.dc_gain)))
+    scale = 140.0 if G.dc_gain < 0.5 else 1.0  # mm of lever arm
+    assert np.abs(Filter(response).run(u) - by_scipy(G, u)).max() * scale < 1e-4  # mm, of random
+
+
+def test_a_response_that_does_not_end_is_refused() -> None:
+    nothing, poles = np.zeros(0, complex), np.array([0.999 + 0j])
+    with pytest.raises(ValueError, match="still rings after 2000 ms"):
+        ImpulseResponse.from_transfer_function(TransferFunction(nothing, poles, 0.001), 1.0)
+
+
 @ALL
 def test_frequency_response(G: TransferFunction) -> None:
     omega = np.linspace(0.001, 3.0, 200)
     _, expected = signal.freqz_zpk(G.zeros, G.poles, G.gain, worN=omega)
     np.testing.assert_allclose(G.response(omega), expected, rtol=1e-9)
-
-
-@pytest.mark.paper
-def test_appendix_a_lifted_form_is_convolution() -> None:
-    G = functions()[0]
-    u = np.random.default_rng(0).normal(size=50)
-    lifted, _, _, _ = G.lifted(50)
-    np.testing.assert_allclose(lifted @ u, np.convolve(G.impulse(50), u)[:50], atol=1e-12)
-
-
-@ALL
-def test_lifted_form_carries_the_past(G: TransferFunction) -> None:
-    u = np.random.default_rng(1).normal(size=90)
-    _, _, _, R = G.lifted(40)
-    lifted, O, A_n, R_n = G.lifted(50)
-    state = R @ u[:40]
-    np.testing.assert_allclose(lifted @ u[40:] + O @ state, by_scipy(G, u)[40:], atol=1e-9)
-    np.testing.assert_allclose(A_n @ state + R_n @ u[40:], G.lifted(90)[3] @ u, atol=1e-9)
-
-
-@ALL
-def test_filter_is_exact_and_the_same_however_it_is_cut(G: TransferFunction) -> None:
-    u = np.random.default_rng(2).normal(size=3000)
-    whole = Filter(G).run(u)
-    np.testing.assert_allclose(whole, by_scipy(G, u), atol=1e-8)
-    for cuts in ([1] * 300 + [2700], [7] * 100 + [2300], [1000, 64, 1936]):
-        one = Filter(G)
-        pieces = np.split(u, np.cumsum(cuts)[:-1])
-        assert np.array_equal(np.concatenate([one.run(piece) for piece in pieces]), whole)
 
 
 @pytest.mark.parametrize(

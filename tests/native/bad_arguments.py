@@ -66,7 +66,6 @@ def right() -> dict[str, Arguments]:
     text = b"G1 X1 Y2 F600\nG1 X2 E.1 ; a comment\nG1 Y3\n"
     n, stepper = 4, guarded([1e6, 0.0, 0.0, 1.0, 0.0, 0.0, 120.0])
     steps, t = guarded([9.0, 20.0, 30.0, 12.0]), guarded([0.01, 0.02, 0.02, 0.01])
-    couplings = zeros(2, 3), floats(2), 2, floats(2)
     stop = (
         floats(60, 2), numbers(*range(24, 30)), 6, 2, 3, floats(6), bits(6), floats(6, 2),
         floats(1, 6), numbers(0, 1), 1, floats(3, 6, 4), numbers(0, 0, 1, 2), 4, floats(8, 2), 8,
@@ -77,16 +76,11 @@ def right() -> dict[str, Arguments]:
     return {
         "breakpoints": [floats(6, 4), bits(6), 6, 0.1, 8.0, 1.0, 1e-6, zeros(6), floats(6, 6)],
         "count_turns": [floats(6, 2), 2, 6, 1e-9, zeros(7)],
-        "coupled": [
-            floats(3, 6), 3, floats(3, 2), numbers(1, 2), 2, *couplings,
-            floats(5, 2), floats(5), floats(5), 5, floats(5),
-        ],
         "deviation": [
             floats(6, 2), 2, 6, numbers(*range(7)), floats(6, 2), 2, 6, 0, numbers(*range(6)), 6,
             3, 1, floats(6, 2),
         ],
         "farthest": [floats(5, 4), floats(5, 2), 5],
-        "filtered": [floats(2, 6), 2, floats(2, 2), floats(5), 5, floats(5)],
         "find_runs": [
             floats(5, 4), floats(6), 5, 1e3, 1e3, 0.0, 0.9, 2, floats(8, 6), floats(6), zeros(6),
             floats(6),
@@ -152,14 +146,6 @@ def right() -> dict[str, Arguments]:
             floats(2), floats(2), floats(2), 2, 1.0, floats(2, 7), floats(2, 7), floats(2),
         ],
         "recursion": [floats(3, 3), floats(4, 3), 4, 3, floats(5, 3)],
-        "response": [
-            floats(4, 6), 4, floats(4, 2), numbers(1, 1, 1, 1), 4, *couplings, floats(5, 2), 5,
-            floats(5, 3), 3,
-        ],
-        "responses": [
-            floats(4, 6, 4), 4, floats(4, 2, 4), numbers(1, 1, 1, 1), 4, zeros(2, 3), floats(2, 4),
-            2, floats(2), floats(2, 5, 2), 2, numbers(0, 1, 1), 5, 3, 4, floats(3, 5, 2),
-        ],
         "safe": [
             floats(5, 4), floats(5, 2), 5, floats(2, 2), floats(8), floats(2, 2), 1e-3, floats(4),
         ],

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hframe_post.native.linear import power, product, pseudo_inverse, recursion
+from hframe_post.native.linear import product, pseudo_inverse, recursion
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -33,12 +33,6 @@ def test_recursion_takes_the_steps_one_by_one(n: int, d: int, seed: int) -> None
     for k in range(n + 1):
         np.testing.assert_allclose(states[k], s, atol=1e-12)
         s = A @ s + W[min(k, n - 1)] if n else s
-
-
-def test_powers() -> None:
-    A = np.random.default_rng(0).normal(size=(4, 4)) / 2
-    for n in (0, 1, 2, 7, 64):
-        np.testing.assert_allclose(power(A, n), np.linalg.matrix_power(A, n), atol=1e-12)
 
 
 def test_pseudo_inverse_of_columns_that_are_almost_the_same() -> None:

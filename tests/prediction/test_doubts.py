@@ -25,7 +25,8 @@ from hframe_post.stream.chunks import smaller
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import rectangle
 from tests.compensation.test_coupled import ORIGIN, strokes
-from tests.modes import axis_mode, coupling_mode, deviation_of_mode
+from tests.modes import coupling_mode, deviation_of_mode
+from tests.plants import as_response
 
 AXES = ((X, 0.02), (Y, 0.03))  # and their drift
 
@@ -39,7 +40,7 @@ def mode(hz: float, drift: float = 0.0, unknown: Sequence[float] = ()) -> Impuls
 def racking(drift: tuple[float, float]) -> Plant:
     """Return a plant that racks by its lever arm, with a coupling from y to x of poles."""
     theta = replace(mode(38.0), deviation=3e-4 * mode(38.0).deviation, rest=0.0, lag=0.0)
-    cross = (Coupling(X, Y, coupling_mode(33.0, 0.09, 0.03)),)
+    cross = (Coupling(X, Y, as_response(coupling_mode(33.0, 0.09, 0.03), 0.0)),)
     return Plant(mode(43.0, drift[X]), mode(31.0, drift[Y]), theta, 140.0, cross)
 
 
@@ -60,8 +61,7 @@ def test_drift_moves_the_nozzle_as_another_printer_does(axis: int, drift: float)
 
     def stretched(factor: float) -> Plant:
         def one(G: object) -> ImpulseResponse:
-            if not isinstance(G, ImpulseResponse):
-                G = ImpulseResponse.from_transfer_function(G, 1900, 0.0)  # type: ignore[arg-type]
+            assert isinstance(G, ImpulseResponse)
             return G.stretched(factor)
 
         if axis == X:
@@ -190,19 +190,3 @@ def test_a_model_that_counts_as_exact_has_no_range() -> None:
     assert contour.range is None
     assert set(contour.micrometres()) == {"rms", "p95", "peak", "all"}
     assert contour.shown.doubts.shape == (SUMS,)
-
-
-def test_poles_have_the_range_of_the_uncertainty() -> None:
-    """Two standard deviations; as that of the same response, measured."""
-    poles = Plant(axis_mode(47.0, 0.08), axis_mode(39.0, 0.08), None, 0.0)
-    command = np.pad(strokes(), ((0, 500), (0, 0)), mode="edge")
-    x, y = (
-        replace(ImpulseResponse.from_transfer_function(axis_mode(hz, 0.08), 1900, 1.0), drift=0.02)
-        for hz in (47.0, 39.0)
-    )
-    measured = Plant(x, y, None, 0.0)
-    one, other = Doubts.from_plant(poles, 0.04), Doubts.from_plant(measured)
-    assert one is not None
-    assert other is not None
-    (moved, _), (same, _) = along(one, command), along(other, command)
-    assert np.abs(moved - same).max() < 0.02 * np.abs(same).max()  # mm

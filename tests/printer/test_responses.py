@@ -15,7 +15,6 @@ from hframe_post.errors import PrinterError
 from hframe_post.model.impulse_response import (
     Elsewhere,
     ImpulseResponse,
-    Linear,
 )
 from hframe_post.model.plant import Coupling, Plant
 from hframe_post.printer.profile import load, parse
@@ -47,7 +46,7 @@ def placed(rest: float = 1.0, scale: float = 1.0) -> ImpulseResponse:
     return replace(measured(rest, scale), x=140.0, elsewhere=others)
 
 
-def deviation(G: Linear | None) -> Array:
+def deviation(G: ImpulseResponse | None) -> Array:
     assert isinstance(G, ImpulseResponse)
     return G.deviation
 
@@ -67,7 +66,7 @@ def test_responses_are_written_as_they_are_read(
 
     found = parse(text, "mine").plant
     assert max(map(len, text.splitlines())) < 110
-    pairs: list[tuple[Linear | None, Linear | None, float]] = [
+    pairs: list[tuple[ImpulseResponse | None, ImpulseResponse | None, float]] = [
         (found.Gxx, plant.Gxx, 1.0),
         (found.Gyy, plant.Gyy, 1.0),
         (found.Gxtheta, plant.Gxtheta, 1e-3),

@@ -133,7 +133,9 @@ def _updated(
     _remember(settings, Event(kind, hz=_resonances(known), modes=_other_modes(known)))
     result_lines = {"calibration": _identified, "check": _checked}[kind](known)
     plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
-    lines = (*result_lines, f"the model is written into {profile}{plots}")
+    lines = [*result_lines, f"the model is written into {profile}{plots}"]
+    if profile.with_suffix(".kernel").is_file():
+        lines.append("with [hframe_live] in printer.cfg, restart Klipper: it takes this model")
     interface.report("\n".join(lines))  # at once: some consoles show the newest message first
     interface.report(f"how the printer does: {PAGE}")  # KlipperScreen shows no message with a link
     return 0

@@ -16,7 +16,7 @@ from hframe_post.arrays import TS
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
-from hframe_post.model.impulse_response import Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import (
     WITH_PARAMETERS,
@@ -82,7 +82,7 @@ class _JudgedShaper:
         return self.smoothing * float(self.vibration**1.5 + 0.2 * self.vibration + 0.01)
 
 
-def _calibrated(G: Linear, names: Iterable[str]) -> AxisShaping:
+def _calibrated(G: ImpulseResponse, names: Iterable[str]) -> AxisShaping:
     best, chosen = None, list[_JudgedShaper]()
     for name in names:
         fits = _fits(G, name)
@@ -114,7 +114,7 @@ def _chosen(fits: list[_JudgedShaper]) -> _JudgedShaper:
     return min((quietest, *reversed(near)), key=lambda fit: fit.score)
 
 
-def _fits(G: Linear, name: str) -> list[_JudgedShaper]:
+def _fits(G: ImpulseResponse, name: str) -> list[_JudgedShaper]:
     """Return a shaper at each frequency that Klipper tries, the highest first."""
     hz = KLIPPER_HZ
     measured = np.square(np.abs(G.response(2.0 * np.pi * hz * TS)) * hz) / (hz + 0.1)

@@ -1,11 +1,8 @@
 """Random printers that differ a little from the model.
 
-Frequency and damping of each transfer function's roots, in the s-plane s = ln(z)/Ts, are scaled by
-random factors. Poles and zeros move together, as they do when a belt gets tighter or a carriage
-heavier, so that a slow pole keeps the zero that almost cancels it. Gxx(1) = Gyy(1) = 1 stays: a
-nozzle at rest is where its steps put it. Only the gains of couplings are random.
-
-A measured response takes more or less time, and decays faster or slower.
+Each response takes more or less time, as it does when a belt gets tighter or a carriage heavier,
+and decays faster or slower. A nozzle at rest stays where its steps put it; only the gains of
+couplings are random.
 """
 
 from __future__ import annotations
@@ -14,11 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, Complex
+from hframe_post.arrays import Array
 from hframe_post.errors import ArgumentError
-from hframe_post.model.impulse_response import ImpulseResponse, Linear
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
-from hframe_post.model.transfer_function import REAL_TOLERANCE, TransferFunction
 
 
 def draws(plant: Plant, share: float, count: int, seed: int) -> list[Plant]:
@@ -42,30 +38,21 @@ def perturbed(plant: Plant, factors: Array) -> Plant:
     They are those of Gxx, Gyy, Gxθ and, if any, the other couplings.
     """
     (fx, dx, _), (fy, dy, _), theta, *others = factors.tolist()
-    Gxx, Gyy = _moved_axis(plant.Gxx, fx, dx), _moved_axis(plant.Gyy, fy, dy)
-    Gxtheta = plant.Gxtheta and _moved_coupling(plant.Gxtheta, *theta)
+    Gxx, Gyy = _moved(plant.Gxx, fx, dx), _moved(plant.Gyy, fy, dy)
+    Gxtheta = plant.Gxtheta and _moved(plant.Gxtheta, *theta)
     cross = (
-        replace(coupling, G=_moved_coupling(coupling.G, *each))
+        replace(coupling, G=_moved(coupling.G, *each))
         for coupling, each in zip(plant.cross, others, strict=True)
     )
     return replace(plant, Gxx=Gxx, Gyy=Gyy, Gxtheta=Gxtheta, cross=tuple(cross))
 
 
-def _moved_axis(G: Linear, frequency: float, damping: float) -> Linear:
-    if isinstance(G, ImpulseResponse):
-        return _stretched(G, frequency, damping)
-    moved = _moved(G, frequency, damping)
-    return replace(moved, gain=moved.gain / moved.dc_gain)
-
-
-def _moved_coupling(G: Linear, frequency: float, damping: float, gain: float) -> Linear:
-    if isinstance(G, ImpulseResponse):
-        return _stretched(G, frequency, damping).everywhere(
-            lambda one: replace(one, deviation=gain * one.deviation, lag=gain * one.lag)
-        )
-    slope, moved = _slope(G), _moved(G, frequency, damping)
-    scale = gain * slope / _slope(moved)
-    return replace(moved, gain=moved.gain * scale)
+def _moved(
+    G: ImpulseResponse, frequency: float, damping: float, gain: float = 1.0
+) -> ImpulseResponse:
+    return _stretched(G, frequency, damping).everywhere(
+        lambda one: replace(one, deviation=gain * one.deviation, lag=gain * one.lag)
+    )
 
 
 def _stretched(G: ImpulseResponse, frequency: float, damping: float) -> ImpulseResponse:
@@ -83,35 +70,3 @@ def _stretched(G: ImpulseResponse, frequency: float, damping: float) -> ImpulseR
     rate = 0.5 * float(squared.sum()) / time if time > 0.0 else 0.0
     deviation = np.exp((1.0 - damping) * rate * t) * moved.deviation
     return replace(moved, deviation=deviation, lag=damping * moved.lag)
-
-
-def _moved(G: TransferFunction, frequency: float, damping: float) -> TransferFunction:
-    zeros, poles = (_moved_roots(roots, frequency, damping) for roots in (G.zeros, G.poles))
-    return TransferFunction(zeros, poles, G.gain)
-
-
-def _moved_roots(roots: Complex, frequency: float, damping: float) -> Complex:
-    """Return roots with scaled natural frequency and, if they ring, damping ratio.
-
-    Roots at z ≤ 0 are delays or sampling artefacts, and stay; so does a root that would pass
-    the Nyquist frequency.
-    """
-    moved = roots.copy()
-    for k, z in enumerate(roots):
-        if abs(z.imag) <= REAL_TOLERANCE and z.real <= 0.0:
-            continue
-        s = np.log(z)
-        natural = abs(s)
-        ratio = s.real / natural if natural else 0.0
-        if abs(z.imag) > REAL_TOLERANCE:
-            ratio = float(np.clip(damping * ratio, -0.999, 0.999))
-        new = frequency * natural * (ratio + 1j * np.sign(s.imag) * np.sqrt(1.0 - ratio * ratio))
-        if abs(new.imag) < np.pi:
-            moved[k] = np.exp(new)
-    return moved
-
-
-def _slope(G: TransferFunction) -> float:
-    """Return the gain at rest without the zeros at z = 1: θ per velocity."""
-    moving = G.zeros[np.abs(G.zeros - 1.0) > 1e-6]
-    return float((G.gain * np.prod(1.0 - moving) / np.prod(1.0 - G.poles)).real)
