@@ -34,7 +34,7 @@ from tests.fuzz.strategies import LINES, broken, edited, gcode
 from tests.gcode_tools import converted
 from tests.klipper.host import KlippyError, play
 from tests.printers import M503, REAL, profile_of
-from tests.same_print import PLACE, assert_same_print
+from tests.same_print import PLACE, assert_same_print, unstamped
 from tests.slices import SLICES
 
 KLIPPER_FILAMENT = 5e-3  # mm; a step of the extruder is 0.7e-3
@@ -98,7 +98,7 @@ def test_output_is_a_file_like_any_other(text: bytes) -> None:
     """Without its stamp it can be converted again."""
     output = check_gcode(text, "fbs", "klipper", True)
     if output:
-        assert check_gcode(output.partition(b"\n")[2], "fbs", "klipper", True)
+        assert check_gcode(unstamped(output), "fbs", "klipper", True)
 
 
 @few
