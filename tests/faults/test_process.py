@@ -68,7 +68,6 @@ def test_what_cannot_be_done_is_told_and_nothing_is_touched(
         ("in.gcode -q --json no/summary.json", "no/summary.json: the folder no does not exist"),
         ("in.gcode -q --json in.gcode", "is already read or written by this command"),
         ("in.gcode -q -p my.toml -o my.toml", "is already read or written by this command"),
-        ("sweep -p my.toml -q -o my.toml", "is already read or written by this command"),
     ],
 )
 def test_an_output_that_cannot_be_made_touches_nothing(

@@ -122,7 +122,7 @@ def end(state: ModalState = STATE, restore: KlipperTable = RESTORE) -> list[byte
 
 
 def test_the_stream_may_do_what_the_motors_hold_in_any_direction_and_no_more() -> None:
-    limits = Limits(300.0, 1e4, 5e7, 5.0, 20.0, 500.0, 60.0, 2000.0, 1.5)
+    limits = Limits(300.0, 1e4, 5.0, 20.0, 500.0, 60.0, 2000.0, 1.5)
     stream = StreamLimits.from_limits(limits, Motors(700.0, 5e4), Kinematics())
     assert stream.velocity == pytest.approx(770.0)
     assert stream.acceleration == math.floor(5e4 / math.sqrt(2.0))  # 5e4 along a diagonal's belt
