@@ -254,6 +254,18 @@ class ImpulseResponse:
         lag = factor * self.lag
         return replace(self, deviation=deviation, lead=lead, lag=lag, unknown=unknown)
 
+    def damped(self, factor: float) -> ImpulseResponse:
+        """Return the response, here, whose modes have so many times as high a damping ratio.
+
+        One rate of decay stands for those of all modes: half the inverse of the time around which
+        the squared response lies, as for a single mode. The lag stays.
+        """
+        t = np.maximum(np.arange(len(self.deviation)) - self.lead, 0)
+        squared = np.square(self.deviation)
+        time = float(squared @ t)
+        rate = 0.5 * float(squared.sum()) / time if time > 0.0 else 0.0
+        return replace(self, deviation=np.exp((1.0 - factor) * rate * t) * self.deviation)
+
     def everywhere(self, change: Callable[[ImpulseResponse], ImpulseResponse]) -> ImpulseResponse:
         """Return the response with the same change at all its places."""
         elsewhere = tuple(replace(one, G=change(one.G)) for one in self.elsewhere)

@@ -125,7 +125,9 @@ class Plant:
 def heavier(G: ImpulseResponse, factor: float) -> ImpulseResponse:
     """Return G with ``factor`` times the mass behind its modes.
 
-    It takes √factor times as long; its lag stays.
+    Frequencies and damping ratios fall by √factor; the lag stays.
     """
     longer = math.sqrt(factor)
-    return G.everywhere(lambda one: replace(one.stretched(longer), lag=one.lag))
+    return G.everywhere(
+        lambda one: replace(one.stretched(longer).damped(1.0 / longer), lag=one.lag)
+    )

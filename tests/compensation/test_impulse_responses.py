@@ -323,7 +323,8 @@ def test_a_command_of_a_two_sided_plant_settles(hbot: Printer) -> None:
 def test_a_heavier_bed_takes_longer(factor: float) -> None:
     G = heavier(ImpulseResponse(deviation_of_mode(30.0, 0.08, 700), 0), factor)
     assert isinstance(G, ImpulseResponse)
-    expected = deviation_of_mode(30.0 / np.sqrt(factor), 0.08, len(G.deviation))
+    root = np.sqrt(factor)
+    expected = deviation_of_mode(30.0 / root, 0.08 / root, len(G.deviation))
     assert np.abs(G.deviation - expected).max() < 0.1  # µm of 5
     assert G.ahead == 0
 

@@ -58,15 +58,9 @@ def _moved(
 def _stretched(G: ImpulseResponse, frequency: float, damping: float) -> ImpulseResponse:
     """Return a response whose frequencies are so many times as high, and whose modes decay faster.
 
-    One rate of decay stands for those of all modes: half the inverse of the time around which the
-    squared response lies, as for a single mode. The lag is a damper's, too.
+    The lag is a damper's, too.
     """
     if G.elsewhere:
         return G.everywhere(lambda one: _stretched(one, frequency, damping))
     moved = G.stretched(1.0 / frequency)
-    t = np.maximum(np.arange(len(moved.deviation)) - moved.lead, 0)
-    squared = np.square(moved.deviation)
-    time = float(squared @ t)
-    rate = 0.5 * float(squared.sum()) / time if time > 0.0 else 0.0
-    deviation = np.exp((1.0 - damping) * rate * t) * moved.deviation
-    return replace(moved, deviation=deviation, lag=damping * moved.lag)
+    return replace(moved.damped(damping), lag=damping * moved.lag)
