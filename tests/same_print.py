@@ -69,7 +69,7 @@ def print_of(text: bytes, firmware: str = "klipper") -> Print:
 
 
 def assert_same_print(text: bytes, output: bytes, firmware: str) -> None:
-    """Assert equal filament at each stop, end, modes and order of lines of a file and its output."""
+    """Assert equal filament at each stop, end, modes and order of lines of a file and output."""
     asked, written = print_of(text, firmware), print_of(unstamped(output), firmware)
     assert written.filament == pytest.approx(asked.filament, abs=FILAMENT)
     assert [line for line, _ in written.stops] == [line for line, _ in asked.stops]
