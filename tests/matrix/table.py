@@ -48,7 +48,7 @@ class Done:
 SUMMARY = (
     r"belts   .*at most |limited by  .*(in the file|in the profile)|if you stop it   send M501"
 )
-WITH_MODEL = r"(n\.kernel )?n\.model\.toml n\.toml"  # the kernel is Klipper's
+WITH_MODEL = r"(\w+\.kernel )?\w+\.model\.toml \w+\.toml"  # the kernel is Klipper's
 NAMES = r"(x|y)-at-[\d_]+"
 DONE = {
     "convert {print} -o out.gcode": Done(SUMMARY, "out.gcode"),
@@ -70,7 +70,7 @@ DONE = {
     "check --gcode c.gcode": Done("", r"((c\.check-[-\w]+\.csv|c-[xy]\.gcode) ?)+(c\.gcode)?"),
     "check": Done("uncertainty  ±"),
     "check {run}": Done("uncertainty  ±"),
-    "identify {recordings} -o mine.toml": Done(".", "mine.toml"),
+    "identify {recordings} -o mine.toml": Done(".", WITH_MODEL),
     "calibrate-print --heat 210,60 -o t.gcode": Done("Print t.gcode.", "t.form.toml t.gcode"),
     "calibrate-print --form {form} -o n.toml": Done(
         "Next: hframe-post calibrate-print -p n.toml --compare", WITH_MODEL
