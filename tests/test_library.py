@@ -160,7 +160,13 @@ def test_convert_does_all_that_the_command_line_can(paper: Printer, tmp_path: Pa
     subprocess.run([*arguments, "--retract", "moving", "-o", str(by_tool)], check=True)
     by_both = [body(path.read_bytes()) for path in (out, by_tool)]
     assert by_both[0] == by_both[1]
-    assert set(report.contour) == {"none", "fbs", "racking", "shaper"}  # the page's baseline
+    assert set(report.contour) == {
+        "none",
+        "fbs",
+        "racking",
+        "shaper",
+        "live",
+    }  # the page shows both
     assert sum(read) == RECTANGLE.stat().st_size
     assert b"A rectangle" in page.read_bytes()
     assert b"printed on the big one" in page.read_bytes()

@@ -21,6 +21,7 @@ moves, and does not become two.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -61,9 +62,10 @@ class ImpulseResponse:
     of the factor by which all frequencies will have changed when something is printed. unknown
     (k,): a filter like ``deviation`` without lead, whose gain at each frequency is the standard
     deviation of what is not known of Q there. x, elsewhere: where it holds (mm), and what it is at
-    other x, if it changes along x; see ``nodes``. All else but these two holds at x. Raises
-    ArgumentError unless the numbers are finite, 1 ≤ m ≤ LONGEST, k ≤ LONGEST, 0 ≤ lead < m,
-    0 ≤ drift < 1, and places differ by a millimetre at least.
+    other x, if it changes along x; see ``nodes``. All else but these two holds at x. written: the
+    transfer function that all this was computed from, if any. Raises ArgumentError unless the
+    numbers are finite, 1 ≤ m ≤ LONGEST, k ≤ LONGEST, 0 ≤ lead < m, 0 ≤ drift < 1, and places
+    differ by a millimetre at least.
     """
 
     deviation: Array
@@ -74,6 +76,7 @@ class ImpulseResponse:
     unknown: Array = field(default_factory=lambda: np.zeros(0))
     x: float = 0.0
     elsewhere: tuple[Elsewhere, ...] = ()
+    written: TransferFunction | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, least in (("deviation", 1), ("unknown", 0)):
@@ -131,7 +134,7 @@ class ImpulseResponse:
             raise ArgumentError(
                 f"the response still rings after {LONGEST} ms: its poles are too close to 1"
             )
-        return cls(deviation[:m], 0, rest, lag)
+        return cls(deviation[:m], 0, rest, lag, written=G)
 
     @cached_property
     def ahead(self) -> int:
@@ -207,7 +210,7 @@ class ImpulseResponse:
             changed = q - t * np.gradient(q) if len(q) > 1 else q
             doubts.append(replace(
                 self, deviation=self.drift * changed, rest=0.0, lag=self.drift * self.lag,
-                drift=0.0, unknown=np.zeros(0), elsewhere=(),
+                drift=0.0, unknown=np.zeros(0), elsewhere=(), written=None,
             ))  # fmt: skip
         if len(self.unknown):
             doubts.append(ImpulseResponse(self.unknown, 0, rest=0.0))
@@ -252,7 +255,7 @@ class ImpulseResponse:
         deviation, lead = _stretched(self.deviation, self.lead, factor)
         unknown = _stretched(self.unknown, 0, factor)[0] if len(self.unknown) else self.unknown
         lag = factor * self.lag
-        return replace(self, deviation=deviation, lead=lead, lag=lag, unknown=unknown)
+        return replace(self, deviation=deviation, lead=lead, lag=lag, unknown=unknown, written=None)
 
     def damped(self, factor: float) -> ImpulseResponse:
         """Return the response, here, whose modes have so many times as high a damping ratio.
@@ -264,7 +267,22 @@ class ImpulseResponse:
         squared = np.square(self.deviation)
         time = float(squared @ t)
         rate = 0.5 * float(squared.sum()) / time if time > 0.0 else 0.0
-        return replace(self, deviation=np.exp((1.0 - factor) * rate * t) * self.deviation)
+        deviation = np.exp((1.0 - factor) * rate * t) * self.deviation
+        return replace(self, deviation=deviation, written=None)
+
+    def heavier(self, factor: float) -> ImpulseResponse:
+        """Return the response with ``factor`` times the mass behind its modes.
+
+        Frequencies and damping ratios fall by √factor; the lag stays. Of a transfer function each
+        pair of roots moves by itself. Raises ArgumentError if it rings for too long.
+        """
+        if self.written is not None:
+            new = ImpulseResponse.from_transfer_function(self.written.heavier(factor), self.rest)
+            return replace(new, drift=self.drift, unknown=self.unknown, x=self.x)
+        longer = math.sqrt(factor)
+        return self.everywhere(
+            lambda one: replace(one.stretched(longer).damped(1.0 / longer), lag=one.lag)
+        )
 
     def everywhere(self, change: Callable[[ImpulseResponse], ImpulseResponse]) -> ImpulseResponse:
         """Return the response with the same change at all its places."""

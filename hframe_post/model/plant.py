@@ -119,15 +119,4 @@ class Plant:
         """Return the plant under a load, which then stays."""
         if not load:
             return replace(self, bed=None)
-        return replace(self, Gyy=heavier(self.Gyy, math.exp(HEAVIER * load)), bed=None)
-
-
-def heavier(G: ImpulseResponse, factor: float) -> ImpulseResponse:
-    """Return G with ``factor`` times the mass behind its modes.
-
-    Frequencies and damping ratios fall by √factor; the lag stays.
-    """
-    longer = math.sqrt(factor)
-    return G.everywhere(
-        lambda one: replace(one.stretched(longer).damped(1.0 / longer), lag=one.lag)
-    )
+        return replace(self, Gyy=self.Gyy.heavier(math.exp(HEAVIER * load)), bed=None)

@@ -60,8 +60,8 @@ class Compensator:
 
     def _loaded(self, load: int) -> Compensator:
         loaded = copy(self)
-        loaded.plant = self.plant.loaded(load)
         try:
+            loaded.plant = self.plant.loaded(load)
             loaded.y = _solver(loaded.plant.Gyy, self.y.window)
             loaded.rounds = rounds_needed(loaded.plant, (self.x.window, self.y.window))
         except ArgumentError as error:

@@ -7,8 +7,10 @@ loses all its digits.
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -78,6 +80,26 @@ class TransferFunction:
         numerator, denominator = (np.prod(z - roots, axis=-1) for roots in (self.zeros, self.poles))
         with np.errstate(all="ignore"):  # at a pole it is infinite
             return np.asarray(self.gain * numerator / denominator)
+
+    def heavier(self, factor: float) -> TransferFunction:
+        """Return it with ``factor`` times the mass behind its modes.
+
+        Of s²/ω² + 2ζs/ω + 1, for each pair of poles or zeros, only the first term grows: ω and ζ
+        fall by √factor, and the gain at rest and the lag stay. So do real roots, and pairs above
+        a quarter of the sampling rate: lags and delays.
+        """
+
+        def moved(root: complex) -> complex:
+            if root.imag == 0.0 or root.real <= 0.0:
+                return root
+            s = cmath.log(root)
+            decay = s.real / factor
+            ringing = math.sqrt(abs(s) ** 2 / factor - decay * decay)
+            return cmath.exp(complex(decay, math.copysign(ringing, s.imag)))
+
+        zeros, poles = (np.array([*map(moved, each.tolist())]) for each in (self.zeros, self.poles))
+        new = TransferFunction(zeros, poles, self.gain)
+        return replace(new, gain=self.gain * self.dc_gain / new.dc_gain)
 
     @cached_property
     def state_space(self) -> tuple[Array, Array, Array, float]:

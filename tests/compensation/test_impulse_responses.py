@@ -17,7 +17,7 @@ from hframe_post.model.filters import stream_filter
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Lpfbs, Window
 from hframe_post.model.nozzle import nozzle
-from hframe_post.model.plant import Bed, Coupling, Plant, heavier
+from hframe_post.model.plant import Bed, Coupling, Plant
 from hframe_post.model.responses import Plants
 from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.prediction.predict import judge, predict
@@ -321,7 +321,7 @@ def test_a_command_of_a_two_sided_plant_settles(hbot: Printer) -> None:
 
 @pytest.mark.parametrize("factor", [1.1, 1.3])
 def test_a_heavier_bed_takes_longer(factor: float) -> None:
-    G = heavier(ImpulseResponse(deviation_of_mode(30.0, 0.08, 700), 0), factor)
+    G = ImpulseResponse(deviation_of_mode(30.0, 0.08, 700), 0).heavier(factor)
     assert isinstance(G, ImpulseResponse)
     root = np.sqrt(factor)
     expected = deviation_of_mode(30.0 / root, 0.08 / root, len(G.deviation))

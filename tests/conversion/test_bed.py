@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from scipy import linalg
 
+from examples.paper.tables import transfer_functions
 from hframe_post.arrays import TS, Array, E, Y
 from hframe_post.conversion import spans
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream, prepared
 from hframe_post.model.lpfbs import Lpfbs
-from hframe_post.model.plant import Bed, heavier
+from hframe_post.model.plant import Bed
+from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -97,10 +99,19 @@ def wandering(n: int) -> Array:
 
 @pytest.mark.parametrize("factor", [1.0, 1.1, 1.3, 2.0])
 def test_a_heavier_mode_is_that_of_a_heavier_bed(fixed: Printer, factor: float) -> None:
-    u, G = wandering(3000), heavier(fixed.plant.Gyy, factor)
+    u, G = wandering(3000), fixed.plant.Gyy.heavier(factor)
     off = Filter(G).run(u) - Truth(0.0, 1.0).run(u, np.full(len(u), factor - 1.0))
     assert np.ptp(u) > 50.0
-    below(np.abs(off).max(), 0.002, "greatest difference of the nozzle, mm")
+    below(np.abs(off).max(), 0.0002, "greatest difference of the nozzle, mm")
+
+
+def test_lags_and_delays_stay() -> None:
+    """So does the lag at low speed, which does not depend on the mass."""
+    delayed = TransferFunction(np.zeros(0, complex), np.array([0.0, 0.5], complex), 0.5)
+    for G in (transfer_functions()["Gyy"], delayed):
+        new, real = G.heavier(1.3), G.poles.imag == 0.0
+        np.testing.assert_array_equal(new.poles[real], G.poles[real])
+        assert new.lag == pytest.approx(G.lag, rel=0.01)
 
 
 # ---------------------------------------------------------------------- prints

@@ -101,12 +101,9 @@ def test_equal_settings_give_an_equal_motion_and_other_places_another(paper: Pri
     assert np.abs((first - first[0])[:n] - (beside - beside[0])[:n]).max() > 5.0
 
 
-FIXED = 'extends = "example-corexy"\n[limits]\njerk = 5.0e5\n'
-
-
 def test_figures_are_drawn_by_a_sequence_that_never_changes() -> None:
     """The first figures of a place are what they were in the first version."""
-    motion = command(parse(FIXED, "fixed"), (150.0, 150.0), seconds=5.0)
+    motion = command(parse('extends = "example-corexy"\n', "fixed"), (150.0, 150.0), seconds=5.0)
     later = [[147.148, 179.272], [153.683, 183.066], [177.217, 183.749], [151.032, 151.345]]
     off = np.abs(motion[[1500, 2500, 3500, 4500]] - later).max()
     below(float(off), 0.002, "off what it was, mm")

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.conversion.tables import StepConversion
@@ -20,6 +19,8 @@ from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load, parse
 from hframe_post.stream.chunks import join
 from tests.conftest import SAMPLES
+from tests.gcode_tools import converted
+from tests.same_print import unstamped
 
 ALL = [
     Kinematics(kind, swap, (a, b))
@@ -73,21 +74,17 @@ def test_stream_in_x_and_y_does_not_depend_on_how_the_motors_are_connected(chang
     mine = parse(f'extends = "paper"\n[kinematics]\n{change}\n', "mine")
     paper = load("paper")
     lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
-    texts = []
-    for profile in (mine, paper):
-        output = list(GcodeConversion(iter(lines), profile, Options("racking")))
-        texts.append(output[1:])  # without the stamp
-    assert texts[0] == texts[1]
+    assert unstamped(converted(lines, mine)[0]) == unstamped(converted(lines, paper)[0])
 
 
 def test_corexz_plays_as_cartesian_but_its_z_steps_with_x() -> None:
     text = 'extends = "example-cartesian"\n[kinematics]\ntype = "{}"\n'
     lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
-    streams = [
-        list(GcodeConversion(iter(lines), parse(text.format(kind), kind), Options("fbs")))[1:]
+    plays, cartesian = (
+        unstamped(converted(lines, parse(text.format(kind), kind), Options("fbs"))[0])
         for kind in ("corexz", "cartesian")
-    ]
-    assert streams[0] == streams[1]
+    )
+    assert plays == cartesian
     with pytest.raises(PrinterError, match="the motor of z moves with x"):
         StepConversion(iter(lines), parse(text.format("corexz"), "mine"), Options("fbs"))
 

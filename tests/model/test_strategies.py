@@ -47,7 +47,7 @@ def test_a_row_is_all_that_profiles_and_the_command_line_need(late: str, tmp_pat
     main = import_module("hframe_post.cli.main").main
     done = CliRunner().invoke(main, [part, "-c", late, "-o", str(out), "--json", str(summary)])
     assert done.exit_code == 0, done.output
-    assert "path, late: contour error" in done.output
+    assert "result           path, late " in done.output
     assert out.read_bytes() != b""
     studied = CliRunner().invoke(main, ["simulate"])
     assert "path, late" in studied.output

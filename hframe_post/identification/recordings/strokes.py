@@ -43,6 +43,7 @@ INFILL = (0.4, 4.0)  # mm: length of its lines
 LINE_WIDTH = 0.4  # mm between lines of infill
 SIDES = (1.0, 25.0)  # mm between square corners
 SLOWEST, GENTLEST = 0.2, 0.3  # of the limits: the lowest feed rate and acceleration
+RAMP_HZ = 100.0  # jerk per acceleration: Klipper's host plays it within 20 µs, 1e7 mm/s³ within 80
 MARGIN = 2.5  # times the strokes' acceleration, that the motors must allow Klipper
 LEAST_ROOM = 5.0  # mm from a place to the edge
 QUIET = 1000  # samples of rest at both ends, in which gravity shows
@@ -113,7 +114,7 @@ def within_limits(printer: Printer) -> Printer:
     velocity, acceleration = allowed(printer, printer.kinematics.min_speed_ratio, MARGIN)
     gentle = replace(
         printer.limits, velocity=velocity, acceleration=acceleration, travel_velocity=0.0,
-        travel_acceleration=0.0,
+        travel_acceleration=0.0, jerk=min(printer.limits.jerk, RAMP_HZ * acceleration),
     )  # fmt: skip
     return replace(printer, limits=gentle)
 
