@@ -69,6 +69,7 @@ class GcodeConversion:
         report = replace(
             report, lines_written=written.lines + 1,  # and the stamp
             filament_after=written.filament, busiest_second=written.busiest_second,
+            sliced_off=self._source.sliced_off() if written.off else 0.0,
             lines_per_second=self._rules.lines_per_second, approximation=written.off,
             advance=self._source.advance(self._motion.advance),
             notices=(*report.notices, *self._code.notices), when_stopped=self._code.when_stopped,

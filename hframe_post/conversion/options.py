@@ -243,7 +243,8 @@ class Options:
         Raises OptionError, and HframeError for a strategy that does not exist.
         """
         strategy = strategy_of(self.strategy or printer.compensation.strategy).name
-        reported = ("none", strategy) if self.predict is None else self.predict
+        reported = (strategy,) if self.predict is None else self.predict
+        reported = ("none", *reported) if reported else ()  # to compare with
         predict = tuple(dict.fromkeys(strategy_of(name).name for name in reported))
         speed = printer.known_speed
         if self.max_error is not None:

@@ -296,11 +296,11 @@ class PlannedFile:
 
         Raises HframeError if the model predicts an error that no working printer has.
         """
-        contour, width, shaping = motion.contour, motion.width, None
+        contour, width, shaping, share = motion.contour, motion.width, None, 1.0
         if "none" in (self._options.predict or ()) and self._options.strategy != "none":
             today = self._sliced.today(live=self._options.picture)
             contour, width = {**contour, **today.contour}, {**width, **today.width}
-            shaping = today.shaping
+            shaping, share = today.shaping, today.share
         if "none" in contour:
             check_prediction(contour["none"].rms)
         return Report(
@@ -312,7 +312,14 @@ class PlannedFile:
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
             bands=self._bands(motion.in_bands), metered=motion.metered,
             predicted=(motion.judged or motion.samples) / max(motion.samples, 1),
+            predicted_sliced=share,
         )  # fmt: skip
+
+    def sliced_off(self) -> float:
+        """Return by how much (mm RMS) whole steps put the sliced file off its path."""
+        steps = self._printer.steps
+        asked = "none" in (self._options.predict or ()) and self._options.strategy != "none"
+        return self._sliced.off_in_steps(steps) if steps is not None and asked else 0.0
 
     def _timed(self, plans: Iterable[Planned]) -> Iterator[Planned]:
         """Add up the time of plans if nothing limited their jerk."""

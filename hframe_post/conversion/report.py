@@ -195,13 +195,21 @@ class Report:
     advance: AdvanceReport | None = None
     bands: BandReport | None = None
     predicted: float = 1.0  # share of the print whose errors are predicted; they stand for all
+    predicted_sliced: float = 1.0  # the same of the errors as sliced, and with a shaper
+    sliced_off: float = 0.0  # mm RMS across the path by which whole steps put the sliced file off
 
     def lines_error(self, name: str) -> float:
-        """Return by how much (mm RMS) the written lines, in whole steps, add to a strategy's error.
+        """Return by how much (mm RMS) whole steps of the lines add to a strategy's error.
 
         The error and this one are independent, so that their squares add up.
         """
-        return ACROSS * self.approximation if name == self.strategy else 0.0
+        if name == self.strategy:
+            return ACROSS * self.approximation
+        return self.sliced_off if name in ("none", SHAPER) else 0.0
+
+    def printed(self, name: str) -> float:
+        """Return the RMS error (mm) that a strategy or the shaper leaves, whole steps included."""
+        return math.hypot(self.contour[name].expected, self.lines_error(name))
 
     def as_json(self) -> dict[str, Any]:
         """Return all figures, ready for ``json.dumps``."""
@@ -232,6 +240,7 @@ class Report:
             "filament_mm": {k: round(mm, 5) for k, mm in filament.items() if mm is not None},
             "contour_error_um": {n: self._errors_as_json(n) for n in sorted(self.strategies)},
             "predicted_percent": round(100.0 * self.predicted, 1),
+            "predicted_as_sliced_percent": round(100.0 * self.predicted_sliced, 1),
             "line_width_error_percent": {
                 n: self.width[n].percents() for n in sorted(self.strategies) if n in self.width
             },
@@ -264,15 +273,14 @@ class Report:
             return []
         return [{
             "name": self.shaping.x.name, **self.shaping.as_json(),
-            "contour_error_um": self.contour[SHAPER].micrometres(),
+            "contour_error_um": self._errors_as_json(SHAPER),
             "line_width_error_percent": self.width[SHAPER].percents(),
         }]  # fmt: skip
 
     def _errors_as_json(self, name: str) -> dict[str, Any]:
         found, lines = self.contour[name].micrometres(), self.lines_error(name)
         if lines:
-            expected = math.hypot(self.contour[name].expected, lines)
-            found["with_steps"] = round(1e3 * expected, DECIMALS)
+            found["with_steps"] = round(1e3 * self.printed(name), DECIMALS)
         return found
 
     def as_text(self) -> str:
@@ -331,17 +339,20 @@ class Report:
         steps = f", of which whole steps leave {1e3 * lines:.1f}" if lines else ""
         shaper = ""
         if SHAPER in self.contour:
-            shaper = f"; the best input shaper would leave {1e3 * self.contour[SHAPER].rms:.1f}"
-        before = f"{self.label(self.strategy)} {1e3 * self.contour['none'].rms:.1f}"
+            shaper = f"; the best input shaper would leave {1e3 * self.printed(SHAPER):.1f}"
+        before = f"{self.label(self.strategy)} {1e3 * self.printed('none'):.1f}"
         ours = range_as_text(self.contour[self.strategy], lines)
         return [f"result           {before} → {ours}{steps}{shaper}"]
 
     def _predicted(self) -> list[str]:
         """Return on how much of the print the errors are predicted, if not on all."""
-        if self.predicted > 0.995 or not self.contour:
+        ours, sliced = self.predicted, self.predicted_sliced
+        if min(ours, sliced) > 0.995 or not self.contour:
             return []
-        whole = "'hframe-post simulate' takes all of it"
-        return [f"predicted        on {percent(self.predicted)} of the print; {whole}"]
+        return [
+            f"predicted        on {percent(ours)} of the print as converted, {percent(sliced)} as "
+            "sliced, from all over it; 'hframe-post simulate' takes all"
+        ]
 
     def _advice(self) -> list[str]:
         """Return what else to do where compensation is not worth it."""
@@ -350,9 +361,8 @@ class Report:
             return [f"advice           {text}"]
         if not {"none", self.strategy} <= self.contour.keys():
             return []
-        before = self.contour["none"].expected
-        ours = math.hypot(self.contour[self.strategy].expected, self.lines_error(self.strategy))
-        shaper = self.contour[SHAPER].rms if SHAPER in self.contour else math.inf
+        before, ours = self.printed("none"), self.printed(self.strategy)
+        shaper = self.printed(SHAPER) if SHAPER in self.contour else math.inf
         if ours >= before:
             text = "this print is better as sliced"
         elif before < VISIBLE:

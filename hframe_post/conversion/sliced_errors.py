@@ -23,8 +23,9 @@ from hframe_post.model.shapers import Shaping
 from hframe_post.planner.bands import MotorBands
 from hframe_post.planner.sliced import AsSliced, run_seconds
 from hframe_post.prediction.best_shaper import Paths, paths, ranked
+from hframe_post.prediction.predict import contour_error, stepped
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Planned, Samples, frozen
 
@@ -40,12 +41,14 @@ Piece = tuple[float, tuple[Planned, ...]]  # its seconds, and what it consists o
 class Today:
     """Predicted print as sliced. shaping: of the best input shaper; None if nothing is extruded.
 
-    contour, width: without compensation (none) and with the shaper.
+    contour, width: without compensation (none) and with the shaper. share: of the print's motion,
+    on which they are predicted.
     """
 
     shaping: Shaping | None
     contour: dict[str, ContourErrors]
     width: dict[str, ErrorStatistics]
+    share: float
 
 
 class SlicedFile:
@@ -56,6 +59,7 @@ class SlicedFile:
         self._printer, self.own = printer, AsSliced(rules, MotorBands.from_printer(printer))
         self._pieces, self._every, self._count = list[Piece](), 1, 0
         self._piece, self._seconds = list[Planned](), 0.0  # of motion
+        self._total, self._extrudes = 0.0, False  # seconds of all pieces that count
 
     @classmethod
     def from_items(cls, items: Iterable[Item], printer: Printer) -> SlicedFile:
@@ -88,7 +92,17 @@ class SlicedFile:
         shapes |= by_itself(self._printer, LIVE) if live else {}
         for _ in meter.samples(shape(samples, shapes)):
             pass
-        return Today(shaping, meter.contour, meter.width)
+        share = self._kept / self._total if self._total else 1.0
+        return Today(shaping, meter.contour, meter.width, share)
+
+    def off_in_steps(self, steps: Steps) -> float:
+        """Return by how much (mm RMS) whole steps put the pieces off their path."""
+        kinematics = self._printer.kinematics
+        off = [
+            contour_error(path, stepped(path, kinematics, steps), np.flatnonzero(counted))
+            for path, counted in paths(self._samples(self._pieces))
+        ]
+        return float(np.sqrt(np.square(np.concatenate(off)).mean())) if off else 0.0
 
     def shaping(self, plant: Plant) -> Shaping | None:
         """Return about the best input shaper of the firmware; None if nothing is extruded."""
@@ -129,17 +143,26 @@ class SlicedFile:
                 self._piece.append(item)
 
     def _end(self) -> None:
-        """End the piece; keep every n-th in which anything is extruded."""
+        """End the piece; keep every n-th in which anything is extruded, or moves if none is."""
         piece, seconds = tuple(self._piece), self._seconds
         self._piece, self._seconds = [], 0.0
-        plans = (item.points[:, E] for item in piece if isinstance(item, Plan))
-        if not any((e[1:] > e[:-1]).any() for e in plans):
+        plans = [item.points[:, E] for item in piece if isinstance(item, Plan)]
+        extrudes = any((e[1:] > e[:-1]).any() for e in plans)
+        if extrudes and not self._extrudes:
+            self._pieces, self._every, self._count, self._total = [], 1, 0, 0.0
+            self._extrudes = True
+        if not plans or extrudes < self._extrudes:
             return
         if self._count % self._every == 0:
             self._pieces.append((seconds, piece))
         self._count += 1
-        while sum(seconds for seconds, _ in self._pieces) > 2.0 * LEAST_S and len(self._pieces) > 1:
+        self._total += seconds
+        while self._kept > 2.0 * LEAST_S and len(self._pieces) > 1:
             self._pieces, self._every = self._pieces[::2], 2 * self._every
+
+    @property
+    def _kept(self) -> float:
+        return sum(seconds for seconds, _ in self._pieces)
 
 
 def _parts(plan: Plan) -> Iterator[tuple[Plan, float]]:

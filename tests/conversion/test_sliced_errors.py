@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
 
 from hframe_post.conversion import sliced_errors
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import parsed
-from hframe_post.conversion.sliced_errors import SlicedFile
-from hframe_post.prediction.statistics import ContourErrors
+from hframe_post.conversion.sliced_errors import SlicedFile, Today
 from hframe_post.printer.settings import Printer
 from tests.conftest import SAMPLES
 
@@ -27,22 +28,32 @@ def vase(layers: int) -> list[bytes]:
     return lines
 
 
-def errors(printer: Printer) -> dict[str, ContourErrors]:
-    return (
-        SlicedFile.from_items(parsed(vase(60), printer, Options("none")), printer).today().contour
-    )
+def today(lines: Iterable[bytes], printer: Printer) -> Today:
+    return SlicedFile.from_items(parsed(lines, printer, Options("none")), printer).today()
 
 
 def test_a_share_of_a_print_without_stops_stands_for_all(
     paper: Printer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sliced_errors, "LEAST_S", 1e9)
-    whole = errors(paper)
+    all_of_it = today(vase(60), paper)
     monkeypatch.setattr(sliced_errors, "LEAST_S", 30.0)
-    share = errors(paper)
+    some = today(vase(60), paper)
+    assert some.share < 0.4 < all_of_it.share == 1.0
     for name in ("none", "shaper"):
-        assert share[name].all.count < 0.4 * whole[name].all.count
-        assert share[name].rms == pytest.approx(whole[name].rms, rel=0.1), name
+        part, whole = some.contour[name], all_of_it.contour[name]
+        assert part.all.count / whole.all.count == pytest.approx(some.share, abs=0.02)
+        assert part.rms == pytest.approx(whole.rms, rel=0.1), name
+
+
+def test_motion_counts_only_where_nothing_is_extruded(paper: Printer) -> None:
+    travel = [b"G28\n", b"G1 X10 Y10 Z1 F6000\n", b"G1 X60 Y60\n", b"G1 X20 Y70\n"] * 9
+    found = today(travel, paper)
+    assert found.contour["none"].rms > 0.02
+    assert found.shaping is None
+    printed = vase(4)
+    alone, both = today(printed, paper), today(travel + printed, paper)
+    assert both.contour["none"].rms == pytest.approx(alone.contour["none"].rms, rel=0.02)
 
 
 def test_a_move_of_days_takes_no_memory(paper: Printer) -> None:
@@ -60,6 +71,6 @@ def test_a_move_of_days_takes_no_memory(paper: Printer) -> None:
 def test_the_cube_which_hardly_stops_is_judged_all_over(paper: Printer) -> None:
     """Its first layer is slow; with all of it the error is 90 µm."""
     with (SAMPLES / "cube.gcode").open("rb") as cube:
-        found = SlicedFile.from_items(parsed(cube, paper, Options("none")), paper).today()
+        found = today(cube, paper)
     whole = 1e3 * found.contour["none"].rms
     assert whole == pytest.approx(90.0, rel=0.1)

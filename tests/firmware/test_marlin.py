@@ -333,7 +333,9 @@ def test_a_print_that_whole_steps_spoil_is_reported(marlin: Printer) -> None:
     coarse = replace(ender, steps=replace(ender.steps, belt=0.05))
     for printer, slow in ((coarse, True), (ender, False), (marlin, False)):
         report = converted(layers("cube.gcode", 1), printer, options)[1]
-        assert any("better as sliced" in text for text in report.warnings()) == slow
+        assert ("better as sliced" in report.as_text()) == slow
+        um = report.as_json()["contour_error_um"]
+        assert (um["none"]["with_steps"] <= um["racking"]["with_steps"]) == slow
 
 
 @pytest.mark.parametrize("planner", MARLIN_PLANNERS)

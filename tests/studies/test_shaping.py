@@ -141,7 +141,7 @@ def test_simulate_compares_input_shapers(tmp_path: Path) -> None:
     compared = json.loads(out.read_text())["against"]
     rms = {each["name"]: each["contour_error_um"]["rms"] for each in compared}
     assert list(rms.values()) == sorted(rms.values())
-    assert next(iter(rms)) == "racking"
+    assert set(list(rms)[:2]) == {"racking", "live"}  # the same model in both
     for name in KLIPPER:  # searched on this very path
         assert rms[name] < rms[f"{name} as calibrated"] < rms["none"]
     times = {each["name"]: each["print_time_s"] for each in compared}
