@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         simulate,
         tune,
     )
+    from hframe_post.model.impulse_response import ImpulseResponse
     from hframe_post.model.lpfbs import Lpfbs, Window
     from hframe_post.model.plant import Plant
     from hframe_post.model.transfer_function import TransferFunction
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "HframeError",
+    "ImpulseResponse",
     "Lpfbs",
     "MeasurementSettings",
     "Options",
@@ -57,6 +59,7 @@ __all__ = [
 
 _ROOMS = {  # name → module, and the name in it if that differs
     "HframeError": "errors",
+    "ImpulseResponse": "model.impulse_response",
     "Lpfbs": "model.lpfbs",
     "MeasurementSettings": "identification.identify",
     "Options": "conversion.options",

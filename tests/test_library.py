@@ -117,8 +117,10 @@ def test_what_is_no_path_is_refused(paper: Printer, wrong: list[float]) -> None:
 
 
 def test_mistakes_in_arguments_are_value_errors_of_the_tool(paper: Printer) -> None:
+    off_at_rest = hp.TransferFunction(np.zeros(0, complex), np.array([0.5 + 0.0j]), 1.0)
     for mistake in (
         lambda: hp.TransferFunction(np.zeros(0, complex), np.array([1.2 + 0.0j]), 1.0),
+        lambda: hp.Plant(off_at_rest, paper.plant.Gyy, None, 0.0),  # type: ignore[arg-type]
         lambda: hp.Window(L=5, n_C=10, n_up=20, effort=1.0),
         lambda: hp.Lpfbs(paper.plant.Gxx, hp.Window(L=20, n_C=11, n_up=5, effort=0.0)),
         lambda: hp.compensate("a path", paper),

@@ -25,8 +25,8 @@ from hframe_post.stream.types import Samples
 LEEWAY, SLACK = 1.0 + 1e-9, 1e-9  # factor and mm by which a limit that is met exactly passes
 SLOW_HZ = 3.0  # frequency at which lag and stiffness are read off a model
 ADVICE = (
-    "the [plant] of this profile does not describe this printer: run `hframe-post sweep` and "
-    "`hframe-post identify` again"
+    "the [plant] of this profile does not describe this printer: measure it again, and run "
+    "'hframe-post identify'"
 )
 
 

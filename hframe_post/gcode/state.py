@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from hframe_post.arrays import Z
 from hframe_post.errors import LimitError
 from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.firmware.dialect import Dialect
@@ -144,9 +145,12 @@ class State:
         )
 
     def starts_known(self, words: Words) -> bool:
-        """Return whether a move starts at a known place; z matters only if the move names it."""
+        """Return whether a move starts at a known place.
+
+        z matters only if the move names it, or G92 renamed it: a stream would have to name it.
+        """
         x, y, z = self.known
-        return x and y and (z or "Z" not in words)
+        return x and y and (z or ("Z" not in words and not self.offset[Z]))
 
     def arrive(self, position: Position, words: Words) -> None:
         """Take over the end of a move from an unknown place: what it named absolutely is known."""

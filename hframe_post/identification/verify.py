@@ -208,7 +208,7 @@ class Verdict:
         if self.unexplained > MOST_UNEXPLAINED:
             return (
                 f"the model misses {100 * self.unexplained:.0f} % of the nozzle's motion off its "
-                "path: the profile is not that of this printer as it is now. Sweep and identify "
+                "path: the profile is not that of this printer as it is now. Measure and identify "
                 "again"
             )
         ratio, sd = self.racking or (1.0, 0.0)
@@ -216,13 +216,13 @@ class Verdict:
             how = "the other way, " if ratio < 0.0 else ""
             return (
                 f"the gantry racks {how}{abs(ratio):.1f} times as far as the model predicts: "
-                "files are exchanged, x_c is wrong, or this is another printer. Sweep and "
+                "files are exchanged, x_c is wrong, or this is another printer. Measure and "
                 "identify again"
             )
         if self.reduction < max(LEAST_REDUCTION, LEAST_OF_PREDICTED * self.expected):
             return (
                 f"compensation removes {100 * self.reduction:.0f} % of the error, not the "
-                f"{100 * self.expected:.0f} % that the model predicts. Sweep and identify again"
+                f"{100 * self.expected:.0f} % that the model predicts. Measure and identify again"
             )
         return None
 

@@ -40,6 +40,7 @@ MOST_PLACES = 16
 FARTHEST = 2.0  # factor between the frequencies of two places, at most
 FINE = 0.01  # relative change of frequencies from node to node; mixing two costs 3 % of a peak
 FEWEST = 4  # nodes from one place to the next
+GAIN_TOLERANCE = {1.0: 1e-4, 0.0: 1e-9}  # of axes, whose roots may be rounded, and couplings
 BEYOND = 60.0  # mm beyond the outermost places to which their change goes on
 
 
@@ -120,9 +121,14 @@ class ImpulseResponse:
     def from_transfer_function(cls, G: TransferFunction, rest: float) -> ImpulseResponse:
         """Return a causal response as it acts on acceleration, until it has ended.
 
-        rest: its gain at rest. The lag is the response's own. Raises ArgumentError if it has not
-        ended within LONGEST samples.
+        rest: its gain at rest. The lag is the response's own. Raises ArgumentError if its gain is
+        another, or if it has not ended within LONGEST samples.
         """
+        if not abs(G.dc_gain - rest) <= GAIN_TOLERANCE[rest]:
+            raise ArgumentError(
+                f"gain at rest must be {rest:g}, it is {G.dc_gain:.6g}: a printer at rest stands "
+                "at its command"
+            )
         lag = G.lag
         h = G.impulse(2 * LONGEST)
         h[0] += lag - G.dc_gain

@@ -19,6 +19,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, X, Y
 from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.transfer_function import TransferFunction
 
 HEAVIER = 0.005  # step of the logarithm of a bed's mass; frequencies follow within 0.13 %
 
@@ -54,6 +55,7 @@ class Bed:
 class Plant:
     """The three responses of Fig. 2(b); ``Gxtheta`` is None if the gantry does not rack.
 
+    A transfer function in place of one becomes a response; ArgumentError if it cannot.
     Gxtheta gives θ in rad per mm of x_d; x_c (mm) is the x coordinate at which racking
     does not move the nozzle. cross: couplings other than racking. bed: None if it does not move,
     or nothing is known of it.
@@ -65,6 +67,12 @@ class Plant:
     x_c: float
     cross: tuple[Coupling, ...] = ()
     bed: Bed | None = None
+
+    def __post_init__(self) -> None:
+        for name, rest in (("Gxx", 1.0), ("Gyy", 1.0), ("Gxtheta", 0.0)):
+            G = getattr(self, name)
+            if isinstance(G, TransferFunction):
+                object.__setattr__(self, name, ImpulseResponse.from_transfer_function(G, rest))
 
     @property
     def couplings(self) -> tuple[Coupling, ...]:

@@ -17,7 +17,6 @@ from hframe_post.writers.stream.print_time import duration
 DAY = 24 * 3600.0  # s
 OLD = 90  # days, from which a model is to be checked
 NOTABLE = 5.0  # %, by which a frequency drifts if a belt has lost a tenth of its tension
-SAME_MODE = 0.05  # of its frequency, by which one check leaves a mode and the next one finds it
 AXIS = "days (today is 0)"
 MOST_CHECKS, MOST_PRINTS = 20, 50  # that are listed
 Points = Sequence[tuple[float, float]]
@@ -35,10 +34,7 @@ def history_page(
     prints = [event for event in events if event.kind == "conversion"]
     courses = {axis: _course(checks, axis) for axis in sorted({a for e in checks for a in e.hz})}
     notes = [f"{WARNING if kind == 'PROBLEM' else kind}  {text}" for kind, text in findings]
-    drift = [
-        _curve(name, _changes(course), now)
-        for name, course in {**courses, **_other_modes(checks)}.items()
-    ]
+    drift = [_curve(axis, _changes(course), now) for axis, course in courses.items()]
     sections = [
         Section("Drift", [Chart("Change of the resonances", AXIS, "%", drift)] if drift else [],
                 [_check(event) for event in checks[: -MOST_CHECKS - 1 : -1]]),
@@ -143,28 +139,6 @@ def _course(checks: Sequence[Event], axis: str) -> Points:
         for one, after in pairwise(found)
     ]  # fmt: skip
     return [*points, *((event.at, event.hz[axis][-1]) for event in found[-1:])]
-
-
-def _other_modes(checks: Sequence[Event]) -> dict[str, Points]:
-    """Return times and frequencies of other modes since the last calibration, which finds its own.
-
-    They are named by axis and first frequency.
-    """
-    found = [event for event in checks if event.hz]
-    first = max((k for k, one in enumerate(found) if one.kind == "calibration"), default=0)
-    courses = dict[str, list[tuple[float, float]]]()
-    for one, after in pairwise(found[first:]):
-        for axis, values in after.modes.items():
-            for before, now in zip(values[::2], values[1::2], strict=True):
-                known = (
-                    course
-                    for name, course in courses.items()
-                    if name.startswith(axis) and abs(course[-1][1] / before - 1.0) < SAME_MODE
-                )
-                new = [(one.at, before)]
-                course = next(known, None) or courses.setdefault(f"{axis}, {before:.0f} Hz", new)
-                course.append((after.at, now))
-    return dict(courses)
 
 
 def _errors(prints: Sequence[Event], now: datetime) -> list[Chart]:

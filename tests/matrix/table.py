@@ -18,14 +18,12 @@ from tests.matrix.cells import Cell
 OUTCOMES = {
     "unmeas": (1, r"Error: .* plant\.invented: this plant was not measured on your printer"),
     "travel": (1, r"Error: line \d+: x of the path .* would be .*; 'G1 X\d+ F3000' leads 20 mm"),
-    # of a path for which motors are too slow, so that less compensation is not enough
-    "belts": (1, r"Error: line \d+: belt acceleration \(mm/s²\) would be .*, the printer's limit"),
-    "none": (1, r"Error: no candidate stays within the motors' limits"),
     "nomove": (1, r"Error: line 9: there is not a single move in this file"),
     "failed": (1, r"0 converted, 0 skipped, 1 failed; --resume tries only those again"),
     "differ": (1, r"the same up to there: .* moves"),
     "marlin": (1, r"Error: .* firmware\.dialect: marlin "),
     "baud": (1, r"Error: .* firmware\.marlin\.baud: OctoPrint prints over a serial line"),
+    "records": (1, r"Error: .* firmware\.dialect: Klipper records by itself what "),
     "klippr": (1, r"Error: .* firmware\.dialect: this profile is for klipper; only boards that"),
     "cut": (1, r"Error: .*(was cut|shows no resonance test|not two of each)"),
     "norec": (1, r"Error: .*not a Klipper accelerometer file"),
@@ -47,7 +45,10 @@ class Done:
     files: str = ""
 
 
-SUMMARY = r"not compensated  .*\(after G28\)|limited by  .*(in the file|in the profile)"
+SUMMARY = (
+    r"belts   .*at most |limited by  .*(in the file|in the profile)|if you stop it   send M501"
+)
+WITH_MODEL = r"(\w+\.kernel )?\w+\.model\.toml \w+\.toml"  # the kernel is Klipper's
 NAMES = r"(x|y)-at-[\d_]+"
 DONE = {
     "convert {print} -o out.gcode": Done(SUMMARY, "out.gcode"),
@@ -69,15 +70,15 @@ DONE = {
     "check --gcode c.gcode": Done("", r"((c\.check-[-\w]+\.csv|c-[xy]\.gcode) ?)+(c\.gcode)?"),
     "check": Done("uncertainty  ±"),
     "check {run}": Done("uncertainty  ±"),
-    "identify {recordings} -o mine.toml": Done(".", "mine.toml"),
+    "identify {recordings} -o mine.toml": Done(".", WITH_MODEL),
     "calibrate-print --heat 210,60 -o t.gcode": Done("Print t.gcode.", "t.form.toml t.gcode"),
     "calibrate-print --form {form} -o n.toml": Done(
-        "Next: hframe-post calibrate-print -p n.toml --compare", "n.toml"
+        "Next: hframe-post calibrate-print -p n.toml --compare", WITH_MODEL
     ),
     "calibrate-print --compare 6% --heat 210,60 -o t.gcode": Done("Print t.gcode.", "t.gcode"),
-    "calibrate-print --pick 6% 0 -o n.toml": Done("Next: compare once more", "n.toml"),
+    "calibrate-print --pick 6% 0 -o n.toml": Done("Next: compare once more", WITH_MODEL),
     "setup {config} -o new": Done(
-        r"  .*hframe-post (identify|calibrate-print)",
+        r"  .*hframe-post (identify|calibrate-print)|OctoPrint do that: ",
         r"config/hframe-post/config\.toml( new/hframe\.cfg)? new/printer\.toml",
     ),
     "doctor": Done("no problems found"),

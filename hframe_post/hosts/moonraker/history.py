@@ -28,16 +28,14 @@ BROKEN = (ValueError, TypeError, KeyError, AttributeError)
 class Event:
     """kind: calibration, check or conversion. at: s since 1970. reason: why nothing was changed.
 
-    hz: the main resonance by axis, for a check before and after. modes: of a check, the other
-    modes by axis, each before and after in turn. name: of the converted file in Moonraker;
-    rms_um, seconds: its contour error and its time, as sliced and as converted.
+    hz: the main resonance by axis, for a check before and after. name: of the converted file in
+    Moonraker; rms_um, seconds: its contour error and its time, as sliced and as converted.
     """
 
     kind: str
     at: float = field(default_factory=time.time)
     hz: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     reason: str = ""
-    modes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     name: str = ""
     rms_um: tuple[float, ...] = ()
     seconds: tuple[float, ...] = ()
@@ -46,13 +44,10 @@ class Event:
     def from_json(cls, line: bytes) -> Event:
         """Return the event of a line. Raises one of BROKEN."""
         found = json.loads(line)
-        hz, modes = (
-            {_text(axis): _numbers(each) for axis, each in found.get(name, {}).items()}
-            for name in ("hz", "modes")
-        )
+        hz = {_text(axis): _numbers(each) for axis, each in found.get("hz", {}).items()}
         return cls(
             _text(found["kind"]), _numbers([found["at"]])[0], hz,
-            _text(found.get("reason", "")), modes, _text(found.get("name", "")),
+            _text(found.get("reason", "")), _text(found.get("name", "")),
             _numbers(found.get("rms_um", ())), _numbers(found.get("seconds", ())),
         )  # fmt: skip
 

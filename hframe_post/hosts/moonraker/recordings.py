@@ -130,7 +130,7 @@ def _updated(
     except (FailureError, OSError, ValueError) as error:
         return _refused(settings, kind, error)
     interface = Interface(settings.socket)
-    _remember(settings, Event(kind, hz=_resonances(known), modes=_other_modes(known)))
+    _remember(settings, Event(kind, hz=_resonances(known)))
     result_lines = {"calibration": _identified, "check": _checked}[kind](known)
     plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
     lines = [*result_lines, f"the model is written into {profile}{plots}"]
@@ -153,17 +153,6 @@ def _resonances(found: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
         for name, one in found["functions"].items()
         if name in AXES and ("resonance" in one or one["modes"])
     }
-
-
-def _other_modes(found: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
-    """Return the modes other than the main one that check found of each axis, before and after."""
-    others = {}
-    for name, one in found["functions"].items():
-        if name in AXES and "modes_hz" in one:
-            main = one["resonance"]["hz"][0]
-            by_distance = sorted(one["modes_hz"], key=lambda mode: abs(mode[0] - main))
-            others[AXES[name]] = tuple(hz for mode in by_distance[1:] for hz in mode)
-    return others
 
 
 def _is_written(folder: Path, profile: Path) -> bool:

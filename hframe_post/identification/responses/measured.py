@@ -262,8 +262,10 @@ def _noise(response: FrequencyResponse) -> Array:
 def stroke_responses(runs: Sequence[Run], settings: MeasurementSettings) -> dict[int, RunGroup]:
     """Return the responses of the runs of each axis, X or Y. Raises IdentificationError."""
     found: dict[int, list[RunResponse]] = {X: [], Y: []}
+    # of the shortest run, so that all have the same frequencies
+    segment = min([SEGMENT, *(len(run.command) // 2 for run in runs)])
     for run in runs:
-        responses = _responses(run, settings)
+        responses = _responses(run, settings, segment)
         for axis in run.axes:
             along, across = responses[axis][axis], responses[axis][1 - axis]
             x, y = (at + off for at, off in zip(run.point, settings.offset, strict=True))
@@ -280,19 +282,21 @@ def stroke_responses(runs: Sequence[Run], settings: MeasurementSettings) -> dict
     }
 
 
-def _responses(run: Run, settings: MeasurementSettings) -> dict[int, list[FrequencyResponse]]:
+def _responses(
+    run: Run, settings: MeasurementSettings, segment: int
+) -> dict[int, list[FrequencyResponse]]:
     """Return what a command in each axis that moves does to x and y."""
     u = np.column_stack([acceleration(run.command[:, axis]) for axis in run.axes])
-    found = by_axis(u, run.on_command_clock()[:, :2])
+    found = by_axis(u, run.on_command_clock()[:, :2], segment)
     return {
         axis: [one.within(settings.band_hz) for one in each]
         for axis, each in zip(run.axes, found, strict=True)
     }
 
 
-def by_axis(u: Array, a: Array) -> list[list[FrequencyResponse]]:
+def by_axis(u: Array, a: Array, segment: int = SEGMENT) -> list[list[FrequencyResponse]]:
     """Return what each of the commands u (n, k) does to x and to y, a (n, 2), mm/s²."""
-    segment = min(SEGMENT, len(u) // 2)
+    segment = min(segment, len(u) // 2)
     hz, P = _spectra(np.hstack([u, a]), segment)
     k, averages = u.shape[1], BANDWIDTH * len(u) / segment
     P_uu, P_yu, P_yy = P[:, :k, :k], P[:, k:, :k], P[:, k:, k:]
