@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -14,6 +15,7 @@ from hframe_post.compensation.advance import AdvanceSummary
 from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
 from hframe_post.conversion.path_meter import percent
+from hframe_post.firmware.dialect import object_label
 from hframe_post.model.kinematics import Differences
 from hframe_post.model.plant import Plant
 from hframe_post.model.responses import Plants
@@ -29,7 +31,7 @@ from hframe_post.stream.chunks import stretches
 from hframe_post.stream.features import Place, kind
 from hframe_post.stream.running import joined
 from hframe_post.stream.types import Dwell, Item, MoveAtRest, Moves, Passthrough, Rest, Samples
-from hframe_post.writers.stream.print_time import duration
+from hframe_post.writers.stream.print_time import duration, times_of
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
@@ -41,6 +43,7 @@ COSTS = {  # causes of a longer print, for people
 }
 WORTH_SAYING = 2e-3  # of the print's time
 MOST_WIPED = 8.0  # mm of filament; long tubes retract 6 mm, and less in motion
+ROUNDED_S = 60.0  # by which a time left may rise: M73 has whole minutes
 JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
 _RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
 
@@ -51,26 +54,65 @@ _RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
 class InputSummary:
     """What a file holds: lines, moves at known positions, filament (mm).
 
-    firmware_retractions: G10 and G11 lines whose motion only the firmware knows. taken_back: line
-    of the first move of x and y that takes back more than MOST_WIPED, and how much, mm.
+    firmware_retractions: G10 and G11 lines whose motion only the firmware knows. oddities: what is
+    strange in the file, the first of each kind with its line, by kind.
     """
 
     lines: int = 0
     moves: int = 0
     filament: float = 0.0
     firmware_retractions: int = 0
-    taken_back: tuple[int, float] | None = None
+    oddities: dict[str, str] = field(default_factory=dict)
 
 
 class InputMeter:
-    """Counts the lines of a file and what the reader made of them."""
+    """Counts the lines of a file and what the reader made of them.
 
-    def __init__(self) -> None:
-        self.summary = InputSummary()
+    label: see ``Dialect``.
+    """
+
+    def __init__(self, label: Callable[[bytes], bytes | None]) -> None:
+        self.summary, self._label = InputSummary(), label
+        # by form, EXCLUDE_OBJECT or M486: the object that is printed, and where it began
+        self._open = dict[bool, tuple[bytes, int]]()
+        self._times = dict[str, float]()  # s, that the file said last
 
     def lines(self, lines: Iterable[bytes]) -> Iterator[bytes]:
         for self.summary.lines, line in enumerate(lines, 1):
+            if line[:1] != b"G":  # few are not moves
+                self._look(self.summary.lines, line)
             yield line
+        for counted in self._open:
+            self._check_closed(counted)
+
+    def _look(self, number: int, line: bytes) -> None:
+        """Note a label that leaves an object open, and a time left that rises."""
+        label = None if line.lstrip()[:1] == b";" else self._label(line)  # hosts close comments'
+        if label is not None:
+            counted = object_label(line) is not None
+            if label and not counted:  # M486 ends the object before
+                self._check_closed(False)
+            self._open[counted] = (b"" if label == b"-1" else label), number
+        for clock, seconds in times_of(line).items():
+            before = self._times.get(clock, math.inf)
+            if clock not in ("all", "gone") and seconds > before + ROUNDED_S:
+                self._note(
+                    "time", f"the time left rises from {duration(before)} to {duration(seconds)} "
+                    f"at line {number}, as sliced. Was the file put together from several?"
+                )  # fmt: skip
+            if seconds:  # start code may say 0 before the slicer does
+                self._times[clock] = seconds
+
+    def _check_closed(self, counted: bool) -> None:
+        name, number = self._open.get(counted, (b"", 0))
+        if name:
+            self._note(
+                "object", f"line {number} begins an object that nothing ends, as sliced: who "
+                "excludes it may lose what follows, such as the end code"
+            )  # fmt: skip
+
+    def _note(self, kind: str, text: str) -> None:
+        self.summary.oddities.setdefault(kind, text)
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
         summary = self.summary
@@ -78,11 +120,15 @@ class InputMeter:
             if isinstance(item, Moves):
                 summary.moves += len(item.line)
                 summary.filament += float(item.points[-1, E] - item.points[0, E])
-                if summary.taken_back is None:
+                if "filament" not in summary.oddities:
                     fed = np.diff(item.points[:, E])
                     if fed.min() < -MOST_WIPED:
                         k = int((fed < -MOST_WIPED).argmax())
-                        summary.taken_back = int(item.line[k]), float(-fed[k])
+                        self._note(
+                            "filament", f"line {item.line[k]} takes back {-fed[k]:.1f} mm of "
+                            "filament while it moves, as sliced. Is a G92 E0 or M83 missing "
+                            "before it?"
+                        )  # fmt: skip
             elif isinstance(item, MoveAtRest):
                 summary.moves += 1
                 summary.filament += item.end[E] - item.start[E]

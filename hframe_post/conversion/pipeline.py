@@ -270,7 +270,7 @@ class PlannedFile:
 
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         self._lines, self._printer, self._options = lines, printer, options
-        self._input = InputMeter()
+        self._input = InputMeter(firmware(printer).dialect.label)
         self._path = PathMeter(printer.limits, options.paces is not None)
         self._firmware, self._sliced = firmware(printer), SlicedFile(printer)
         self._times, self._following, self._ramps = StageTimes(), following(printer), 0.0

@@ -392,12 +392,7 @@ class Report:
                 "nothing was compensated, because no move starts at a known position: move to an "
                 "absolute X, Y and Z before printing"
             )
-        if self.read.taken_back is not None:
-            line, filament = self.read.taken_back
-            found.append(
-                f"line {line} takes back {filament:.1f} mm of filament while it moves, as sliced. "
-                "Is a G92 E0 or M83 missing before it?"
-            )
+        found += self.read.oddities.values()
         found += self._tools()
         uncompensated = self.path.uncompensated
         cause = max(uncompensated, key=lambda name: uncompensated[name].filament, default="")

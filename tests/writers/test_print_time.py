@@ -141,3 +141,11 @@ def test_times_in_the_head_and_a_file_of_comments() -> None:
     percent = DeferredLine(b"M73 P0 R5", 0.0)
     assert list(after_head([b";a\n", percent], b"x")) == [b";a\n", b"x", percent]
     assert list(after_head([b";a\n"], b"x")) == [b";a\n", b"x"]
+
+
+@pytest.mark.parametrize(
+    "text", [b";TIME:%b", b";TIME:%bh 3m", b";TIME_ELAPSED:%b:10:10", b"M73 P1 R%b"]
+)
+def test_a_corrupted_time_stays(text: bytes) -> None:
+    line = text % (b"9" * 5000)
+    assert with_times(DeferredLine(line, 1.0), 100.0, 110.0) == line

@@ -26,7 +26,7 @@ _COMMENT = re.compile(
 )
 _MESSAGE = re.compile(rb"\s*M11[78][^;]*?\b(?P<left>time left|remaining) +(?=\d)", re.IGNORECASE)
 _PROGRESS = re.compile(rb"\s*M73(?!\d)[^;]*?[RS]\s*(?=\d)", re.IGNORECASE)
-_LEFT = re.compile(rb"(?<=[RS])(\s*)(\d+(?:\.\d+)?)(?=[^;]*)", re.IGNORECASE)  # minutes, of M73
+_LEFT = re.compile(rb"([RS])(\s*)(\d+(?:\.\d+)?)(?=[^;]*)", re.IGNORECASE)  # minutes, of M73
 _HEAD = re.compile(
     rb"(?:[ \t\r]*(?:;[^\n]*|M10086\b[^\n]*)?\n)*"
 )  # M10086: an MKS screen's preview
@@ -39,6 +39,7 @@ _UNITS = re.compile(
 )
 _SECONDS = re.compile(_NUMBER)
 _IN_UNITS = re.compile(rb"(%b)( ?)(%b)" % (_NUMBER, _UNIT), re.IGNORECASE)
+_CORRUPTED = re.compile(rb"\d{20}")  # no time has as many digits
 _PER_UNIT = {b"d": 86400, b"h": 3600, b"m": 60, b"s": 1}
 
 
@@ -155,19 +156,40 @@ def with_times(deferred: DeferredLine, before: float, after: float) -> bytes:
     faster = min(after / before, 1.0) if before else 1.0
 
     def changed(kind: str, seconds: float) -> float:
-        return max(seconds + change[kind], faster * seconds)  # a slicer may expect much less
+        # a slicer may expect much less
+        return max(seconds + change.get(kind, change["left"]), faster * seconds)
 
+    return _changed(line, changed, before)
+
+
+def times_of(line: bytes) -> dict[str, float]:
+    """Return the times (s) that a line says: "gone", "left", "all", or those of M73 by letter."""
+    found = dict[str, float]()
+
+    def noted(kind: str, seconds: float) -> float:
+        found[kind] = seconds
+        return seconds
+
+    _changed(line, noted, 0.0)
+    return found
+
+
+def _changed(line: bytes, changed: Callable[[str, float], float], expected: float) -> bytes:
+    """Return the line with each time changed, given its kind, see ``times_of``, and seconds."""
+    if _CORRUPTED.search(line):
+        return line
     if _PROGRESS.match(line):
 
         def minutes(match: re.Match[bytes]) -> bytes:
-            return match[1] + _rounded(changed("left", 60.0 * float(match[2])), 60, match[2])
+            seconds = changed(match[1].decode().upper(), 60.0 * float(match[3]))
+            return match[1] + match[2] + _rounded(seconds, 60, match[3])
 
         command, semicolon, comment = line.partition(b";")
         return _LEFT.sub(minutes, command) + semicolon + comment
     at = 0
     while label := (_COMMENT.match(line, at) or _MESSAGE.match(line, at)):
         kind = label.lastgroup or "all"
-        end, text = _restyled(line[label.end() :], partial(changed, kind), before)
+        end, text = _restyled(line[label.end() :], partial(changed, kind), expected)
         at, line = label.end() + len(text), line[: label.end()] + text + line[label.end() + end :]
     return line
 
