@@ -129,10 +129,11 @@ class Printer(Server):
         return done.stdout.decode()
 
     def converted(self, content: bytes) -> bytes:
-        """Return what the command line makes of a file."""
+        """Return what the command line makes of a file. With a page it predicts the whole print."""
         source, target = self.home / "by_hand.gcode", self.home / "converted.gcode"
         source.write_bytes(content)
-        done = run(source, "-o", target, "-p", self.profile)
+        page = self.home / "by_hand.html"
+        done = run(source, "-o", target, "-p", self.profile, "--report", page)
         assert done.returncode == 0, done.stderr
         return target.read_bytes()
 

@@ -78,8 +78,9 @@ def test_a_real_recording_becomes_a_profile(tmp_path: Path, config: Path) -> Non
     profile = load(str(mine))
     assert not profile.invented
     assert profile.travel.x == (0.0, 350.0)
-    assert REAL.name in mine.read_text()
-    assert str(tmp_path) not in mine.read_text()
+    measured = mine.with_suffix(".model.toml").read_text()
+    assert REAL.name in measured
+    assert str(tmp_path) not in mine.read_text() + measured
     assert "left aside" in page.read_text()
 
 

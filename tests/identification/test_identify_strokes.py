@@ -72,4 +72,4 @@ def test_the_command_line_makes_a_profile_of_strokes(tmp_path: Path) -> None:
     held = tmp_path
     done = run_command("identify", "-p", "example-corexy", held, "-o", tmp_path / "new.toml")
     assert done.returncode == 0, done.stderr
-    assert b"strokes m.measure-at-140.csv" in done.stdout
+    assert b"measure m.measure-at-140.csv" in done.stdout
