@@ -22,7 +22,7 @@ FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else "rectangle")
 FOLDER.mkdir(parents=True, exist_ok=True)
 printer = hp.load_printer("paper")
 plant = printer.plant
-print(f"{printer.description}: Gxx of order {plant.Gxx.order}, x_c = {plant.x_c:g} mm")
+print(f"{printer.description}: Gxx of {len(plant.Gxx.deviation)} ms, x_c = {plant.x_c:g} mm")
 
 # %% [2] What the nozzle makes of the motors' motion, by frequency (Fig. 4 and 5)
 hz = np.geomspace(1.0, 200.0, 400)
@@ -94,7 +94,8 @@ print(f"belts: at most {np.abs(acceleration).max():.0f} mm/s², "
 shares = np.array([0.0, 0.02, 0.05, 0.1, 0.2])
 stays = {strategy: [] for strategy in STRATEGIES}
 for share in shares:
-    other = replace(plant, Gxtheta=replace(plant.Gxtheta, gain=plant.Gxtheta.gain * (1 + share)))
+    more = replace(plant.Gxtheta, deviation=plant.Gxtheta.deviation * (1.0 + share))
+    other = replace(plant, Gxtheta=more)
     for strategy in STRATEGIES:
         moved = hp.predict(hp.compensate(path, printer, strategy), replace(printer, plant=other))
         stays[strategy].append(float(np.sqrt(np.mean(hp.contour_error(moved, path) ** 2))))

@@ -55,7 +55,7 @@ def test_the_plugin_is_installed_for_a_measured_printer(tmp_path: Path) -> None:
     marlin.write_text(f"{text}0\n")
     for_sd = run("octoprint-plugin", "-p", marlin, "--folder", tmp_path)
     assert for_sd.returncode == 1
-    assert b"marlin.toml: firmware.marlin.baud: OctoPrint prints over a serial line" in for_sd.stderr
+    assert b"firmware.marlin.baud: OctoPrint prints over a serial line" in for_sd.stderr
     missing = run("octoprint-plugin", "-p", PROFILE, HOME=str(tmp_path))
     assert b".octoprint does not exist" in missing.stderr
     assert (tmp_path / "plugins/hframe_post/__init__.py").read_text() == plugin
