@@ -30,18 +30,6 @@ RIGID = ImpulseResponse(np.zeros(1), 0)
 
 
 @dataclass(frozen=True, slots=True)
-class Repetition:
-    """What two or more recordings of an axis at one place tell of each other.
-
-    share: of the response that one does not foresee of another, by the root of 2, so that it is
-    what each has of its own. functions: the response of each.
-    """
-
-    share: float
-    functions: tuple[ImpulseResponse, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Identified:
     """What was identified.
 
@@ -49,8 +37,9 @@ class Identified:
     runs tell it. warnings: about recordings; those about a model are in ``fits``. racks: whether
     the kinematics can rack. racking_below_noise: racking was looked for and is less than its
     noise. mode_shift: how Gxx changes along x. repetitions: by name, of axes that were recorded
-    more than once at one place. couplings: what x and y do to each other. lever_arm_sd: standard
-    deviations of x_c (mm) and of racking (relative), if racking was found by the lever arm.
+    more than once at one place, the share of the response that each recording has of its own.
+    couplings: what x and y do to each other. lever_arm_sd: standard deviations of x_c (mm) and of
+    racking (relative), if racking was found by the lever arm.
     """
 
     measured: dict[str, Measured]
@@ -61,7 +50,7 @@ class Identified:
     racking_below_noise: bool
     mode_shift: ModeShift | None
     lever_arm_sd: tuple[float, float] | None
-    repetitions: dict[str, Repetition]
+    repetitions: dict[str, float]
     couplings: list[MeasuredCoupling]
 
     @property
@@ -74,7 +63,7 @@ class Identified:
         """Return the uncertainty of the model; what changes from day to day is assumed, unless
         every axis was recorded more than once."""
         shares = [min(2.0 * self.lever_arm_sd[1], MOST)] if self.lever_arm_sd else []
-        shares += [min(one.share / BY_SHIFT, MOST) for one in self.repetitions.values()]
+        shares += [min(share / BY_SHIFT, MOST) for share in self.repetitions.values()]
         known = self.repetitions.keys() >= AXIS.keys() & self.fits.keys()
         return max([LEAST_CHANGE if known else DAY_TO_DAY, *shares])
 
@@ -131,27 +120,3 @@ class Identified:
         Gxx, Gyy = (found.get(name, RIGID) for name in AXIS)
         cross = chain.from_iterable(one.terms for one in self.couplings)
         return Plant(Gxx, Gyy, found.get("Gxtheta"), known, tuple(cross))
-
-    def other_plants(self, x_c: float) -> list[Plant]:
-        """Return plants that were measured, too, and must be compensated as well.
-
-        Those at the least and the greatest x of a printer that changes along x, and those of
-        single recordings.
-        """
-        plant = self.plant(x_c)
-        others = [replace(plant, Gxx=G) for G in self._at_ends]
-        for name, repetition in self.repetitions.items():
-            x = name == "Gxx"
-            others += [
-                replace(plant, Gxx=G) if x else replace(plant, Gyy=G) for G in repetition.functions
-            ]
-        return others
-
-    @property
-    def _at_ends(self) -> list[ImpulseResponse]:
-        """Return Gxx at the least and the greatest x, if it changes and the profile does not."""
-        shift = self.mode_shift
-        if shift is None or "Gxx" in self.along_x:
-            return []
-        found, middle = self.fits["Gxx"], self.fits["Gxx"].measured.resonance_hz
-        return [found.G.stretched(middle / hz) for hz in shift.hz]

@@ -20,9 +20,8 @@ from hframe_post.identification.estimation.axes import (
     Measured,
     fit_known_start,
     fit_unknown_start,
-    response_again,
 )
-from hframe_post.identification.identified import AXIS, Identified, Repetition
+from hframe_post.identification.identified import AXIS, Identified
 from hframe_post.identification.places import (
     ModeShift,
     find_mode_shift,
@@ -67,7 +66,7 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
     if racking is not None:
         measured["Gxtheta"], fits["Gxtheta"], x_c = racking.measured, racking.fit, racking.x_c
     warnings = _unknown_start(measured)
-    repeated = {name: _repetition(measured[name], fits[name], settings) for name in groups}
+    repeated = {name: _repetition(measured[name], settings) for name in groups}
     repetitions = {name: one for name, one in repeated.items() if one is not None}
     couplings = [_coupling(name, group, fits, x_c, settings) for name, group in groups.items()]
     return Identified(
@@ -136,8 +135,10 @@ def _fit_all(measured: Mapping[str, Measured], settings: MeasurementSettings) ->
     return {name: fits[name] for name in measured}
 
 
-def _repetition(measured: Measured, found: Fit, settings: MeasurementSettings) -> Repetition | None:
-    """Compare recordings of the place that was recorded most often; None if none was repeated.
+def _repetition(measured: Measured, settings: MeasurementSettings) -> float | None:
+    """Return the share of the response that one recording does not foresee of another, over √2.
+
+    They are of the place that was recorded most often; None if none was repeated.
 
     Runs of our own sweep follow one another within minutes, which tells nothing of a day.
     """
@@ -149,8 +150,7 @@ def _repetition(measured: Measured, found: Fit, settings: MeasurementSettings) -
         return None
     runs = [run for run, chosen in zip(excited.runs, near, strict=True) if chosen]
     shares = [share_left(one.H, other, other.power) for one, other in pairwise(runs)]
-    functions = tuple(response_again(found, run) for run in runs)
-    return Repetition(float(np.mean(shares)) / math.sqrt(2.0), functions)
+    return float(np.mean(shares)) / math.sqrt(2.0)
 
 
 def _most_repeated(places: Sequence[float]) -> Flags:

@@ -166,7 +166,7 @@ def _coupling_chart(coupling: MeasuredCoupling) -> Chart:
 
 
 def verification_page(verdict: Verdict, name: str, setup: list[tuple[str, str]]) -> bytes:
-    measured, predicted, ringing = verdict.measured, verdict.predicted, verdict.ringing
+    measured, predicted = verdict.measured, verdict.predicted
     kind = "bad" if verdict.fault else "best"
     reduction = f"{100 * verdict.reduction:.0f}"
     cards = [
@@ -174,7 +174,6 @@ def verification_page(verdict: Verdict, name: str, setup: list[tuple[str, str]])
              f"{100 * verdict.expected:.0f} % predicted", kind),
         Card("Measured", f"{measured[1]:.1f}", "µm RMS", f"{measured[0]:.1f} µm without"),
         Card("Predicted", f"{predicted[1]:.1f}", "µm RMS", f"{predicted[0]:.1f} µm without"),
-        Card("Ringing after corners", f"{ringing[1]:.0f}", "mm/s²", f"{ringing[0]:.0f} without"),
         Card("Model misses", f"{100 * verdict.unexplained:.0f}", "%",
              "of the nozzle's motion off its path"),
     ]  # fmt: skip

@@ -218,15 +218,6 @@ def _assumed_below(
     return replace(measured, H=H, coherence=np.where(low, ASSUMED, measured.coherence))
 
 
-def response_again(found: Fit, run: FrequencyResponse) -> ImpulseResponse:
-    """Return the response of one of the recordings that ``fit_unknown_start`` was made of."""
-    if found.measured.prior is None or found.sum is None:
-        return unknown_start.estimated(run).G
-    assumed = _assumed_below(found.measured.resonance_hz, run, found.sum)
-    scaled = advanced(replace(assumed, H=assumed.H / found.gain), found.recording_delay)
-    return known_start.estimated(scaled, (1.0, GAIN_BY_MODES), found.measured.prior).G
-
-
 def _with_an_ideal_mode(axis: Excited) -> Fit:
     """Return the response that follows its command below the resonance as one mode does."""
     whole = average(axis.runs)
