@@ -23,7 +23,7 @@ from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.version import log_of
 from hframe_post.firmware.registry import firmware
-from hframe_post.hosts.moonraker.history import events
+from hframe_post.hosts.moonraker.disk import events
 from hframe_post.page.history import OLD, history_page
 from hframe_post.printer.choice import PROFILE, VARIABLE, Choice, choose, config_file, presets
 from hframe_post.printer.profile import load, shipped
