@@ -29,7 +29,7 @@ from hframe_post.printer.choice import PROFILE, VARIABLE, Choice, choose, config
 from hframe_post.printer.profile import load, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 PACKAGES = (
     "click",

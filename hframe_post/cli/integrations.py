@@ -17,7 +17,7 @@ from hframe_post.firmware.marlin.calibration import LINE, LINES, calibration
 from hframe_post.firmware.registry import firmware
 from hframe_post.printer.profile import check_identified, load, shipped
 from hframe_post.process import own_command
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 
 @click.command("klipper-macros")

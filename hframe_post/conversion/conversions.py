@@ -24,8 +24,8 @@ from hframe_post.gcode.motors import with_motors
 from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.windows import WHOLE
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
-from hframe_post.writers.stream.print_time import SUMMARY, Output, after_head, later
+from hframe_post.writers.gcode import GcodeSummary, GcodeWriter
+from hframe_post.writers.print_time import SUMMARY, Output, after_head, later
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor

@@ -23,9 +23,9 @@ from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.model.shapers import Shaping
 from hframe_post.native.ramps import whole_feeds
 from hframe_post.printer.firmware_tables import TABLES, FirmwareTable
+from hframe_post.printer.new_profile import Known, Tables
 from hframe_post.printer.schema import positive
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Known, Tables
 from hframe_post.stream.types import ModalState
 
 SAMPLES = 4  # in a segment

@@ -11,9 +11,9 @@ from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.firmware.registry import firmware
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.stream.machine import Motion
-from hframe_post.writers.stream.segments import Units
-from hframe_post.writers.stream.timing import TimedMotion, Timing
+from hframe_post.writers.decimation import Units
+from hframe_post.writers.machine import Motion
+from hframe_post.writers.timing import TimedMotion, Timing
 
 UNITS = Units(finer=2)  # of a sweep
 STEADY = 200  # segments

@@ -53,8 +53,8 @@ from hframe_post.stream.types import (
     frozen,
 )
 from hframe_post.version import __version__
-from hframe_post.writers.stream.gcode import GcodeWriter
-from hframe_post.writers.stream.print_time import Output, duration
+from hframe_post.writers.gcode import GcodeWriter
+from hframe_post.writers.print_time import Output, duration
 
 OUTER = 60.0  # mm from the middle of x to the outer places: the paper's longest arm (its Fig. 4)
 NEAREST = 10.0  # mm; racking cannot be told from places that are closer

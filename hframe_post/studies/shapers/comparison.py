@@ -31,7 +31,7 @@ from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.studies.shapers.search import calibrated_with, search
-from hframe_post.writers.stream.print_time import duration
+from hframe_post.writers.print_time import duration
 
 CALIBRATED = " as calibrated"  # appended to the name of a shaper with Klipper's frequencies
 

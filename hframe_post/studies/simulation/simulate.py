@@ -34,7 +34,7 @@ from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import branches
 from hframe_post.stream.types import Samples
-from hframe_post.writers.stream.print_time import duration
+from hframe_post.writers.print_time import duration
 
 # ---------------------------------------------------------------------- the report
 
