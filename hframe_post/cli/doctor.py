@@ -204,7 +204,7 @@ def _check_profile(
         return profile
     _check_age(findings, Path(printer), profile)
     _check_hooks(findings, printer)
-    if stopped := own.code(profile).when_stopped:
+    if stopped := own.code().when_stopped:
         findings.note(f"after a print that was stopped midway, send {stopped}")
     if config is None:
         findings.note(own.unchecked)
@@ -260,7 +260,7 @@ def _differences(
         )
     yield from check(config, profile, remedy)
     yield from check_live(config, profile)
-    yield from firmware(profile).host_findings(config.path, log, profile, again)
+    yield from firmware(profile).host_findings(config.path, log, again)
 
 
 def _check_hooks(findings: _Findings, printer: str) -> None:

@@ -185,7 +185,7 @@ def octoprint_plugin(printer: str, folder: Path | None) -> None:
     """
     profile = load(printer)
     check_identified(profile)
-    firmware(profile).check_serial(profile)
+    firmware(profile).check_serial()
     home = folder or Path.home() / ".octoprint"
     if not home.is_dir():
         raise HframeError(f"{home} does not exist: name OctoPrint's folder with --folder")

@@ -39,7 +39,7 @@ class GcodeConversion:
         lines, printer = with_motors(lines, printer, options.limits)
         self._printer, self._options = printer, options
         own = firmware(printer)
-        self._rules, self._code = own.motion(printer, options.tolerance), own.code(printer)
+        self._rules, self._code = own.motion(options.tolerance), own.code()
         self._source = PlannedFile(lines, printer, options)
         self._motion, self._written = MotionSummary(), GcodeSummary()
 
@@ -104,9 +104,9 @@ class SpanWriter:
             advance=start.advance, whole=0 if start.place else WHOLE,
         )  # fmt: skip
         own = firmware(printer)
-        rules = own.motion(printer, options.tolerance, options.retract == "moving")
+        rules = own.motion(options.tolerance, options.retract == "moving")
         writer = GcodeWriter(
-            options.strategy, rules, own.code(printer), place=start.place, offset=start.offset
+            options.strategy, rules, own.code(), place=start.place, offset=start.offset
         )
         result = WrittenSpan(())
 

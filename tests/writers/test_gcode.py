@@ -46,7 +46,7 @@ Parts = tuple[MotionRules, Code]  # of a firmware on a printer
 def parts_of(profile: str) -> Parts:
     printer = load(profile)
     own = firmware_of(printer)
-    return own.motion(printer, 0.002), own.code(printer)
+    return own.motion(0.002), own.code()
 
 
 @pytest.fixture(params=list(PROFILES))

@@ -248,7 +248,7 @@ def simulate(
     model predicts an error that no working printer has.
     """
     shapings = {} if options.shaping is None else {SHAPER: options.shaping}
-    sliced = AsSliced(firmware(printer).limits(printer))
+    sliced = AsSliced(firmware(printer).limits())
     motion = sliced.samples(parsed(lines(), printer, options))
     today = _Judged(shape(motion, shapings), printer, study)
     strategies = tuple(name for name in options.strategies if name != "none")
