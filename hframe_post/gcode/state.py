@@ -165,12 +165,15 @@ class State:
         ox, oy, oz, oe = self.offset
         self.position, self.offset = (x, y, z, e + filament), (ox, oy, oz, oe + filament)
 
-    def forget(self, axes: Iterable[int] = range(3), homed: bool = False) -> None:
-        """Mark axes as unknown; homing also drops their offsets from G92."""
+    def forget(self, axes: Iterable[int] = range(3)) -> None:
+        """Mark axes as unknown."""
         for axis in axes:
             self.known[axis] = False
-            if homed:
-                self.offset = _replaced(self.offset, axis, 0.0)
+
+    def drop_names(self, axes: Iterable[int]) -> None:
+        """Drop the offsets of G92, as homing does."""
+        for axis in axes:
+            self.offset = _replaced(self.offset, axis, 0.0)
 
     def rename_position(self, line: Line, words: Words) -> None:
         """Apply G92: the file's name for the machine's place changes. Raises GcodeError."""
