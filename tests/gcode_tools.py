@@ -13,7 +13,7 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.stream.print_time import DeferredLine
+from hframe_post.writers.print_time import DeferredLine
 from tests.conftest import SAMPLES
 
 WORD = re.compile(r"([XYZEFP])(-?\d*\.?\d+)")
