@@ -43,7 +43,7 @@ from hframe_post.gcode.lexer import (
 )
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.objects import Objects
-from hframe_post.gcode.state import AXES, Extent, ReadOptions, State
+from hframe_post.gcode.state import Extent, ReadOptions, State
 from hframe_post.stream.types import Handling, Item, MoveAtRest, Passthrough, Position
 
 MAX_DWELL = 24 * 3600.0  # s
@@ -286,10 +286,8 @@ class _Reader:
         effect = self._options.vocabulary.effect(name, arguments)
         waits = name in ("G10", "G11") and effect is commands.Effect.WAITS
         seconds = self._retraction.duration(name) if waits else 0.0
-        axes: Iterable[int] = range(3)
-        if name == "G28":
-            axes = [k for k in range(3) if AXES[k].encode() in arguments.upper()] or axes
-            self._state.drop_names(axes)
+        # before the line passes: what it leaves holds when the stream goes on
+        axes = self._state.home(arguments) if name == "G28" else range(3)
         self._pass_through(line, effect.handling, seconds)
         if effect not in (commands.Effect.UNKNOWN, commands.Effect.OTHER_TOOL):
             return

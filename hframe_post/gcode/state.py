@@ -170,10 +170,12 @@ class State:
         for axis in axes:
             self.known[axis] = False
 
-    def drop_names(self, axes: Iterable[int]) -> None:
-        """Drop the offsets of G92, as homing does."""
-        for axis in axes:
+    def home(self, arguments: bytes) -> list[int]:
+        """Drop the offsets of the axes that G28 homes, and return them."""
+        named = [k for k in range(3) if AXES[k].encode() in arguments.upper()]
+        for axis in named or range(3):
             self.offset = _replaced(self.offset, axis, 0.0)
+        return named or [0, 1, 2]
 
     def rename_position(self, line: Line, words: Words) -> None:
         """Apply G92: the file's name for the machine's place changes. Raises GcodeError."""
