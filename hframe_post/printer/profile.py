@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import tomllib
 from dataclasses import replace
@@ -25,7 +24,15 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Bed, Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.firmware_tables import check_needs, load_firmware
-from hframe_post.printer.schema import checked, checked_value, file_text, known_keys, numbers, roots
+from hframe_post.printer.schema import (
+    checked,
+    checked_value,
+    digest_of,
+    file_text,
+    known_keys,
+    numbers,
+    roots,
+)
 from hframe_post.printer.settings import (
     PLACES,
     SHARE,
@@ -102,7 +109,7 @@ def parse(text: str, name: str, source: str = "", model: str | None = None) -> P
     try:
         document = _document(_loaded(text), source, model)
         known = {key: value for key, value in document.items() if key != "verified"}
-        return _printer(document, name, _digest(known))
+        return _printer(document, name, digest_of(known))
     except RecursionError:
         raise PrinterError("nested too deeply", source=source or name) from None
     except PrinterError as error:
@@ -162,10 +169,6 @@ def _model(name: Any, source: str, text: str | None) -> dict[str, Any]:
     if not all(isinstance(table, dict) for table in measured.values()):
         raise PrinterError(f"{path} holds other things than tables", "model")
     return measured
-
-
-def _digest(tables: object) -> str:
-    return hashlib.sha256(repr(tables).encode()).hexdigest()[:12]
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -263,7 +266,7 @@ def _model_digest(document: dict[str, Any]) -> str:
     """Return a digest of plant and window."""
     others = ("measured", "moving_mass")
     plant = {key: value for key, value in document["plant"].items() if key not in others}
-    return _digest((plant, document.get("compensation")))
+    return digest_of({"plant": plant, "compensation": document.get("compensation")})
 
 
 def played_by(printer: Printer, dialect: str) -> Printer:

@@ -33,7 +33,7 @@ def test_motors_leave_the_bands_in_as_much_time(tmp_path: Path) -> None:
     (sliced := tmp_path / "sliced.gcode").write_bytes(b"".join(lines))
     (changed := tmp_path / "changed.gcode").write_bytes(text)
     before, after = motor_speeds(sliced, tmp_path / "a"), motor_speeds(changed, tmp_path / "b")
-    bands = MotorBands.from_printer(PRINTER)
+    bands = MotorBands.from_profile(PRINTER.speed.avoid, PRINTER.kinematics)
     assert bands is not None
     assert report.bands is not None
     assert bands.contains(before).mean() == pytest.approx(report.bands.before.share, abs=0.03)
