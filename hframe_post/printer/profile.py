@@ -8,7 +8,7 @@ from dataclasses import replace
 from datetime import date
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -49,7 +49,12 @@ from hframe_post.printer.settings import (
     Verified,
 )
 
-T = TypeVar("T")
+# tables of a profile and what they become; without one of the latter, its default is None
+USUAL: dict[str, type[Any]] = {
+    "travel": Travel, "limits": Limits, "kinematics": Kinematics, "compensation": Compensation,
+    "sweep": Sweep, "speed": Speed,
+}  # fmt: skip
+IF_GIVEN: dict[str, type[Any]] = {"steps": Steps, "retraction": Retraction, "extruder": Extruder}
 MEASURED = ("plant", "compensation", "speed", "verified")  # tables of a model
 PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured", "cross", "moving_mass")
 # a profile without a plant: the nozzle follows the motors exactly
@@ -182,14 +187,13 @@ def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_tables(document: dict[str, Any]) -> None:
-    needed = "travel", "limits", "firmware", "plant"
-    optional = (
-        "kinematics", "motors", "steps", "compensation", "sweep", "speed", "retraction", "extruder",
-        "verified",
-    )  # fmt: skip
-    known_keys(document, ("description", *optional, *needed), "")
-    for section in (*needed, *(name for name in optional if name in document)):
-        if not isinstance(document.get(section), dict):
+    """Raise PrinterError unless the tables are known ones and those that a profile needs."""
+    needed = ("travel", "limits", "firmware", "plant")
+    known = (*USUAL, *IF_GIVEN, "motors", "firmware", "plant", "verified")
+    known_keys(document, ("description", *known), "")
+    for section in known:
+        wanted = section in needed or section in document
+        if wanted and not isinstance(document.get(section), dict):
             raise PrinterError("the table is missing", section)
     if not isinstance(document.get("description", ""), str):
         raise PrinterError("must be text", "description")
@@ -198,53 +202,40 @@ def _check_tables(document: dict[str, Any]) -> None:
 def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     document = {"plant": NOT_MEASURED, **document}
     _check_tables(document)
-    model = _model_digest(document)
-    kinematics = checked(Kinematics, document.get("kinematics", {}), "kinematics")
-    limits = checked(Limits, document["limits"], "limits")
-    plant = replace(
-        _plant(document["plant"]),
-        bed=_bed(document["plant"].get("moving_mass"), limits, kinematics),
-    )
-    if plant.Gxtheta is not None and not kinematics.racks:
-        cause = f"a {kinematics.type} printer does not rack: extend a profile without this table"
-        raise PrinterError(cause, "plant.Gxtheta")
-
-    def optional_table(kind: type[T]) -> T | None:
-        name = kind.__name__.lower()
-        return checked(kind, document[name], name) if name in document else None
-
+    usual = {key: checked(kind, document.get(key, {}), key) for key, kind in USUAL.items()}
+    given = {k: checked(kind, document[k], k) for k, kind in IF_GIVEN.items() if k in document}
     stated = checked(Motors, document.get("motors", {}), "motors")
+    limits, kinematics = usual["limits"], usual["kinematics"]
     motors = stated.completed(
         kinematics, limits.velocity, limits.acceleration, limits.square_corner_velocity
     )
-    uncertainty = document["plant"].get("uncertainty")
-    if uncertainty is not None:
-        uncertainty = checked_value(float, uncertainty, SHARE, "plant.uncertainty")
+    model = _model_digest(document)
     printer = Printer(
-        name,
-        document.get("description", ""),
-        checked(Travel, document["travel"], "travel"),
-        limits,
-        kinematics,
-        motors,
-        optional_table(Steps),
-        checked(Compensation, document.get("compensation", {}), "compensation"),
-        load_firmware(document["firmware"]),
-        plant,
-        checked(Sweep, document.get("sweep", {}), "sweep"),
-        digest,
-        _verified(document, model),
-        checked_value(bool, document["plant"].get("invented", True), {}, "plant.invented"),
-        checked(Speed, document.get("speed", {}), "speed"),
-        optional_table(Retraction),
-        optional_table(Extruder),
-        uncertainty,
-        _day(document["plant"].get("measured"), "plant.measured"),
-        model,
-        None if motors == stated else stated,
-    )
+        **usual, **given, **_measured(document["plant"], limits, kinematics), name=name,
+        description=document.get("description", ""), motors=motors,
+        stated=None if motors == stated else stated, firmware=load_firmware(document["firmware"]),
+        digest=digest, model=model, verified=_verified(document, model),
+    )  # fmt: skip
     check_needs(printer.firmware, printer.steps is not None)
     return printer
+
+
+def _measured(table: dict[str, Any], limits: Limits, kinematics: Kinematics) -> dict[str, Any]:
+    """Return what [plant] says: the plant, and how it is known."""
+    bed = _bed(table.get("moving_mass"), limits, kinematics)
+    plant = replace(_plant(table), bed=bed)
+    if plant.Gxtheta is not None and not kinematics.racks:
+        cause = f"a {kinematics.type} printer does not rack: extend a profile without this table"
+        raise PrinterError(cause, "plant.Gxtheta")
+    uncertainty = table.get("uncertainty")
+    if uncertainty is not None:
+        uncertainty = checked_value(float, uncertainty, SHARE, "plant.uncertainty")
+    return {
+        "plant": plant,
+        "invented": checked_value(bool, table.get("invented", True), {}, "plant.invented"),
+        "uncertainty": uncertainty,
+        "measured": _day(table.get("measured"), "plant.measured"),
+    }
 
 
 def _day(value: Any, key: str) -> date | None:
