@@ -12,6 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -63,8 +64,8 @@ class GcodeConversion:
         """Return the duration of the print so far as sliced and as converted, s."""
         return self._source.sliced_seconds, self._ledger.duration
 
-    def report(self) -> Report:
-        """Return the report; it is complete once the output was used up."""
+    @cached_property
+    def _report(self) -> Report:
         own, ledger, options = self._chain.firmware, self._ledger, self._chain.options
         report, code = self._source.report(ledger), own.code()
         return replace(
@@ -73,6 +74,10 @@ class GcodeConversion:
             lines_per_second=own.motion(options.tolerance).lines_per_second,
             notices=(*report.notices, *code.notices), when_stopped=code.when_stopped,
         )  # fmt: skip
+
+    def report(self) -> Report:
+        """Return the report, once the output was used up."""
+        return self._report
 
 
 @dataclass(slots=True)

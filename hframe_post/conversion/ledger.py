@@ -21,7 +21,6 @@ from hframe_post.compensation.guard import Peaks
 from hframe_post.firmware.dialect import object_label
 from hframe_post.model.kinematics import Differences
 from hframe_post.planner.bands import OUTER_WALL, MotorBands, TimeInBands
-from hframe_post.planner.sliced import run_seconds
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics, Labels
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.features import Place, kind
@@ -300,7 +299,7 @@ class FileNotes:
         end = 0
         for moves in waiting:
             of = slice(end, end := end + len(moves.line))
-            moves.limits.lower(speed[of].copy(), acceleration[of], delta[of])
+            moves.limits.lower(speed[of].copy(), acceleration[of], moves.points)
         path.acceleration.add(acceleration < limits.acceleration, length, acceleration)
         path.corner.add(corner < limits.square_corner_velocity, length, corner)
         path.speed.add(speed > limits.velocity, length, np.full(len(length), limits.velocity))
@@ -320,7 +319,7 @@ class FileNotes:
         """Note the time of plans if nothing limited their jerk."""
         for item in plans:
             if isinstance(item, Plan):
-                self.ramps += float(run_seconds(item).sum())
+                self.ramps += float(item.seconds.sum())
             yield item
 
 
