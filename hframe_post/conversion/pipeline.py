@@ -109,9 +109,7 @@ class Chain:
         followed = followed or self.following()
         items = items if followed is None else followed.items(items)
         items, caps = (within or self.within_motors()).items(items), self.firmware.caps()
-        if self.bands is not None:
-            items = avoid_bands(items, self.bands, caps, start)
-        return plan(items, caps)
+        return plan(avoid_bands(items, self.bands, caps, start), caps)
 
     def within_motors(self) -> WithinMotors:
         """Return what slows moves down so that the motors can follow."""

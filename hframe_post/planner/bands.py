@@ -126,12 +126,15 @@ class OuterWalls:
 
 
 def avoid_bands(
-    items: Iterable[Item], bands: MotorBands, caps: Limits, start: PieceStart | None = None
+    items: Iterable[Item], bands: MotorBands | None, caps: Limits, start: PieceStart | None = None
 ) -> Iterator[Item]:
     """Yield the items with outer walls at the nearest speeds outside the bands that motors avoid.
 
     caps: limits that no file may raise. start: place of the first item.
     """
+    if bands is None:
+        yield from items
+        return
     walls = OuterWalls(start)
     waiting, choices, count = list[Item](), list[_Choice](), 0
     for item in items:

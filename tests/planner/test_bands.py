@@ -48,7 +48,11 @@ def bands_of(printer: Printer) -> MotorBands:
 
 
 def avoided(block: Moves, printer: Printer = PRINTER) -> Array:
-    (one,) = avoid_bands([block], bands_of(printer), firmware(printer).caps())
+    (one,) = avoid_bands(
+        [block],
+        MotorBands.from_profile(printer.speed.avoid, printer.kinematics),
+        firmware(printer).caps(),
+    )
     assert isinstance(one, Moves)
     return one.speed
 
