@@ -38,7 +38,7 @@ class Dialect:
     the file is in G91.
     saves_factor: M220 B saves the speed factor, M220 R restores it, and neither M220 alone changes
     it. Elsewhere M220 without S means 100 %.
-    ignores_zero_feed: F0 means nothing; elsewhere it is an error.
+    ignores_zero_feed: F of 0 or less means nothing; elsewhere it is an error.
     splines: G5 is supported. cr_ends_lines: a carriage return ends a line, even in a comment.
     soft_endstops: ranges of x, y and z, mm, at whose ends moves of homed axes stop; none: an error.
     retraction_settings: the commands that set what G10 and G11 do.

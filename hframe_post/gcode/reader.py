@@ -29,7 +29,7 @@ from hframe_post.gcode.batching import (
     ItemBuilder,
     PlainMoves,
 )
-from hframe_post.gcode.curves import FARTHEST, check_curve, curve
+from hframe_post.gcode.curves import FARTHEST, curve
 from hframe_post.gcode.extrusion import FirmwareRetraction, is_absolute
 from hframe_post.gcode.lexer import (
     Line,
@@ -154,8 +154,6 @@ class _Reader:
         straight = name in ("G0", "G1")
         if straight and not words:
             return
-        if not straight:
-            check_curve(line, name, words, state)
         start, asked = state.position, self._end(line, words)
         end = self._within_endstops(line, asked)
         elsewhere = self._objects.left and state.scale == 1.0  # the output is in mm

@@ -226,7 +226,7 @@ class State:
 
     def set_feed(self, line: Line, value: float) -> None:
         """Apply F, in the file's units per minute. Raises GcodeError unless it is positive."""
-        if value == 0.0 and self._dialect.ignores_zero_feed:
+        if value <= 0.0 and self._dialect.ignores_zero_feed:
             return
         feed = value * self.scale / 60.0
         if not 0.0 < feed < math.inf:
