@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
-import klippy
 import numpy as np
 import pytest
-from klippy.toolhead import ToolHead
 
 from hframe_post.errors import GcodeError
 from hframe_post.firmware.base import FirmwareLimits
@@ -62,6 +62,8 @@ ACCELERATIONS = {
 DWELLS = {
     "G4": (0.0, 0.0), "G4 S2": (0.0, 2.0), "G4 P500": (0.5, 0.5), "G4 P500 S2": (0.5, 2.0),
 }  # fmt: skip
+KLIPPY: Any = importlib.import_module("klippy")
+TOOL: Any = importlib.import_module("klippy.toolhead").ToolHead
 DIALECTS = Klipper.dialect, Marlin.dialect
 
 
@@ -115,7 +117,7 @@ def of_toolhead(line: str) -> float:
     """Return the acceleration that Klipper's own toolhead has after a line, from 1000 mm/s²."""
     tool = SimpleNamespace(max_accel=1000.0, _calc_junction_deviation=lambda: None)
     name = line.partition(" ")[0]
-    if handler := getattr(ToolHead, f"cmd_{name}", None):
+    if handler := getattr(TOOL, f"cmd_{name}", None):
         handler(tool, parsed(line))
     return float(tool.max_accel)
 
@@ -123,7 +125,7 @@ def of_toolhead(line: str) -> float:
 @pytest.mark.parametrize("line", DWELLS)
 def test_how_long_a_dwell_is(line: str) -> None:
     waited: list[float] = []
-    ToolHead.cmd_G4(SimpleNamespace(dwell=waited.append), parsed(line))
+    TOOL.cmd_G4(SimpleNamespace(dwell=waited.append), parsed(line))
     assert waited == [DWELLS[line][0]]
     for dialect, expected in zip(DIALECTS, DWELLS[line], strict=True):
         items = list(read([each.encode() for each in [*START, line]], ReadOptions(dialect)))
@@ -152,7 +154,7 @@ OF_TOOLS = "TR_", "TOOL_", "INDX_"
 
 def test_klippers_own_commands_are_no_macros() -> None:
     """After one that may set modes the reader must find out anew what E is."""
-    (folder,) = klippy.__path__
+    (folder,) = KLIPPY.__path__
     text = "\n".join(path.read_text() for path in Path(folder).rglob("*.py"))
     names = set(re.findall(r"\bcmd_([A-Z][A-Z0-9_]{3,})_help\b", text))
     known = Vocabulary.with_names()
