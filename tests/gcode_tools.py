@@ -20,7 +20,7 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sampling import sample as sampled
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from hframe_post.writers.stream.print_time import DeferredLine
+from hframe_post.writers.print_time import DeferredLine
 from tests.conftest import SAMPLES
 
 WORD = re.compile(r"([XYZEFP])(-?\d*\.?\d+)")

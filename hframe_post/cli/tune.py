@@ -42,7 +42,7 @@ from hframe_post.studies.tuning.report import (
     trials_table,
 )
 from hframe_post.studies.tuning.tune import EFFORTS, KNOTS
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 
 def weight(text: str) -> float:

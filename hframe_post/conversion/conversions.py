@@ -24,8 +24,8 @@ from hframe_post.gcode.motors import with_motors
 from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.windows import WHOLE
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
-from hframe_post.writers.stream.print_time import SUMMARY, Output, after_head, later
+from hframe_post.writers.gcode import GcodeSummary, GcodeWriter
+from hframe_post.writers.print_time import SUMMARY, Output, after_head, later
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
@@ -39,7 +39,7 @@ class GcodeConversion:
         lines, printer = with_motors(lines, printer, options.limits)
         self._printer, self._options = printer, options
         own = firmware(printer)
-        self._rules, self._code = own.motion(printer, options.tolerance), own.code(printer)
+        self._rules, self._code = own.motion(options.tolerance), own.code()
         self._source = PlannedFile(lines, printer, options)
         self._motion, self._written = MotionSummary(), GcodeSummary()
 
@@ -104,9 +104,9 @@ class SpanWriter:
             advance=start.advance, whole=0 if start.place else WHOLE,
         )  # fmt: skip
         own = firmware(printer)
-        rules = own.motion(printer, options.tolerance, options.retract == "moving")
+        rules = own.motion(options.tolerance, options.retract == "moving")
         writer = GcodeWriter(
-            options.strategy, rules, own.code(printer), place=start.place, offset=start.offset
+            options.strategy, rules, own.code(), place=start.place, offset=start.offset
         )
         result = WrittenSpan(())
 

@@ -55,7 +55,7 @@ class SlicedFile:
     """The firmware's own motion of the items that pass: their time, and pieces of the motion."""
 
     def __init__(self, printer: Printer) -> None:
-        rules = firmware(printer).limits(printer)
+        rules = firmware(printer).limits()
         self._printer, self.own = printer, AsSliced(rules, MotorBands.from_printer(printer))
         self._pieces, self._every, self._count = list[Piece](), 1, 0
         self._piece, self._seconds = list[Planned](), 0.0  # of motion

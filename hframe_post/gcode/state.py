@@ -57,8 +57,8 @@ class ReadOptions:
         own, names = firmware(printer), printer.firmware
         vocabulary = Vocabulary.with_names(names.harmless, names.returns, names.other_tools or ())
         return cls(
-            own.reads(printer), limits, extrusion, printer.travel, vocabulary, printer.retraction,
-            own.limits(printer),
+            own.reads(), limits, extrusion, printer.travel, vocabulary, printer.retraction,
+            own.limits(),
         )  # fmt: skip
 
 

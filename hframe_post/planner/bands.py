@@ -136,7 +136,7 @@ def avoid_bands(
     if bands is None:
         yield from items
         return
-    walls, caps = OuterWalls(start), firmware(printer).caps(printer)
+    walls, caps = OuterWalls(start), firmware(printer).caps()
     waiting, choices, count = list[Item](), list[_Choice](), 0
     for item in items:
         waiting.append(item)

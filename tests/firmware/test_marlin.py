@@ -58,13 +58,13 @@ def with_own(profile: Printer, **own: object) -> Printer:
 
 
 def code(profile: Printer) -> MarlinCode:
-    found = firmware(profile).code(profile)
+    found = firmware(profile).code()
     assert isinstance(found, MarlinCode)
     return found
 
 
 def motion(profile: Printer) -> MarlinMotion:
-    found = firmware(profile).motion(profile, None)
+    found = firmware(profile).motion(None)
     assert isinstance(found, MarlinMotion)
     return found
 

@@ -27,8 +27,8 @@ from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin
 from hframe_post.gcode.lines import as_binary, lines_of
 from hframe_post.identification.recordings import accelerometer
+from hframe_post.printer.new_profile import Known, profile_text
 from hframe_post.printer.profile import load, parse, shipped
-from hframe_post.printer.setup import Known, profile_text
 from tests.conftest import SAMPLES
 from tests.fuzz.strategies import LINES, broken, edited, gcode
 from tests.gcode_tools import converted

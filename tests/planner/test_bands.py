@@ -117,7 +117,7 @@ def test_time_in_bands_as_sliced_is_that_of_the_motion() -> None:
             for block in (circle(12.0, 42.0), wall([(0, 0), (30, 3), (30, 40), (0, 0)], 50.0))),
         rel=0.03,
     )  # fmt: skip
-    time = AsSliced(firmware(PRINTER).limits(PRINTER), bands)
+    time = AsSliced(firmware(PRINTER).limits(), bands)
     block = circle(12.0, 42.0)
     assert sum(map(len, time.samples([block])))
     steady = bands and bands.contains(belts(block, block.speed)).mean()

@@ -26,7 +26,7 @@ from hframe_post.gcode.state import AXES, Extent, State
 from hframe_post.native import ramps
 from hframe_post.native.corners import junction_deviation, junction_speeds
 from hframe_post.stream.types import frozen
-from hframe_post.writers.stream.print_time import SUMMARY
+from hframe_post.writers.print_time import SUMMARY
 
 EXTRUDER_CORNER_VELOCITY = 1.0  # mm/s, Klipper's default; no file sets it
 
