@@ -53,7 +53,6 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.planner.motors import WithinMotors
 from hframe_post.planner.pacing import PieceStart, pace
 from hframe_post.planner.sampling import sample
-from hframe_post.planner.sliced import run_seconds
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Motors, Printer
@@ -325,7 +324,7 @@ class PlannedFile:
         """Add up the time of plans if nothing limited their jerk."""
         for item in plans:
             if isinstance(item, Plan):
-                self._ramps += float(run_seconds(item).sum())
+                self._ramps += float(item.seconds.sum())
             yield item
 
     def _print_time(self, motion: MotionSummary) -> PrintTime:
