@@ -228,7 +228,7 @@ class FileNotes:
         for clock, seconds in times_of(line).items():
             before = self._times.get(clock, math.inf)
             if clock not in ("all", "gone") and seconds > before + ROUNDED_S:
-                self._note_odd(
+                self.note(
                     "time", f"the time left rises from {duration(before)} to {duration(seconds)} "
                     f"at line {number}, as sliced. Was the file put together from several?"
                 )  # fmt: skip
@@ -238,12 +238,13 @@ class FileNotes:
     def _check_closed(self, counted: bool) -> None:
         name, number = self._open.get(counted, (b"", 0))
         if name:
-            self._note_odd(
+            self.note(
                 "object", f"line {number} begins an object that nothing ends, as sliced: who "
                 "excludes it may lose what follows, such as the end code"
             )  # fmt: skip
 
-    def _note_odd(self, kind: str, text: str) -> None:
+    def note(self, kind: str, text: str) -> None:
+        """Keep the first oddity of a kind."""
         self.read.oddities.setdefault(kind, text)
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
@@ -267,7 +268,7 @@ class FileNotes:
         fed = np.diff(moves.points[:, E])
         if fed.min() < -WIPED_MM:
             k = int((fed < -WIPED_MM).argmax())
-            self._note_odd(
+            self.note(
                 "filament", f"line {moves.line[k]} takes back {-fed[k]:.1f} mm of filament while "
                 "it moves, as sliced. Is a G92 E0 or M83 missing before it?"
             )  # fmt: skip

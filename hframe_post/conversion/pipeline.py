@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator
-from dataclasses import fields
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -76,13 +76,13 @@ class Chain:
         """Return the compensator, its windows certified. Raises PrinterError."""
         return prepared(self.printer)
 
-    def read(self, lines: Iterable[bytes]) -> Iterator[Item]:
-        """Read G-code. Raises HframeError."""
-        return read(lines, self._reading)
-
-    @cached_property
-    def _reading(self) -> ReadOptions:
-        return ReadOptions.from_printer(self.printer, self.options.limits, self.options.extrusion)
+    def read(
+        self, lines: Iterable[bytes], note: Callable[[str, str], object] = lambda *_: None
+    ) -> Iterator[Item]:
+        """Read G-code. note: see ``ReadOptions``. Raises HframeError."""
+        options = self.options
+        own = ReadOptions.from_printer(self.printer, options.limits, options.extrusion)
+        return read(lines, replace(own, note=note))
 
     def paced(self, items: Iterator[Item]) -> Iterator[Item]:
         """Set the pace of moves, if a speed was asked for."""
@@ -294,7 +294,7 @@ class PlannedFile:
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         notes, chain = self._notes, self._chain
-        items = notes.items(chain.read(notes.lines(self._lines)))
+        items = notes.items(chain.read(notes.lines(self._lines), notes.note))
         items = read_ahead(self._times.timed("read", items))
         items = notes.paced(chain.paced(self._sliced.items(items)))
         plans = chain.scheduled(items, followed=self._following, within=self._within)
