@@ -22,7 +22,7 @@ from hframe_post.cli.options import (
     shown_working,
 )
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import parsed
+from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware
@@ -147,7 +147,7 @@ def _recommend_shaper(
     lines: Iterable[bytes], profile: Printer, options: Options,
     write_json: Callable[[dict[str, Any]], None], json_file: Path | None,
 ) -> None:  # fmt: skip
-    pieces = SlicedFile.from_items(parsed(lines, profile, options), profile).paths
+    pieces = SlicedFile.from_items(Chain(profile, options).parsed(lines), profile).paths
     found = search(profile.plant, pieces)
     usual = error(profile.plant, calibrated(profile.plant), pieces)
     write_json(shapings_as_json(found, usual))
