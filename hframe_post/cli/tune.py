@@ -28,7 +28,7 @@ from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware
 from hframe_post.prediction.best_shaper import error
 from hframe_post.printer.model_file import with_windows
-from hframe_post.printer.schema import LARGEST
+from hframe_post.printer.schema import MAX_NUMBER
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.shapers.search import (
     calibrated,
@@ -47,8 +47,8 @@ from hframe_post.writers.outputs import Outputs
 
 def weight(text: str) -> float:
     value = number(text)
-    if not 0.0 <= value < LARGEST:
-        raise click.BadParameter(f"{text!r} is not a number from 0 to below {LARGEST:g}")
+    if not 0.0 <= value < MAX_NUMBER:
+        raise click.BadParameter(f"{text!r} is not a number from 0 to below {MAX_NUMBER:g}")
     return value
 
 
