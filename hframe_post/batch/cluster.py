@@ -18,7 +18,7 @@ from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError, install_advice
 from hframe_post.printer.model_file import named_model
 from hframe_post.version import __version__
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 TIMEOUT = 10  # s for the scheduler to answer, and for a worker to appear
 

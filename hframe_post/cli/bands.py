@@ -14,7 +14,7 @@ from hframe_post.cli.options import files_read, printer_option, quoted, say
 from hframe_post.cli.sweep import HEIGHT, chips_option, recordings_argument
 from hframe_post.errors import IdentificationError
 from hframe_post.printer.profile import load
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that takes a second
     from hframe_post.printer.settings import Printer
@@ -62,7 +62,7 @@ def bands(
 
 def _write(target: Path, printer: str, profile: Printer, chips: tuple[str, ...]) -> None:
     from hframe_post.identification.bands import gcode, runs, seconds_of, sensors_of
-    from hframe_post.writers.stream.print_time import duration
+    from hframe_post.writers.print_time import duration
 
     planned = runs(profile)
     sensors = {chip for run in planned for chip in chips or sensors_of(profile, run)}

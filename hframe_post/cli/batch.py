@@ -13,8 +13,15 @@ from typing import Any
 import click
 
 from hframe_post.batch.cluster import Cluster
-from hframe_post.batch.folders import jobs_for, with_targets
-from hframe_post.batch.jobs import Converter, Job, LocalProcesses, State, run
+from hframe_post.batch.jobs import (
+    Converter,
+    Job,
+    LocalProcesses,
+    State,
+    jobs_for,
+    run,
+    with_targets,
+)
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     chosen_printer,
@@ -25,12 +32,11 @@ from hframe_post.cli.options import (
     printer_option,
     say,
 )
-from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import first_line
+from hframe_post.conversion.options import Options, first_line
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.process import Interruption
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 CLEAR_LINE = "\r\x1b[K"
 

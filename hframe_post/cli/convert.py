@@ -28,14 +28,13 @@ from hframe_post.cli.options import (
     say,
     verbose_option,
 )
-from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import first_line
+from hframe_post.conversion.options import Options, first_line
 from hframe_post.errors import LeftAloneError, one_line
 from hframe_post.printer.choice import verification_as_text
 from hframe_post.printer.profile import check_identified, played_by
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.running import keep_memory
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 # in PrusaSlicer and OrcaSlicer: the slicer's name for the file, which is a temporary one by now
 OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"

@@ -25,7 +25,7 @@ from hframe_post.firmware.klipper.settings import kinematics_in, text_from_klipp
 from hframe_post.printer.choice import choose
 from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.profile import load, parse
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:  # these import SciPy, which takes a second
     from hframe_post.identification.identify import MeasurementSettings

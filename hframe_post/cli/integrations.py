@@ -17,7 +17,7 @@ from hframe_post.firmware.marlin.calibration import LINE, LINES, calibration
 from hframe_post.firmware.registry import firmware
 from hframe_post.printer.profile import check_identified, load, shipped
 from hframe_post.process import own_command
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 
 @click.command("klipper-macros")
@@ -185,7 +185,7 @@ def octoprint_plugin(printer: str, folder: Path | None) -> None:
     """
     profile = load(printer)
     check_identified(profile)
-    firmware(profile).check_serial(profile)
+    firmware(profile).check_serial()
     home = folder or Path.home() / ".octoprint"
     if not home.is_dir():
         raise HframeError(f"{home} does not exist: name OctoPrint's folder with --folder")

@@ -20,7 +20,7 @@ from hframe_post import process
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.printer.choice import CHOICE, Choice
 from hframe_post.version import __version__
-from hframe_post.writers.files import FULL
+from hframe_post.writers.outputs import FULL
 
 COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of help
     "setup": ("setup.setup", "Make a profile from Klipper's printer.cfg or Marlin's M503."),

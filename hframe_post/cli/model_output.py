@@ -12,7 +12,7 @@ from hframe_post.printer.model_file import model_path, texts
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
-    from hframe_post.writers.files import Outputs
+    from hframe_post.writers.outputs import Outputs
 
 
 class ModelOutput:

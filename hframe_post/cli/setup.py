@@ -21,10 +21,10 @@ from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.registry import source_of
 from hframe_post.printer.choice import PROFILE, VARIABLE, set_default
 from hframe_post.printer.model_file import measured, with_windows
+from hframe_post.printer.new_profile import Known, Tables, profile_text
 from hframe_post.printer.profile import parse, text_of
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Known, Tables, profile_text
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 CALIBRATE = (
     "Then mount the accelerometer, clear the bed, heat as for a print, and type on the console of "
@@ -83,9 +83,9 @@ def setup(
 
     Writes printer.toml, the profile, and makes it the default. For Klipper it also writes
     hframe.cfg, to include in printer.cfg, which only --moonraker changes. For Marlin, save what the
-    printer answers to M503 and M115 in one file; its Configuration.h and Configuration_adv.h may
-    follow. Where printer.toml exists, setup changes nothing in it and lists what differs; --reset
-    writes it anew.
+    printer answers to M503, M115 and M211 in one file; its Configuration.h and Configuration_adv.h
+    may follow. Where printer.toml exists, setup changes nothing in it and lists what differs;
+    --reset writes it anew.
 
     --moonraker is for the printer's computer. On a terminal it asks first whether Klipper itself
     shall compensate, on files as they are sliced. It also links a component into Moonraker, adds a

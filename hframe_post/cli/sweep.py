@@ -24,8 +24,8 @@ from hframe_post.cli.options import (
 from hframe_post.errors import PrinterError
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import CHIP_NAME
-from hframe_post.writers.files import Outputs
-from hframe_post.writers.stream.print_time import write_output
+from hframe_post.writers.outputs import Outputs
+from hframe_post.writers.print_time import write_output
 
 if TYPE_CHECKING:
     from hframe_post.identification.recordings.runs import PlannedRun

@@ -20,7 +20,7 @@ from hframe_post.cli.sweep import (
 from hframe_post.errors import IdentificationError
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.printer.settings import Verified
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 
 @click.command()

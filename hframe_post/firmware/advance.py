@@ -13,11 +13,10 @@ from typing import NamedTuple
 
 from hframe_post.arrays import TS
 from hframe_post.printer.settings import (
-    LONGEST_ADVANCE,
-    LONGEST_SMOOTHING,
-    SMOOTH_TIME,
+    MAX_ADVANCE_S,
+    MAX_SMOOTHING_S,
+    SMOOTH_TIME_S,
     Extruder,
-    Printer,
 )
 
 _KLIPPER = re.compile(rb"\s*(?:N\d+\s*)?SET_PRESSURE_ADVANCE\s([^;#*]*)", re.IGNORECASE)
@@ -46,15 +45,16 @@ class Advance:
     """The advance in force. smooth_time: s over which it is averaged; reads: what a line sets."""
 
     seconds: float = 0.0
-    smooth_time: float = SMOOTH_TIME
+    smooth_time: float = SMOOTH_TIME_S
     reads: Callable[[bytes], AdvanceChange] = no_advance
 
     @classmethod
-    def from_printer(
-        cls, printer: Printer, reads: Callable[[bytes], AdvanceChange], seconds: float = 0.0
-    ) -> Advance:
+    def of_extruder(
+        cls, extruder: Extruder | None, reads: Callable[[bytes], AdvanceChange],
+        seconds: float = 0.0,
+    ) -> Advance:  # fmt: skip
         """Return the advance of a profile. seconds: where the profile has none."""
-        own = printer.extruder or Extruder(seconds)
+        own = extruder or Extruder(seconds)
         return cls(own.advance, own.smooth_time, reads)
 
     def half(self, computed: bool) -> int:
@@ -90,8 +90,8 @@ def klipper_advance(text: bytes) -> AdvanceChange:
     if found.get(b"EXTRUDER", b"extruder") != b"extruder":
         return NOTHING
     return AdvanceChange(
-        _within(found.get(b"ADVANCE"), LONGEST_ADVANCE),
-        _within(found.get(b"SMOOTH_TIME"), LONGEST_SMOOTHING),
+        _within(found.get(b"ADVANCE"), MAX_ADVANCE_S),
+        _within(found.get(b"SMOOTH_TIME"), MAX_SMOOTHING_S),
     )
 
 
@@ -107,7 +107,7 @@ def marlin_advance(text: bytes) -> AdvanceChange:
     found = {name.upper(): value for name, value in _WORD.findall(match[1])}
     if _within(found.get(b"T"), 99.0):
         return NOTHING
-    return AdvanceChange(_within(found.get(b"K"), LONGEST_ADVANCE))
+    return AdvanceChange(_within(found.get(b"K"), MAX_ADVANCE_S))
 
 
 def _within(text: bytes | None, most: float) -> float | None:

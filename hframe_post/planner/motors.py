@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from hframe_post.arrays import E, lengths
-from hframe_post.printer.settings import CORNER, Printer
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.printer.settings import CORNER_S, Motors
 from hframe_post.stream.types import FileLimits, Item, Moves, frozen
 
 SHARE = 0.6  # of the belts' acceleration: with 0.75, slices had to be clamped a fifth of the time
@@ -22,14 +23,13 @@ SHARE = 0.6  # of the belts' acceleration: with 0.75, slices had to be clamped a
 class WithinMotors:
     """Slows moves down. path, slowed: mm of all moves, and of those that became slower."""
 
-    def __init__(self, printer: Printer) -> None:
-        motors, kinematics = printer.stated or printer.motors, printer.kinematics
+    def __init__(self, motors: Motors, kinematics: Kinematics) -> None:
         v, a = motors.belt_velocity, SHARE * motors.belt_acceleration
         (ax, ay), (bx, by) = kinematics.matrix.tolist()
         none = (math.inf, math.inf)
         self._limits = FileLimits((v, v, *none), (a, a, *none), belts=((ax, ay), (bx, by)))
         # in a right angle the speed changes by √2 times itself
-        self._corner = kinematics.min_speed_ratio * CORNER * a / math.sqrt(2.0)
+        self._corner = kinematics.min_speed_ratio * CORNER_S * a / math.sqrt(2.0)
         self.path = self.slowed = 0.0
 
     @property
@@ -43,17 +43,18 @@ class WithinMotors:
             yield self._slower(item) if isinstance(item, Moves) else item
 
     def _slower(self, moves: Moves) -> Moves:
-        delta = np.diff(moves.points, axis=0)
+        points = moves.points
         speed, acceleration = moves.speed.copy(), moves.acceleration.copy()
-        moves.limits.lower(speed, acceleration, delta)
+        moves.limits.lower(speed, acceleration, points)
         asked = speed.copy(), acceleration.copy()
-        self._limits.lower(speed, acceleration, delta)
+        lowered = self._limits.lower(speed, acceleration, points)
         corner = np.minimum(moves.corner, self._corner)
-        slowed = (speed < asked[0]) | (acceleration < asked[1]) | (corner < moves.corner)
-        length = lengths(delta[:, :E])
+        length = lengths(points[1:, :E] - points[:-1, :E])
         self.path += float(length.sum())
-        if not slowed.any():
+        slowed = corner < moves.corner
+        if not lowered and not slowed.any():
             return moves
+        slowed |= (speed < asked[0]) | (acceleration < asked[1])
         self.slowed += float(length[slowed].sum())
         return replace(
             moves, speed=frozen(speed), acceleration=frozen(acceleration), corner=frozen(corner)

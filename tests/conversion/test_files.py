@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hframe_post.conversion.conversions import SampleConversion, StepConversion
 from hframe_post.conversion.files import Target, convert, with_format
 from hframe_post.conversion.options import Kind, Options
-from hframe_post.conversion.tables import SampleConversion, StepConversion
 from hframe_post.errors import LimitError
 from hframe_post.gcode import batching
 from hframe_post.planner import sampling
@@ -19,9 +19,8 @@ from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 from hframe_post.writers import steps
-from hframe_post.writers.files import Outputs
-from hframe_post.writers.samples import as_csv
-from hframe_post.writers.step_file import MOTORS, inlined
+from hframe_post.writers.outputs import Outputs
+from hframe_post.writers.tables import MOTORS, as_csv, inlined
 from tests.command_line import run
 from tests.conftest import SAMPLES, few
 

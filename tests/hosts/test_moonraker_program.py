@@ -20,11 +20,9 @@ import pytest
 
 from hframe_post.hosts import moonraker
 from hframe_post.hosts.moonraker import conversion
+from hframe_post.hosts.moonraker.conversion import Interface, Settings, as_html, page_of
 from hframe_post.hosts.moonraker.disk import FOLDER, BeyondError, FailureError, alone
-from hframe_post.hosts.moonraker.interface import Interface, as_html, page_of
-from hframe_post.hosts.moonraker.originals import Originals
-from hframe_post.hosts.moonraker.settings import Settings
-from hframe_post.hosts.moonraker.upload import CONVERTING, REFUSAL, Upload, refuse
+from hframe_post.hosts.moonraker.originals import CONVERTING, REFUSAL, Originals, Upload, refuse
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT, SAMPLES
 from tests.hosts.moonraker import WAIT, until, waiting_for
@@ -148,7 +146,7 @@ def test_a_conversion_that_takes_too_long_is_ended(
 ) -> None:
     gate = tmp_path / "gate"
     gate.touch()
-    monkeypatch.setattr(conversion, "LONGEST", 0.5 / 3600.0)
+    monkeypatch.setattr(conversion, "MAX_HOURS", 0.5 / 3600.0)
     words, target = [*waiting_for(gate), *COMMAND], tmp_path / "target"
     with pytest.raises(BeyondError, match="takes more than"):
         conversion.converted(

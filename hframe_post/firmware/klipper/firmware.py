@@ -7,14 +7,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from hframe_post.firmware.advance import Advance, klipper_advance, klipper_seconds
-from hframe_post.firmware.base import Firmware, FirmwareLimits, belts, unlimited
+from hframe_post.firmware.base import Firmware, FirmwareLimits, unlimited
 from hframe_post.firmware.configuration import Finding, Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words, object_label
 from hframe_post.firmware.klipper.code import KlipperCode, averaged_shorter, table_of
 from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.model.shapers import Shaping
 from hframe_post.printer.firmware_tables import KlipperTable
-from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import FileLimits
 
 _LABEL = re.compile(  # Klipper's, and comments that hosts replace by them
@@ -22,27 +21,38 @@ _LABEL = re.compile(  # Klipper's, and comments that hosts replace by them
     rb"|;\s*printing object\b(.*)|;\s*stop printing object\b|;MESH:(.*)|;PRINTING_ID:(.*)",
     re.IGNORECASE,
 )
-# Klipper's own that set no mode, as RESTORE_GCODE_STATE does
+# Klipper's and Kalico's own that set no mode, as RESTORE_GCODE_STATE does
 OWN_COMMANDS = """
-    ACCELEROMETER_DEBUG_READ ACCELEROMETER_DEBUG_WRITE ACCELEROMETER_MEASURE
-    ACCELEROMETER_QUERY ACTIVATE_EXTRUDER ANGLE_CALIBRATE ANGLE_CHIP_CALIBRATE
-    AXIS_TWIST_COMPENSATION_CALIBRATE BED_MESH_CALIBRATE BED_MESH_CHECK BED_MESH_CLEAR
-    BED_MESH_MAP BED_MESH_OFFSET BED_MESH_OUTPUT BED_MESH_PROFILE BED_SCREWS_ADJUST
-    BED_TILT_CALIBRATE BLTOUCH_DEBUG BLTOUCH_STORE CALC_MEASURED_SKEW CLEAR_PAUSE
-    CLEAR_RETRACTION DELTA_ANALYZE DELTA_CALIBRATE DUMP_TMC ENDSTOP_PHASE_CALIBRATE
-    EXCLUDE_OBJECT FIRMWARE_RESTART FORCE_MOVE GET_CURRENT_SKEW GET_POSITION GET_RETRACTION
-    HELP INIT_TMC LOG_ROLLOVER MANUAL_PROBE MANUAL_STEPPER MEASURE_AXES_NOISE MPC_CALIBRATE
-    MPC_SET PID_CALIBRATE PID_PROFILE PROBE PROBE_ACCURACY PROBE_CALIBRATE QUAD_GANTRY_LEVEL
-    QUERY_ADC QUERY_BUTTON QUERY_ENDSTOPS QUERY_FILAMENT_SENSOR QUERY_FILAMENT_WIDTH
-    QUERY_PROBE RESET_RETRACTION RESET_SMART_EFFECTOR RESET_VELOCITY_LIMIT RESTART SAVE_CONFIG
-    SAVE_GCODE_STATE SAVE_VARIABLE SCREWS_TILT_CALCULATE SDCARD_LOOP_BEGIN SDCARD_LOOP_DESIST
-    SDCARD_LOOP_END SET_DIGIPOT SET_DUAL_CARRIAGE SET_EXTRUDER_ROTATION_DISTANCE
-    SET_EXTRUDER_STEP_DISTANCE SET_GCODE_OFFSET SET_HEATER_PID SET_KINEMATICS_LIMIT
-    SET_KINEMATIC_POSITION SET_MIXING_EXTRUDER SET_SERVO SET_SKEW SET_SMART_EFFECTOR
-    SET_SMOOTH_TIME SET_STEPPER_CARRIAGES SET_STEPPER_ENABLE SET_STEPPER_PHASE SET_TMC_FIELD
-    SET_Z_THERMAL_ADJUST SHAPER_CALIBRATE SKEW_PROFILE STATUS STEPPER_BUZZ
-    SYNC_EXTRUDER_MOTION TEST_RESONANCES TUNING_TOWER TURN_OFF_HEATERS Z_ENDSTOP_CALIBRATE
-    Z_OFFSET_APPLY_ENDSTOP Z_OFFSET_APPLY_PROBE Z_TILT_ADJUST
+    ACCELEROMETER_DEBUG_READ ACCELEROMETER_DEBUG_WRITE ACCELEROMETER_MEASURE ACCELEROMETER_QUERY
+    ACTIVATE_EXTRUDER ANGLE_CALIBRATE ANGLE_CHIP_CALIBRATE ANGLE_DEBUG_READ ANGLE_DEBUG_WRITE
+    ATTACH_PROBE AXIS_TWIST_COMPENSATION_CALIBRATE BED_MESH_CALIBRATE BED_MESH_CHECK
+    BED_MESH_CLEAR BED_MESH_MAP BED_MESH_OFFSET BED_MESH_OUTPUT BED_MESH_PROFILE
+    BED_SCREWS_ADJUST BED_TILT_CALIBRATE BELAY_DISABLE BELAY_ENABLE BELAY_SET_MULTIPLIER
+    BELAY_SET_STEPPER BLTOUCH_DEBUG BLTOUCH_STORE CALCULATE_SWITCH_OFFSET CALC_MEASURED_SKEW
+    CALIBRATE_LOAD_CELL CALIBRATE_Z CLEAR_PAUSE CLEAR_RETRACTION COLD_EXTRUDE DELTA_ANALYZE
+    DELTA_CALIBRATE DETACH_PROBE DISABLE_FILAMENT_WIDTH_LOG DISABLE_FILAMENT_WIDTH_SENSOR
+    DUMP_TMC EDDY_CALIBRATE ENABLE_FILAMENT_WIDTH_LOG ENABLE_FILAMENT_WIDTH_SENSOR
+    ENDSTOP_PHASE_CALIBRATE EXCLUDE_OBJECT FIRMWARE_RESTART FORCE_MOVE GET_CURRENT_SKEW
+    GET_POSITION GET_RETRACTION HELP INIT_TMC LDC_CALIBRATE LOAD_CELL_DIAGNOSTIC LOAD_CELL_READ
+    LOAD_CELL_TARE LOAD_CELL_TEST_TAP LOG_ROLLOVER MANUAL_PROBE MANUAL_STEPPER
+    MEASURE_AXES_NOISE MOVE_AVOIDING_DOCK MOVE_TO_APPROACH_PROBE MOVE_TO_DETACH_PROBE
+    MOVE_TO_DOCK_PROBE MOVE_TO_EXTRACT_PROBE MOVE_TO_INSERT_PROBE MPC_CALIBRATE MPC_SET
+    PID_CALIBRATE PID_PROFILE PROBE PROBE_ACCURACY PROBE_CALIBRATE PROBE_EDDY_CURRENT_CALIBRATE
+    PROBE_EDDY_CURRENT_TAP_CALIBRATE PROBE_Z_ACCURACY QUAD_GANTRY_LEVEL QUERY_ADC QUERY_BELAY
+    QUERY_BUTTON QUERY_DOCKABLE_PROBE QUERY_ENDSTOPS QUERY_FILAMENT_SENSOR QUERY_FILAMENT_WIDTH
+    QUERY_PROBE QUERY_RAW_FILAMENT_WIDTH RESET_FILAMENT_WIDTH_SENSOR RESET_RETRACTION
+    RESET_SMART_EFFECTOR RESET_VELOCITY_LIMIT RESTART RESTORE_DUAL_CARRIAGE_STATE SAVE_CONFIG
+    SAVE_DUAL_CARRIAGE_STATE SAVE_GCODE_STATE SAVE_VARIABLE SCREWS_TILT_CALCULATE
+    SDCARD_LOOP_BEGIN SDCARD_LOOP_DESIST SDCARD_LOOP_END SDCARD_RESET_FILE SET_DIGIPOT
+    SET_DISPLAY_GROUP SET_DOCKABLE_PROBE SET_DUAL_CARRIAGE SET_EXTRUDER_ROTATION_DISTANCE
+    SET_EXTRUDER_STEP_DISTANCE SET_E_ROTATION_DISTANCE SET_GCODE_OFFSET SET_HEATER_PID
+    SET_KINEMATICS_LIMIT SET_KINEMATIC_POSITION SET_MIXING_EXTRUDER SET_MIXING_EXTRUDER_GRADIENT
+    SET_SERVO SET_SKEW SET_SMART_EFFECTOR SET_SMOOTH_TIME SET_STEPPER_CARRIAGES
+    SET_STEPPER_ENABLE SET_STEPPER_PHASE SET_TMC_FIELD SET_Z_THERMAL_ADJUST SHAPER_CALIBRATE
+    SKEW_PROFILE STATUS STEPPER_BUZZ SYNC_EXTRUDER_MOTION TAP_CALIBRATE TEMPERATURE_PROBE_ABORT
+    TEMPERATURE_PROBE_CALIBRATE TEMPERATURE_PROBE_COMPLETE TEMPERATURE_PROBE_ENABLE
+    TEMPERATURE_PROBE_NEXT TEST_RESONANCES TUNING_TOWER TURN_OFF_HEATERS Z_ENDSTOP_CALIBRATE
+    Z_OFFSET_APPLY_ENDSTOP Z_OFFSET_APPLY_PROBE Z_TILT_ADJUST Z_TILT_AUTODETECT Z_TILT_CALIBRATE
 """
 SHAPERS = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")
 
@@ -88,32 +98,32 @@ class Klipper(Firmware):
     configuration = compared = "printer.cfg"
     unchecked = "printer.cfg is not checked: name it with --printer-cfg"
 
-    def motion(
-        self, printer: Printer, tolerance: float | None, retract_moving: bool = False
-    ) -> KlipperMotion:
-        return KlipperMotion.from_printer(printer, tolerance, retract_moving)
+    def motion(self, tolerance: float | None, retract_moving: bool = False) -> KlipperMotion:
+        code, corner = self.code(), self.printer.limits.square_corner_velocity
+        return KlipperMotion(code.table, code.stream, tolerance, corner, retract_moving)
 
-    def code(self, printer: Printer) -> KlipperCode:
-        return KlipperCode.from_printer(printer)
+    def code(self) -> KlipperCode:
+        return KlipperCode.from_printer(self.printer)
 
-    def advance(self, printer: Printer) -> Advance:
-        if (extruder := averaged_shorter(printer.extruder)) is None:
-            return super().advance(printer)
+    def advance(self) -> Advance:
+        if (extruder := averaged_shorter(self.printer.extruder)) is None:
+            return super().advance()
         return Advance(extruder.advance, extruder.stream_smooth_time, klipper_seconds)
 
-    def limits(self, printer: Printer) -> FirmwareLimits:
-        table = table_of(printer)
-        own, usual = unlimited(printer.limits), table.acceleration
+    def limits(self) -> FirmwareLimits:
+        table = table_of(self.printer)
+        own, usual = unlimited(self.printer.limits), table.acceleration
         others = FileLimits(
-            path=table.velocity, cruise_ratio=table.minimum_cruise_ratio, belts=belts(printer)
+            path=table.velocity, cruise_ratio=table.minimum_cruise_ratio, belts=self.belts
         )
         return FirmwareLimits(own, usual, usual, table.square_corner_velocity, others)
 
-    def most(self, printer: Printer) -> tuple[float, float]:
-        table = table_of(printer)
+    def most(self) -> tuple[float, float]:
+        table = table_of(self.printer)
         return table.velocity, table.acceleration
 
-    def shaper_settings(self, shaping: Shaping) -> str:
+    @staticmethod
+    def shaper_settings(shaping: Shaping) -> str:
         lines = ["[input_shaper]"]
         for axis, chosen in (("x", shaping.x), ("y", shaping.y)):
             lines += [
@@ -123,18 +133,17 @@ class Klipper(Firmware):
             ]
         return "\n".join(lines)
 
-    def source(self, files: Sequence[Path]) -> Source:
+    @classmethod
+    def source(cls, files: Sequence[Path]) -> Source:
         from hframe_post.firmware.klipper.source import KlipperSource
 
         return KlipperSource(files[0])
 
-    def host_findings(
-        self, config: Path, log: Path | None, printer: Printer, remedy: str
-    ) -> Iterator[Finding]:
+    def host_findings(self, config: Path, log: Path | None, remedy: str) -> Iterator[Finding]:
         from hframe_post.firmware.klipper.macro_check import check_macros
         from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
         from hframe_post.firmware.klipper.version import check_version
 
         read = KlipperConfig(config)
-        yield from check_macros(read, printer, remedy)
+        yield from check_macros(read, self.printer, remedy)
         yield from check_version(read, log)

@@ -14,24 +14,21 @@ import shutil
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from .conversion import said
-from .disk import FOLDER, FailureError, cause
-from .found import RESULTS, found, offer
-from .history import Event, add
-from .interface import PAGE, Interface
-from .settings import Settings
+from .conversion import PAGE, Interface, Settings, said
+from .disk import FOLDER, Event, FailureError, add, cause, events
 
 WRITING = {  # a command's words before the file of G-code
     "calibration": ("measure", "-q", "--times", "2", "-o"),
     "check": ("check", "--gcode"),
 }
-MINUTES = 15.0 * 60.0  # s that such a command may take on a slow host
+MEASURING_S = 15.0 * 60.0  # s that such a command may take on a slow host
 ENDS_RECORDING = re.compile(r"^ACCELEROMETER_MEASURE CHIP=\S+ NAME=(\S+)$", re.MULTILINE)
-PATIENCE = 120.0  # s for Klipper to write its recordings, which it does in the background
-QUIET = 3.0  # s without a change, after which they are complete
+WRITING_S = 120.0  # s for Klipper to write its recordings, which it does in the background
+QUIET_S = 3.0  # s without a change, after which they are complete
 AXES = {"Gxx": "x", "Gyy": "y"}
 OTHER_PLACE = {
     "X": "Mount the sensor on the print head, then type HFRAME_CALIBRATE AXIS=X",
@@ -56,7 +53,7 @@ def prepare(settings: Settings, kind: str, axis: str = "") -> int:
         if kind == "calibration" or not _is_written(folder, profile):
             command, *words = WRITING[kind]
             target = str(folder / f"{command}.gcode")
-            said([*program, command, "-p", str(profile), *words, target], MINUTES)
+            said([*program, command, "-p", str(profile), *words, target], MEASURING_S)
     except (FailureError, OSError) as error:
         interface.report(f"nothing is measured: {cause(error)}", failed=True)
         return 1
@@ -125,7 +122,7 @@ def _updated(
     words = {"calibration": ["identify", "--report", str(page)], "check": ["check"]}[kind]
     result = ("-p", str(profile), "--json", str(summary), "-o", str(profile))
     try:
-        said([*program, *words, *more, *result, *map(str, inputs)], MINUTES)
+        said([*program, *words, *more, *result, *map(str, inputs)], MEASURING_S)
         known = json.loads(summary.read_text("utf-8"))
     except (FailureError, OSError, ValueError) as error:
         return _refused(settings, kind, error)
@@ -175,7 +172,7 @@ def _recordings(folder: Path, run: str) -> list[Path]:
 def _fetch(settings: Settings, job: Path, began: float) -> None:
     """Copy what Klipper recorded of a job, once it is complete. Raises FailureError, OSError."""
     expected = Counter(ENDS_RECORDING.findall(job.read_text("utf-8")))
-    source, deadline = Path(settings.recordings), time.monotonic() + PATIENCE
+    source, deadline = Path(settings.recordings), time.monotonic() + WRITING_S
     before: dict[Path, int] = {}
     changed = time.monotonic()
     while True:
@@ -187,7 +184,7 @@ def _fetch(settings: Settings, job: Path, began: float) -> None:
         if sizes != before:
             before, changed = sizes, time.monotonic()
         complete = all(len(found[run]) >= count for run, count in expected.items())
-        if complete and time.monotonic() - changed > QUIET:
+        if complete and time.monotonic() - changed > QUIET_S:
             break
         if time.monotonic() > deadline:
             raise FailureError(
@@ -244,3 +241,41 @@ def _checked(found: Mapping[str, Any]) -> Iterator[str]:
         moved = f"moved from {before:.1f} to {now:.1f} Hz" if one["drifted"] else "has not drifted"
         old, new = (f"{100.0 * share:.0f} %" for share in one["unexplained"])
         yield f"{AXES[name]}: the main resonance {moved}, unexplained {old} → {new}"
+
+
+# ----------------------------------------------------------------------
+# Recordings that the owner has made with Klipper or Shake&Tune, where these leave them.
+
+RESULTS = ("ShakeTune_results", "K-ShakeTune_results")  # next to printer.cfg; the second until 2024
+SESSION_S = 24 * 3600.0  # s before the last recording, in which the printer has not changed
+
+
+def found(settings: Settings, profile: Path) -> dict[Path, float]:
+    """Return the recordings of the last session, with their times in s since 1970.
+
+    What Klipper writes with OUTPUT=resonances is a spectrum, which tells no model.
+    """
+    files = [*Path(settings.recordings).glob("raw_data_*.csv")]
+    for name in RESULTS:
+        for ending in ("*.stdata", "*.csv"):
+            files += profile.with_name(name).rglob(ending)
+    times = dict[Path, float]()
+    for path in sorted(files):
+        with contextlib.suppress(OSError):  # it was deleted meanwhile
+            times[path] = path.stat().st_mtime
+    last = max(times.values(), default=0.0)
+    return {path: at for path, at in times.items() if at > last - SESSION_S}
+
+
+def offer(settings: Settings, profile: Path) -> str:
+    """Return the line that offers recordings; empty: there are none since the last calibration."""
+    times = found(settings, profile)
+    last = max(times.values(), default=0.0)
+    done = (one.at for one in events(settings.history) if one.kind == "calibration" and one.hz)
+    if last <= max(done, default=0.0):
+        return ""
+    day = datetime.fromtimestamp(last, timezone.utc).date()  # noqa: UP017  Python 3.9
+    return (
+        f"recordings by Klipper or Shake&Tune found: {len(times)}, the last of {day}. To use them "
+        "instead of measuring, cancel, then type HFRAME_CALIBRATE RECORDINGS=found"
+    )

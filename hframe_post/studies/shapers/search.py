@@ -151,7 +151,9 @@ def shapings_as_json(found: list[Shaping], usual: Shaping) -> dict[str, Any]:
     return {"shapers": shapers, "klipper_calibration": calibration}
 
 
-def shapings_as_text(found: list[Shaping], usual: Shaping, firmware: Firmware) -> str:
+def shapings_as_text(
+    found: list[Shaping], usual: Shaping, firmware: Firmware | type[Firmware]
+) -> str:
     """Return a table, and the settings of the best shaper that the firmware has."""
     lines = [f"{'shaper':16s}{'x, Hz (damping)':>18s}{'y, Hz (damping)':>18s}{'µm RMS':>10s}"]
     lines += [_row(s.x.name, s) for s in found]

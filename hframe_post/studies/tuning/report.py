@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from hframe_post.arrays import TS
-from hframe_post.writers.stream.print_time import duration
+from hframe_post.writers.print_time import duration
 
 if TYPE_CHECKING:
     from hframe_post.studies.tuning.tune import StopsTrial, Trial
