@@ -30,6 +30,10 @@ import numpy as np
 from scipy.fft import irfft, rfft
 
 from hframe_post.arrays import TS, Array, Complex, X, Y
+from hframe_post.identification.estimation.frequency_response import (
+    FrequencyResponse,
+)
+from hframe_post.identification.estimation.measured import RunGroup
 from hframe_post.identification.estimation.regression import (
     Data,
     Estimated,
@@ -37,10 +41,6 @@ from hframe_post.identification.estimation.regression import (
     regress,
     transfer,
 )
-from hframe_post.identification.responses.frequency_response import (
-    FrequencyResponse,
-)
-from hframe_post.identification.responses.measured import RunGroup
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Coupling
 

@@ -8,9 +8,9 @@ from scipy.signal import find_peaks
 from hframe_post.arrays import TS, Array, Complex, X, Y
 from hframe_post.identification.coupling import MeasuredCoupling
 from hframe_post.identification.estimation.axes import Fit, Measured
-from hframe_post.identification.identified import AXIS
+from hframe_post.identification.estimation.frequency_response import FrequencyResponse
+from hframe_post.identification.identify import AXIS
 from hframe_post.identification.report import IdentificationReport
-from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.identification.verify import Verdict
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.page.charts import Card, Chart, Curve, Section, page

@@ -24,14 +24,14 @@ from hframe_post.identification.estimation.axes import (
     fit_known_start,
     fit_racking,
 )
-from hframe_post.identification.responses.frequency_response import (
+from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     advanced,
     average,
     lowest,
     share_left,
 )
-from hframe_post.identification.responses.measured import (
+from hframe_post.identification.estimation.measured import (
     LineOverPlaces,
     MeasurementSettings,
     RunGroup,

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hframe_post.identification.gather import Gathered
-from hframe_post.identification.identified import AXIS, Identified
-from hframe_post.identification.identify import MeasurementSettings, identify
+from hframe_post.identification.identify import AXIS, Identified, MeasurementSettings, identify
 from hframe_post.identification.recommend import Recommendation, recommend
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant

@@ -22,9 +22,9 @@ from hframe_post.arrays import TS, Array, Complex, Flags, X, Y, Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError, IdentificationError, LimitError
+from hframe_post.identification.estimation.measured import Run
 from hframe_post.identification.recordings.clock import acceleration
 from hframe_post.identification.recordings.runs import PlannedRun, check_records
-from hframe_post.identification.responses.measured import Run
 from hframe_post.model.nozzle import nozzle
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer

@@ -9,6 +9,11 @@ import pytest
 
 from hframe_post.arrays import TS, Complex
 from hframe_post.identification.estimation.axes import fit_known_start
+from hframe_post.identification.estimation.frequency_response import (
+    FrequencyResponse,
+    average,
+)
+from hframe_post.identification.estimation.measured import RunResponse, with_common_delay
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identify import MeasurementSettings, identify
 from hframe_post.identification.places import (
@@ -21,11 +26,6 @@ from hframe_post.identification.places import (
     with_noise,
 )
 from hframe_post.identification.report import IdentificationReport
-from hframe_post.identification.responses.frequency_response import (
-    FrequencyResponse,
-    average,
-)
-from hframe_post.identification.responses.measured import RunResponse, with_common_delay
 from hframe_post.model.impulse_response import (
     Elsewhere,
     ImpulseResponse,

@@ -11,14 +11,16 @@ import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.errors import HframeError, IdentificationError
-from hframe_post.identification.by_eye.form import Filled, filled, form
-from hframe_post.identification.by_eye.tower import SIDE, bands, squares, tower
-from hframe_post.identification.by_eye.waves import (
+from hframe_post.identification.by_eye import (
     Band,
+    Filled,
     Reading,
+    filled,
+    form,
     mode_response,
     printed_mode,
 )
+from hframe_post.identification.tower import SIDE, bands, squares, tower
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests import ruler

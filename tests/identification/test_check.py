@@ -63,7 +63,9 @@ def off(found: ImpulseResponse, true: ImpulseResponse) -> float:
     return float(np.linalg.norm(G - H) / np.linalg.norm(H - 1.0 / hz**2))
 
 
-@pytest.mark.parametrize(("percent", "noise"), [(-5.0, 4.0), (1.0, 20.0)])
+@pytest.mark.parametrize(
+    ("percent", "noise"), [pytest.param(-5.0, 4.0, marks=pytest.mark.slow), (1.0, 20.0)]
+)
 def test_a_frequency_is_found_to_a_tenth_of_a_percent(percent: float, noise: float) -> None:
     now = changed(MACHINE, hz=32.0 * (1.0 + percent / 100.0))
     found = checked(now, replace(CHIP, noise=noise), PROFILE, 3)

@@ -16,11 +16,11 @@ from hframe_post.identification.coupling import (
     in_print,
 )
 from hframe_post.identification.estimation import known_start
-from hframe_post.identification.estimation.regression import Estimated
-from hframe_post.identification.responses.frequency_response import (
+from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     advanced,
 )
+from hframe_post.identification.estimation.regression import Estimated
 
 BAND = (4.0, 100.0)
 HZ = np.arange(BAND[0], BAND[1], 0.125)

@@ -11,18 +11,17 @@ import pytest
 from hframe_post.arrays import TS
 from hframe_post.errors import IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.identification.gather import from_folders
-from hframe_post.identification.identified import Identified
-from hframe_post.identification.identify import MeasurementSettings, Run, identify
-from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
-from hframe_post.identification.recordings.clock import acceleration, self_aligned
-from hframe_post.identification.recordings.resonance_test import ResonanceTest
-from hframe_post.identification.responses.frequency_response import estimate
-from hframe_post.identification.responses.uncalibrated import (
+from hframe_post.identification.estimation.frequency_response import estimate
+from hframe_post.identification.estimation.uncalibrated import (
     Direction,
     direction,
     uncalibrated_responses,
 )
+from hframe_post.identification.gather import from_folders
+from hframe_post.identification.identify import Identified, MeasurementSettings, Run, identify
+from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
+from hframe_post.identification.recordings.clock import acceleration, self_aligned
+from hframe_post.identification.recordings.resonance_test import ResonanceTest
 from hframe_post.printer.settings import Travel
 from tests.identification.test_coupling import Coupled
 from tests.recordings import write_klipper

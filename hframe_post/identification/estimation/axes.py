@@ -15,14 +15,14 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.estimation import known_start, unknown_start
-from hframe_post.identification.estimation.modes import Modes, described
-from hframe_post.identification.estimation.regression import Estimated, Mode
-from hframe_post.identification.responses.frequency_response import (
+from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     advanced,
     average,
     share_left,
 )
+from hframe_post.identification.estimation.modes import Modes, described
+from hframe_post.identification.estimation.regression import Estimated, Mode
 from hframe_post.model.impulse_response import ImpulseResponse
 
 RINGS = 0.3  # damping ratio below which a mode visibly rings

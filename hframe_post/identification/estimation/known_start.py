@@ -18,6 +18,11 @@ from scipy.ndimage import uniform_filter1d
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.estimation.frequency_response import (
+    SENSOR,
+    FrequencyResponse,
+    largest_response,
+)
 from hframe_post.identification.estimation.regression import (
     LEAST_GAIN,
     Data,
@@ -27,11 +32,6 @@ from hframe_post.identification.estimation.regression import (
     Prior,
     regress,
     transfer,
-)
-from hframe_post.identification.responses.frequency_response import (
-    SENSOR,
-    FrequencyResponse,
-    largest_response,
 )
 from hframe_post.model.impulse_response import ImpulseResponse
 

@@ -31,9 +31,7 @@ from scipy import signal
 
 from hframe_post.arrays import Array, Complex, X, Y
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.accelerometer import Recording
-from hframe_post.identification.recordings.clock import KnownStart, acceleration, on_command_clock
-from hframe_post.identification.responses.frequency_response import (
+from hframe_post.identification.estimation.frequency_response import (
     BANDWIDTH,
     OVERLAP,
     RATE_HZ,
@@ -43,6 +41,8 @@ from hframe_post.identification.responses.frequency_response import (
     advanced,
     delays,
 )
+from hframe_post.identification.recordings.accelerometer import Recording
+from hframe_post.identification.recordings.clock import KnownStart, acceleration, on_command_clock
 
 
 @dataclass(frozen=True, slots=True)
