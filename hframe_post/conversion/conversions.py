@@ -9,6 +9,7 @@ import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -62,8 +63,8 @@ class GcodeConversion:
         """Return the duration of the print so far as sliced and as converted, s."""
         return self._source.sliced_seconds, self._motion.duration
 
-    def report(self) -> Report:
-        """Return the report; it is complete once the output was used up."""
+    @cached_property
+    def _report(self) -> Report:
         written = self._written
         report = self._source.report(self._motion)
         report = replace(
@@ -76,6 +77,10 @@ class GcodeConversion:
         )  # fmt: skip
         of_summary = len(report.as_text().splitlines())
         return replace(report, lines_written=written.lines + 1 + of_summary)
+
+    def report(self) -> Report:
+        """Return the report, once the output was used up."""
+        return self._report
 
 
 @dataclass(slots=True)

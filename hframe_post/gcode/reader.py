@@ -29,7 +29,7 @@ from hframe_post.gcode.batching import (
     ItemBuilder,
     PlainMoves,
 )
-from hframe_post.gcode.curves import FARTHEST, check_curve, curve
+from hframe_post.gcode.curves import FARTHEST, curve
 from hframe_post.gcode.extrusion import FirmwareRetraction, is_absolute
 from hframe_post.gcode.lexer import (
     Line,
@@ -43,12 +43,11 @@ from hframe_post.gcode.lexer import (
 )
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.objects import Objects
-from hframe_post.gcode.state import AXES, Extent, ReadOptions, State
+from hframe_post.gcode.state import Extent, ReadOptions, State
 from hframe_post.stream.types import Handling, Item, MoveAtRest, Passthrough, Position
 
 MAX_DWELL = 24 * 3600.0  # s
 MIN_WRITTEN_PATH = 1e-3  # mm; the resolution of a file
-IMPOSSIBLE_FILAMENT_PER_PATH = 1e3
 LINES_TO_G11 = 500  # lines within which a G10 has its G11
 TOOL = re.compile(r"T\d+")
 # causes of uncompensated moves that are no commands
@@ -155,9 +154,8 @@ class _Reader:
         straight = name in ("G0", "G1")
         if straight and not words:
             return
-        if not straight:
-            check_curve(line, name, words, state)
-        start, end = state.position, self._end(line, words)
+        start, asked = state.position, self._end(line, words)
+        end = self._within_endstops(line, asked)
         elsewhere = self._objects.left and state.scale == 1.0  # the output is in mm
         lifts = end[2] != start[2]
         if not state.starts_known(words):
@@ -165,8 +163,8 @@ class _Reader:
         elif end[:2] != start[:2] and elsewhere and (name != "G5" or self._dialect.splines):
             self._pass_move_through(line, name, words, end, CHANGE_OF_OBJECT)
         elif not straight and not (elsewhere and lifts and end[3] == start[3]):
-            for x, y, z, e in curve(line, name, words, state, end).tolist():
-                self._travel(line, (x, y, z, e))
+            for x, y, z, e in curve(line, name, words, state, asked).tolist():
+                self._travel(line, self._within_endstops(line, (x, y, z, e)))
         elif end[:2] != start[:2]:
             self._travel(line, end)
         elif end != start:  # a lift in turns as well, whose first chord could be far away
@@ -187,6 +185,15 @@ class _Reader:
             raise line.error(f"more than {MAX_FILAMENT:g} mm of filament in one move")
         return end
 
+    def _within_endstops(self, line: Line, asked: Position) -> Position:
+        """Return where the firmware ends a move, and note where that is not as asked."""
+        if (end := self._state.within_endstops(asked)) != asked:
+            self._options.note(
+                "endstops", f"line {line.number} leads {math.dist(end[:3], asked[:3]):.3g} mm off "
+                "the bed: the firmware's soft endstops stop it at the edge, as sliced"
+            )  # fmt: skip
+        return end
+
     def _travel(self, line: Line, end: Position) -> None:
         """Add a move in which x or y changes, unless it is too short to be one."""
         for axis in range(3):
@@ -194,11 +201,13 @@ class _Reader:
         state = self._state
         start = state.position
         path, filament = math.dist(start[:3], end[:3]), abs(end[3] - start[3])
-        if path < MIN_WRITTEN_PATH and filament > MAX_FILAMENT_PER_PATH * path:
-            self._stand(line, (*start[:3], end[3]), state.others.velocity[3])
-        elif filament > IMPOSSIBLE_FILAMENT_PER_PATH * path:
-            raise line.error(f"{filament:.3g} mm of filament along {path:.3g} mm of path")
-        elif path > MIN_PATH:
+        if filament > MAX_FILAMENT_PER_PATH * path:  # the filament decides how long that takes
+            fed = (*start[:3], end[3])
+            self._stand(line, fed, state.others.velocity[3])
+            start, moves = fed, path >= MIN_WRITTEN_PATH
+        else:
+            moves = path > MIN_PATH
+        if moves:
             self._objects.moved()
             self.items.add_move(line.number, start, end, state.speed)
         state.position = end
@@ -278,6 +287,8 @@ class _Reader:
             self._state.advance = seconds
         if smooth_time is not None:
             self._state.smooth_time = smooth_time
+        if name == "M211":
+            self._state.set_endstops(numbers_among(line, arguments, "S"))
         self._retraction.apply(line, name, arguments)
         retracts = name in ("G10", "G11") and not arguments.strip()
         if retracts and self._apply_retraction(line, name):
@@ -285,6 +296,8 @@ class _Reader:
         effect = self._options.vocabulary.effect(name, arguments)
         waits = name in ("G10", "G11") and effect is commands.Effect.WAITS
         seconds = self._retraction.duration(name) if waits else 0.0
+        # before the line passes: what it leaves holds when the stream goes on
+        axes = self._state.home(arguments) if name == "G28" else range(3)
         self._pass_through(line, effect.handling, seconds)
         if effect not in (commands.Effect.UNKNOWN, commands.Effect.OTHER_TOOL):
             return
@@ -293,13 +306,9 @@ class _Reader:
         if not self._other_tool or effect is commands.Effect.OTHER_TOOL:
             self._cause = name[:40]
         self._retraction.forget()
-        if name == "G28":
-            homed = [axis for axis in range(3) if AXES[axis].encode() in arguments.upper()]
-            self._state.forget(homed or range(3), homed=True)
-        else:
-            self._state.forget()
-            if self._dialect.may_set_modes(name):
-                self._macro, self._e_named = name[:40], False
+        self._state.forget(axes)
+        if self._dialect.may_set_modes(name):
+            self._macro, self._e_named = name[:40], False
 
     def _apply_retraction(self, line: Line, name: str) -> bool:
         """Turn G10 or G11 into a move of filament; return False if it must pass through."""

@@ -141,7 +141,7 @@ def _as_text(commands: Iterable[TimedCommand], units: Units) -> Iterator[Output]
                 if stroke.after and not revert:
                     yield stroke.before
                     revert = stroke.after
-                feed = round(stroke.speed * units.per_feed)
+                feed = max(round(stroke.speed * units.per_feed), 1)  # F0 is none
                 yield _standing_line(move, feed, units)
             case TimedMotion():
                 yield from _motion(command, feed, revert, units)

@@ -19,10 +19,10 @@ from hframe_post.errors import GcodeError
 from hframe_post.firmware.dialect import Dialect
 from hframe_post.gcode.batching import MOVES_PER_ITEM, PlainMoves
 from hframe_post.gcode.commands import LIMIT_PARAMETERS, LIMITS, MODAL, MOTION_WORDS, STAMP
-from hframe_post.gcode.curves import check_curve, curve
+from hframe_post.gcode.curves import curve
 from hframe_post.gcode.lexer import Line, Words, command, numbers, parameters
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.state import AXES, Extent, State
+from hframe_post.gcode.state import Extent, State
 from hframe_post.native import ramps
 from hframe_post.native.corners import junction_deviation, junction_speeds
 from hframe_post.stream.types import frozen
@@ -105,9 +105,7 @@ class _MotionReader:
         if name in MODAL:
             state.set_mode(name)
         elif name == "G28":
-            homed = [axis for axis in range(3) if AXES[axis].encode() in arguments.upper()]
-            state.forget(homed or range(3), homed=True)
-            state.known = [True, True, True]
+            state.home(arguments)
         return False
 
     def _apply_motion(self, line: Line, name: str, words: Words) -> bool:
@@ -121,7 +119,6 @@ class _MotionReader:
         points = [end]
         if name not in ("G0", "G1"):
             try:
-                check_curve(line, name, words, state)
                 points = [
                     (x, y, z, e) for x, y, z, e in curve(line, name, words, state, end).tolist()
                 ]
