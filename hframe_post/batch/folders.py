@@ -13,28 +13,40 @@ from hframe_post.gcode.lines import NAMES, is_gcode_name
 MOST_COMMENTS = 1 << 20  # bytes; previews may precede the first line of ours
 
 
-def with_targets(sources: Iterable[Path], folder: Path) -> list[tuple[Path, Path]]:
-    """Return the files to convert, each with its target in ``folder``.
+def with_targets(
+    sources: Iterable[Path], folder: Path
+) -> tuple[list[tuple[Path, Path]], list[Path]]:
+    """Return the files to convert, each with its target in ``folder``, and packed ones left out.
 
     Of a folder these are the files of G-code in it and its subfolders, whose structure is kept.
     Raises HframeError for a folder without G-code, and OSError for one that cannot be read.
     """
     found: list[tuple[Path, Path]] = []
+    packed = list[Path]()
     for source in sources:
         if not source.is_dir():
+            if _is_packed(source.name):
+                raise HframeError(f"{source} is packed: unpack it first, with gunzip")
             found.append((source, folder / source.name))
             continue
-        files = _gcode_in(source, folder, _raise)
+        files = _gcode_in(source, folder, packed, _raise)
         if not files:
             raise HframeError(f"{source} holds no G-code ({', '.join(NAMES)})")
         found += [(path, folder / path.relative_to(source)) for path in files]
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(found)), packed
 
 
-def _gcode_in(folder: Path, without: Path, on_error: Callable[[OSError], object]) -> list[Path]:
+def _is_packed(name: str) -> bool:
+    return name.lower().endswith(".gz") and is_gcode_name(name[: -len(".gz")])
+
+
+def _gcode_in(
+    folder: Path, without: Path, packed: list[Path], on_error: Callable[[OSError], object]
+) -> list[Path]:
     """Return the files of G-code in a folder and its subfolders, without hidden ones.
 
-    without: a subfolder that is left out, too: the one of the output.
+    without: a subfolder that is left out, too: the one of the output. packed: gets those that are
+    compressed.
     """
     found, left_out = [], without.resolve()
     for place, folders, names in os.walk(folder, onerror=on_error):
@@ -43,8 +55,9 @@ def _gcode_in(folder: Path, without: Path, on_error: Callable[[OSError], object]
             for name in folders
             if not name.startswith(".") and Path(place, name).resolve() != left_out
         )
-        shown = (name for name in sorted(names) if is_gcode_name(name) and name[0] != ".")
-        found += [Path(place, name) for name in shown]
+        shown = [name for name in sorted(names) if name[0] != "."]
+        found += [Path(place, name) for name in shown if is_gcode_name(name)]
+        packed += [Path(place, name) for name in shown if _is_packed(name)]
     return found
 
 
@@ -64,7 +77,7 @@ def jobs_for(files: Sequence[tuple[Path, Path]], first_line: bytes) -> list[Job]
         place = target.resolve()
         if place in inputs:
             raise HframeError(
-                f"{target} would replace the input {inputs[place]}: choose another --directory"
+                f"{target} would replace the input {inputs[place]}: choose another --output"
             )
         if place in taken:
             raise HframeError(

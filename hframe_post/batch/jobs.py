@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Event
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from hframe_post.conversion.options import Options
 from hframe_post.process import ChildProcess, own_command, processor_count
@@ -28,7 +28,7 @@ class Job:
     """A file to convert and its state.
 
     seconds: duration; error: one line; line: the one in the source that it names; summary: the
-    JSON summary of ``convert``; worker: address of the cluster's worker that converted it.
+    JSON summary of ``convert``.
     """
 
     source: Path
@@ -38,7 +38,6 @@ class Job:
     error: str = ""
     line: int | None = None
     summary: dict[str, Any] = field(default_factory=dict)
-    worker: str = ""
 
     @property
     def finished(self) -> bool:
@@ -47,7 +46,7 @@ class Job:
     def as_json(self) -> dict[str, Any]:
         entries = {
             "source": str(self.source), "target": str(self.target), "state": self.state,
-            "seconds": round(self.seconds, 3), "worker": self.worker, "error": self.error,
+            "seconds": round(self.seconds, 3), "error": self.error,
             "line": self.line, "summary": self.summary,
         }  # fmt: skip
         return {name: value for name, value in entries.items() if value not in ("", None, {})}
@@ -129,8 +128,8 @@ class Conversion(ChildProcess):
         return Outcome(*self.wait(), time.monotonic() - self._start)
 
 
-class LocalProcesses:
-    """Conversion of several files at a time on this machine, which share its processors."""
+class Converter:
+    """Converts several files at a time, which share this machine's processors."""
 
     def __init__(self, files: int | None, printer: str, options: Options) -> None:
         processors = processor_count()
@@ -153,25 +152,10 @@ class LocalProcesses:
         return outcome.update(job)
 
     def stop(self) -> None:
+        """Start no more conversions, and stop those that are running."""
         self._stopped = True
         for conversion in list(self._running):
             conversion.stop()
-
-
-class Converter(Protocol):
-    """Where files are converted, ``files`` at a time, each from a thread that waits for it."""
-
-    @property
-    def files(self) -> int: ...
-
-    def convert(self, job: Job) -> Job:
-        """Convert one file; return its job as done, failed or stopped.
-
-        A bad file raises nothing.
-        """
-
-    def stop(self) -> None:
-        """Start no more conversions, and stop those that are running."""
 
 
 def run(jobs: list[Job], converter: Converter, stop: Event) -> Iterator[Job]:

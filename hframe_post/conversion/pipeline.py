@@ -306,7 +306,8 @@ class PlannedFile:
         return Report(
             self._options.strategy, self._input.summary, self._path.summary,
             self._print_time(motion), motion.peaks, motion.clamped,
-            contour, width, shaping=shaping, couples=bool(self._printer.plant.couplings),
+            contour, width, shaping=shaping,
+            couples=self._printer.kinematics.racks and bool(self._printer.plant.couplings),
             notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
             seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
             plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,

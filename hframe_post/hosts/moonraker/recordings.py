@@ -24,10 +24,11 @@ from .history import Event, add
 from .interface import PAGE, Interface
 from .settings import Settings
 
-WRITING = {  # a command's words before the file of G-code
+WRITING = {  # the words of a command before the file of G-code
     "calibration": ("measure", "-q", "--times", "2", "-o"),
-    "check": ("check", "--gcode"),
+    "check": ("measure", "-q", "--for", "check", "-o"),
 }
+JOBS = {"calibration": "measure", "check": "check"}  # how the files of G-code are called
 MINUTES = 15.0 * 60.0  # s that such a command may take on a slow host
 ENDS_RECORDING = re.compile(r"^ACCELEROMETER_MEASURE CHIP=\S+ NAME=(\S+)$", re.MULTILINE)
 PATIENCE = 120.0  # s for Klipper to write its recordings, which it does in the background
@@ -55,7 +56,7 @@ def prepare(settings: Settings, kind: str, axis: str = "") -> int:
         os.utime(folder)  # the time of the last check
         if kind == "calibration" or not _is_written(folder, profile):
             command, *words = WRITING[kind]
-            target = str(folder / f"{command}.gcode")
+            target = str(folder / f"{JOBS[kind]}.gcode")
             said([*program, command, "-p", str(profile), *words, target], MINUTES)
     except (FailureError, OSError) as error:
         interface.report(f"nothing is measured: {cause(error)}", failed=True)
