@@ -42,7 +42,7 @@ from hframe_post.prediction.predict import contour_error as off_path
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread, release_memory
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:
     from hframe_post.studies.simulation.simulate import SimulationReport

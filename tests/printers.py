@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import from_klipper, kinematics_in
+from hframe_post.printer.new_profile import Known, profile_text
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Known, profile_text
 from tests.conftest import ROOT
 
 REAL = ROOT / "tests" / "klipper" / "printer.cfg"  # which Klipper itself runs with in other tests

@@ -11,8 +11,7 @@ from typing import Any
 
 import click
 
-from hframe_post.batch.folders import jobs_for, with_targets
-from hframe_post.batch.jobs import Converter, Job, State, run
+from hframe_post.batch.jobs import Converter, Job, State, jobs_for, run, with_targets
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     chosen_printer,
@@ -28,7 +27,7 @@ from hframe_post.conversion.pipeline import first_line
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.process import Interruption
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 CLEAR_LINE = "\r\x1b[K"
 

@@ -23,7 +23,7 @@ from hframe_post.cli.options import (
 from hframe_post.errors import HframeError
 from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.profile import check_identified, load
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:  # these import SciPy, which takes a second
     from hframe_post.model.plant import Plant

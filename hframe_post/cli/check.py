@@ -21,7 +21,7 @@ from hframe_post.cli.options import files_read, old_option, page_option, printer
 from hframe_post.errors import IdentificationError, PrinterError
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.printer.settings import Verified
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that takes a second
     from hframe_post.identification.gather import Gathered

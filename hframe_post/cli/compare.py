@@ -14,7 +14,7 @@ from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.lines import lines_of
 from hframe_post.studies.comparison.compare import Tolerance
 from hframe_post.studies.comparison.compare import compare as compare_files
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 LENGTHS = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "mm": 1.0}
 TIMES = {"us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0}

@@ -21,7 +21,7 @@ from hframe_post.firmware.registry import firmware
 from hframe_post.printer.choice import choose
 from hframe_post.printer.profile import check_identified, load, shipped
 from hframe_post.process import program, program_words
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 PROGRAMS = ("slicer", "cura", "octoprint", "moonraker", "klipper")
 
@@ -151,7 +151,7 @@ PLUGIN = "hframe_post"  # its folder
 def _octoprint(printer: str, folder: Path | None) -> None:
     profile = load(printer)
     check_identified(profile)
-    firmware(profile).check_serial(profile)
+    firmware(profile).check_serial()
     home = folder or Path.home() / ".octoprint"
     if not home.is_dir():
         raise HframeError(f"{home} does not exist: name OctoPrint's folder with --folder")

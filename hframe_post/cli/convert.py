@@ -35,7 +35,7 @@ from hframe_post.printer.choice import verification_as_text
 from hframe_post.printer.profile import check_identified, played_by
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.running import keep_memory
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 # in PrusaSlicer and OrcaSlicer: the slicer's name for the file, which is a temporary one by now
 LONGEST_MOVE = 200  # bytes of a line, more than any slicer writes

@@ -23,13 +23,13 @@ from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.version import log_of
 from hframe_post.firmware.registry import firmware
-from hframe_post.hosts.moonraker.history import events
+from hframe_post.hosts.moonraker.disk import events
 from hframe_post.page.history import OLD, history_page
 from hframe_post.printer.choice import PROFILE, VARIABLE, Choice, choose, config_file, presets
 from hframe_post.printer.profile import load, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 PACKAGES = (
     "click",
@@ -200,7 +200,7 @@ def _check_profile(
         return profile
     _check_age(findings, Path(printer), profile)
     _check_hooks(findings, printer)
-    if stopped := own.code(profile).when_stopped:
+    if stopped := own.code().when_stopped:
         findings.note(f"after a print that was stopped midway, send {stopped}")
     if config is None:
         findings.note(own.unchecked)
@@ -256,7 +256,7 @@ def _differences(
         )
     yield from check(config, profile, remedy)
     yield from check_live(config, profile)
-    yield from firmware(profile).host_findings(config.path, log, profile, again)
+    yield from firmware(profile).host_findings(config.path, log, again)
 
 
 def _check_hooks(findings: _Findings, printer: str) -> None:

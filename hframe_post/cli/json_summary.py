@@ -14,7 +14,7 @@ import click
 from hframe_post.cli.options import dashed
 from hframe_post.errors import HframeError
 from hframe_post.version import __version__
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 SCHEMA = 1  # raised when a key goes or changes its meaning
 _SUMMARY = "hframe_post.json"  # in a context's meta

@@ -19,7 +19,7 @@ from hframe_post.cli.options import coloured
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.printer.choice import CHOICE, Choice
 from hframe_post.version import __version__
-from hframe_post.writers.files import FULL
+from hframe_post.writers.outputs import FULL
 
 GROUPS = {  # by group: name, its function in a module of hframe_post.cli, a line of help
     "Start": {

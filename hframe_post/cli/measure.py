@@ -17,8 +17,8 @@ from hframe_post.cli.options import files_read, position, printer_option, quoted
 from hframe_post.gcode.lines import lines_of
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.printer.settings import CHIP_NAME
-from hframe_post.writers.files import Outputs
-from hframe_post.writers.stream.print_time import duration, write_output
+from hframe_post.writers.outputs import Outputs
+from hframe_post.writers.print_time import duration, write_output
 
 if TYPE_CHECKING:
     from hframe_post.identification.recordings.runs import PlannedRun

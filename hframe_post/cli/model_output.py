@@ -14,7 +14,7 @@ from hframe_post.cli.options import quoted, say, shown_working, write_kernel
 from hframe_post.errors import HframeError
 from hframe_post.printer.choice import PROFILE
 from hframe_post.printer.model_file import model_path, texts
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer

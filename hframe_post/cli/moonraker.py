@@ -23,7 +23,7 @@ from hframe_post.firmware.klipper.printer_cfg import HEADING, KlipperConfig
 from hframe_post.hosts import klipper, moonraker
 from hframe_post.hosts.moonraker.disk import NAME
 from hframe_post.process import program
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 CONFIG = "moonraker.conf"
 BACKUP = ".before-hframe-post"  # added to the name of a file that is changed

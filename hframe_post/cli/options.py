@@ -23,7 +23,7 @@ from hframe_post.printer.choice import CHOICE, Choice, choose
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
-    from hframe_post.writers.files import Outputs
+    from hframe_post.writers.outputs import Outputs
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 COLOURS = (  # of the first words of lines

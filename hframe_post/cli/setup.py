@@ -21,10 +21,10 @@ from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.registry import source_of
 from hframe_post.printer.choice import PROFILE, VARIABLE, set_default
 from hframe_post.printer.model_file import measured, with_windows
+from hframe_post.printer.new_profile import Known, Tables, profile_text
 from hframe_post.printer.profile import load, parse, text_of
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Known, Tables, profile_text
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 CALIBRATE = (
     "Then mount the accelerometer, clear the bed, heat as for a print, and type on the console of "

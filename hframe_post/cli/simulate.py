@@ -28,7 +28,7 @@ from hframe_post.studies.shapers.comparison import (
     comparison_as_json,
     comparison_as_text,
 )
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 
 @click.command()

@@ -18,7 +18,7 @@ from hframe_post.cli.options import (
     printer_option,
 )
 from hframe_post.conversion.options import Options
-from hframe_post.writers.files import Outputs
+from hframe_post.writers.outputs import Outputs
 
 
 @click.command()
@@ -41,7 +41,7 @@ def speed(
     Example:
       hframe-post speed part.gcode -p my.toml --report speed.html
     """
-    from hframe_post.page.speed import speed_page
+    from hframe_post.page.speed_page import speed_page
     from hframe_post.studies.speed.curve_report import curve_as_json, curve_as_text
 
     profile, choice = library.load_printer(printer), chosen_printer()

@@ -9,6 +9,7 @@ import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -24,8 +25,8 @@ from hframe_post.gcode.motors import with_motors
 from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.windows import WHOLE
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.stream.gcode import GcodeSummary, GcodeWriter
-from hframe_post.writers.stream.print_time import SUMMARY, Output, after_head, later
+from hframe_post.writers.gcode import GcodeSummary, GcodeWriter
+from hframe_post.writers.print_time import SUMMARY, Output, after_head, later
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
@@ -39,7 +40,7 @@ class GcodeConversion:
         lines, printer = with_motors(lines, printer, options.limits)
         self._printer, self._options = printer, options
         own = firmware(printer)
-        self._rules, self._code = own.motion(printer, options.tolerance), own.code(printer)
+        self._rules, self._code = own.motion(options.tolerance), own.code()
         self._source = PlannedFile(lines, printer, options)
         self._motion, self._written = MotionSummary(), GcodeSummary()
 
@@ -62,8 +63,8 @@ class GcodeConversion:
         """Return the duration of the print so far as sliced and as converted, s."""
         return self._source.sliced_seconds, self._motion.duration
 
-    def report(self) -> Report:
-        """Return the report; it is complete once the output was used up."""
+    @cached_property
+    def _report(self) -> Report:
         written = self._written
         report = self._source.report(self._motion)
         report = replace(
@@ -76,6 +77,10 @@ class GcodeConversion:
         )  # fmt: skip
         of_summary = len(report.as_text().splitlines())
         return replace(report, lines_written=written.lines + 1 + of_summary)
+
+    def report(self) -> Report:
+        """Return the report, once the output was used up."""
+        return self._report
 
 
 @dataclass(slots=True)
@@ -104,9 +109,9 @@ class SpanWriter:
             advance=start.advance, whole=0 if start.place else WHOLE,
         )  # fmt: skip
         own = firmware(printer)
-        rules = own.motion(printer, options.tolerance, options.retract == "moving")
+        rules = own.motion(options.tolerance, options.retract == "moving")
         writer = GcodeWriter(
-            options.strategy, rules, own.code(printer), place=start.place, offset=start.offset
+            options.strategy, rules, own.code(), place=start.place, offset=start.offset
         )
         result = WrittenSpan(())
 

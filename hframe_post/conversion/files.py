@@ -20,8 +20,8 @@ from hframe_post.gcode.lines import SUFFIX, as_binary, is_binary
 from hframe_post.printer.profile import check_identified
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
-from hframe_post.writers.files import Outputs, compressing
-from hframe_post.writers.stream.print_time import write_output
+from hframe_post.writers.outputs import Outputs, compressing
+from hframe_post.writers.print_time import write_output
 
 if TYPE_CHECKING:
     from hframe_post.conversion.tables import SampleConversion, StepConversion
@@ -172,7 +172,7 @@ def _convert_samples(*arguments: Any) -> SampleConversion:
 
 def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
     """Write the step file and, next to a regular file, the file of its events."""
-    from hframe_post.writers.step_file import EVENTS_HEADER, inlined
+    from hframe_post.writers.tables import EVENTS_HEADER, inlined
 
     out = target.open()
     if target.path is None:
@@ -189,7 +189,7 @@ def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
 
 
 def _save_samples(conversion: SampleConversion, target: Target, made_by: str) -> None:
-    from hframe_post.writers.samples import COLUMNS, as_csv, write_npz
+    from hframe_post.writers.tables import COLUMNS, as_csv, write_npz
 
     kind, packing = _suffixes(target.path)
     out = target.open()

@@ -31,7 +31,7 @@ from hframe_post.stream.chunks import stretches
 from hframe_post.stream.features import Place, kind
 from hframe_post.stream.running import joined
 from hframe_post.stream.types import Dwell, Item, MoveAtRest, Moves, Passthrough, Rest, Samples
-from hframe_post.writers.stream.print_time import duration, times_of
+from hframe_post.writers.print_time import duration, times_of
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture

@@ -160,7 +160,7 @@ class PathMeter:
         end = 0
         for moves in waiting:
             of = slice(end, end := end + len(moves.line))
-            moves.limits.lower(speed[of].copy(), acceleration[of], delta[of])
+            moves.limits.lower(speed[of].copy(), acceleration[of], moves.points)
         summary.acceleration.add(acceleration < limits.acceleration, path, acceleration)
         summary.corner.add(corner < limits.square_corner_velocity, path, corner)
         velocity = np.full(len(path), limits.velocity)

@@ -53,7 +53,6 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.planner.motors import WithinMotors
 from hframe_post.planner.pacing import PieceStart, pace
 from hframe_post.planner.sampling import sample
-from hframe_post.planner.sliced import run_seconds
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Motors, Printer
@@ -122,7 +121,7 @@ def scheduled(
     followed = followed or following(printer)
     items = items if followed is None else followed.items(items)
     items = (within or WithinMotors(printer)).items(items)
-    return plan(avoid_bands(items, printer, start), firmware(printer).caps(printer))
+    return plan(avoid_bands(items, printer, start), firmware(printer).caps())
 
 
 def following(printer: Printer, advance: Advance | None = None) -> FollowedAdvance | None:
@@ -131,10 +130,10 @@ def following(printer: Printer, advance: Advance | None = None) -> FollowedAdvan
     advance: at the beginning; the profile's by default.
     """
     own = firmware(printer)
-    if (limits := own.motion(printer, None).extruder) is None:
+    if (limits := own.motion(None).extruder) is None:
         return None
-    most = own.caps(printer).acceleration
-    return FollowedAdvance(advance or own.advance(printer), limits, most)
+    most = own.caps().acceleration
+    return FollowedAdvance(advance or own.advance(), limits, most)
 
 
 def sampled(
@@ -144,7 +143,7 @@ def sampled(
 
     skip_slow: leave out samples of slow motion, as ``sample`` does.
     """
-    rules = firmware(printer).motion(printer, options.tolerance, options.retract == "moving")
+    rules = firmware(printer).motion(options.tolerance, options.retract == "moving")
     rests = stop_rules(printer.compensation.stops, options.strategy, rules.stop_rules)
     return sample(items, printer.limits, rests, skip_slow=skip_slow)
 
@@ -176,8 +175,8 @@ class Stages:
         picture = _picture(printing or Place()) if options.picture else None
         doubts = Doubts.from_plant(printer.plant, printer.uncertainty)
         own = firmware(printer)
-        limits = own.motion(printer, options.tolerance).extruder
-        self._advancing = Advancing(advance or own.advance(printer), limits)
+        limits = own.motion(options.tolerance).extruder
+        self._advancing = Advancing(advance or own.advance(), limits)
         self._errors = ErrorMeter(
             printer.plant, doubts=doubts, picture=picture, whole=None if picture else whole
         )
@@ -289,7 +288,7 @@ class PlannedFile:
         items = self._path.items(items)
         plans = scheduled(items, self._printer, followed=self._following, within=self._within)
         plans = self._timed(plans)
-        return Spans(self._times.timed("plan", plans), self._firmware.advance(self._printer))
+        return Spans(self._times.timed("plan", plans), self._firmware.advance())
 
     def report(self, motion: MotionSummary) -> Report:
         """Return the report of a conversion that saw this motion.
@@ -326,7 +325,7 @@ class PlannedFile:
         """Add up the time of plans if nothing limited their jerk."""
         for item in plans:
             if isinstance(item, Plan):
-                self._ramps += float(run_seconds(item).sum())
+                self._ramps += float(item.seconds.sum())
             yield item
 
     def _print_time(self, motion: MotionSummary) -> PrintTime:

@@ -21,7 +21,7 @@ from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
 from hframe_post.planner.bands import MotorBands
-from hframe_post.planner.sliced import AsSliced, run_seconds
+from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.best_shaper import Paths, paths, ranked
 from hframe_post.prediction.predict import contour_error, stepped
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
@@ -55,7 +55,7 @@ class SlicedFile:
     """The firmware's own motion of the items that pass: their time, and pieces of the motion."""
 
     def __init__(self, printer: Printer) -> None:
-        rules = firmware(printer).limits(printer)
+        rules = firmware(printer).limits()
         self._printer, self.own = printer, AsSliced(rules, MotorBands.from_printer(printer))
         self._pieces, self._every, self._count = list[Piece](), 1, 0
         self._piece, self._seconds = list[Planned](), 0.0  # of motion
@@ -167,8 +167,11 @@ class SlicedFile:
 
 def _parts(plan: Plan) -> Iterator[tuple[Plan, float]]:
     """Yield a plan in parts of about a piece's duration, each with its seconds."""
-    seconds = run_seconds(plan)
+    seconds = plan.seconds
     at = np.cumsum(seconds) // PIECE_S
+    if at[-1] == 0.0:
+        yield plan if not plan.marks else replace(plan, marks=()), float(seconds.sum())
+        return
     cuts = [0, *(np.flatnonzero(np.diff(at)) + 1).tolist(), len(seconds)]
     for low, high in pairwise(cuts):
         first, last = plan.ends[[low, high]].tolist()

@@ -13,9 +13,8 @@ from hframe_post.conversion.report import Report, StepReport
 from hframe_post.errors import PrinterError
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
-from hframe_post.writers.samples import tabulate
-from hframe_post.writers.step_file import MOTORS, Header, Note, StepFileWriter
 from hframe_post.writers.steps import StepGenerator
+from hframe_post.writers.tables import MOTORS, Header, Note, StepFileWriter, tabulate
 
 # ---------------------------------------------------------------------- steps
 

@@ -17,7 +17,6 @@ from hframe_post.printer.settings import (
     LONGEST_SMOOTHING,
     SMOOTH_TIME,
     Extruder,
-    Printer,
 )
 
 _KLIPPER = re.compile(rb"\s*(?:N\d+\s*)?SET_PRESSURE_ADVANCE\s([^;#*]*)", re.IGNORECASE)
@@ -50,11 +49,12 @@ class Advance:
     reads: Callable[[bytes], AdvanceChange] = no_advance
 
     @classmethod
-    def from_printer(
-        cls, printer: Printer, reads: Callable[[bytes], AdvanceChange], seconds: float = 0.0
-    ) -> Advance:
+    def of_extruder(
+        cls, extruder: Extruder | None, reads: Callable[[bytes], AdvanceChange],
+        seconds: float = 0.0,
+    ) -> Advance:  # fmt: skip
         """Return the advance of a profile. seconds: where the profile has none."""
-        own = printer.extruder or Extruder(seconds)
+        own = extruder or Extruder(seconds)
         return cls(own.advance, own.smooth_time, reads)
 
     def half(self, computed: bool) -> int:

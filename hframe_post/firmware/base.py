@@ -55,7 +55,7 @@ class FirmwareLimits:
 
 
 class Firmware(ABC):
-    """A firmware, for any printer.
+    """A firmware on one printer: what it reads, how it moves, its limits, its own files.
 
     name: in profiles and on the command line. table: its table in profiles. dialect: what it reads.
     decimates: its segments depend on the tolerance. shapers: names of the input shapers that every
@@ -74,11 +74,12 @@ class Firmware(ABC):
     compared: ClassVar[str] = ""
     unchecked: ClassVar[str]
 
+    def __init__(self, printer: Printer) -> None:
+        self.printer = printer
+
     @abstractmethod
-    def motion(
-        self, printer: Printer, tolerance: float | None, retract_moving: bool = False
-    ) -> MotionRules:
-        """Return its motion on a printer.
+    def motion(self, tolerance: float | None, retract_moving: bool = False) -> MotionRules:
+        """Return its motion.
 
         tolerance: of decimation, mm; None keeps every sample. retract_moving: filament is retracted
         in motion. Raises PrinterError where the profile lacks the firmware's table, HframeError
@@ -86,36 +87,36 @@ class Firmware(ABC):
         """
 
     @abstractmethod
-    def code(self, printer: Printer) -> Code:
-        """Return its G-code on a printer. Raises PrinterError without the firmware's table."""
+    def code(self) -> Code:
+        """Return its G-code. Raises PrinterError without the firmware's table."""
 
-    def reads(self, printer: Printer) -> Dialect:
+    def reads(self) -> Dialect:
         """Return what its build on this printer reads. Default: what all builds do."""
         return self.dialect
 
-    def moves(self, printer: Printer) -> WrittenMoves:
+    def moves(self) -> WrittenMoves:
         """Return how it plays moves as they are written. Raises PrinterError without its table."""
-        return WrittenMoves(self.code(printer))
+        return WrittenMoves(self.code())
 
-    def advance(self, printer: Printer) -> Advance:
+    def advance(self) -> Advance:
         """Return the pressure advance until the file sets another. Default: the profile's."""
-        return Advance.from_printer(printer, self.dialect.advance)
+        return Advance.of_extruder(self.printer.extruder, self.dialect.advance)
 
-    def limits(self, printer: Printer) -> FirmwareLimits:
+    def limits(self) -> FirmwareLimits:
         """Return the limits with which it plays a file as sliced. Default: those of the profile."""
-        own = printer.limits
-        others = FileLimits(path=own.velocity, belts=belts(printer))
+        own = self.printer.limits
+        others = FileLimits(path=own.velocity, belts=self.belts)
         return FirmwareLimits(
             unlimited(own), own.acceleration, own.acceleration, own.square_corner_velocity, others
         )
 
-    def caps(self, printer: Printer) -> Limits:
+    def caps(self) -> Limits:
         """Return the profile's limits, without those that a file may raise.
 
         Its speed, acceleration and speed at corners bind what files ask where they differ from the
         firmware's own: then the printer's owner chose them.
         """
-        own, limits = self.limits(printer), printer.limits
+        own, limits = self.limits(), self.printer.limits
         of_motors = [min(pair[:Z]) for pair in (own.others.velocity, own.others.acceleration)]
         acceleration, corner = min(own.printing, of_motors[1]), own.corner
         if math.isfinite(own.others.deviation):
@@ -132,24 +133,24 @@ class Firmware(ABC):
             and math.isfinite(value)
         })  # fmt: skip
 
-    def most(self, printer: Printer) -> tuple[float, float]:
+    def most(self) -> tuple[float, float]:
         """Return the speed, mm/s, and the acceleration, mm/s², that the firmware itself allows."""
         return math.inf, math.inf
 
+    @staticmethod
     @abstractmethod
-    def shaper_settings(self, shaping: Shaping) -> str:
+    def shaper_settings(shaping: Shaping) -> str:
         """Return the section of a configuration, or the commands, that set input shapers."""
 
-    def source(self, files: Sequence[Path]) -> Source | None:
+    @classmethod
+    def source(cls, files: Sequence[Path]) -> Source | None:
         """Return what these files say of a printer; None if they are not of this firmware.
 
         Raises HframeError.
         """
         return None
 
-    def host_findings(
-        self, config: Path, log: Path | None, printer: Printer, remedy: str
-    ) -> Iterable[Finding]:
+    def host_findings(self, config: Path, log: Path | None, remedy: str) -> Iterable[Finding]:
         """Return what is wrong with the firmware's host, apart from its printer's settings.
 
         config, log: of the host. remedy: how what the profile gives is written again. Raises
@@ -157,15 +158,15 @@ class Firmware(ABC):
         """
         return ()
 
-    def check_serial(self, printer: Printer) -> None:
+    def check_serial(self) -> None:
         """Raise PrinterError if the profile does not allow printing over a serial line."""
         return
 
-
-def belts(printer: Printer) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the matrix from x, y to the motors A, B."""
-    (ax, ay), (bx, by) = printer.kinematics.matrix.tolist()
-    return (ax, ay), (bx, by)
+    @property
+    def belts(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return the matrix from x, y to the motors A, B."""
+        (ax, ay), (bx, by) = self.printer.kinematics.matrix.tolist()
+        return (ax, ay), (bx, by)
 
 
 def unlimited(limits: Limits, deviation: float = math.inf) -> Limits:

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from hframe_post.printer.new_profile import Tables
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Tables
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,16 +13,16 @@ from hframe_post.firmware.marlin.firmware import Marlin
 from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.settings import Printer
 
-FIRMWARES: dict[str, Firmware] = {each.name: each for each in (Klipper(), Marlin())}
+FIRMWARES: dict[str, type[Firmware]] = {each.name: each for each in (Klipper, Marlin)}
 
 
 def firmware(printer: Printer) -> Firmware:
     """Return the firmware that a printer's profile names. Raises PrinterError."""
     named(printer.firmware.dialect, "firmware.dialect", printer.name)
-    return FIRMWARES[printer.firmware.dialect]
+    return FIRMWARES[printer.firmware.dialect](printer)
 
 
-def firmware_named(name: str) -> Firmware:
+def firmware_named(name: str) -> type[Firmware]:
     """Return a firmware by its name. Raises HframeError if there is none."""
     if name not in FIRMWARES:
         raise HframeError(f"unknown firmware {name!r}; choose from {', '.join(FIRMWARES)}")

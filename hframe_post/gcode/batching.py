@@ -25,12 +25,12 @@ from hframe_post.stream.types import (
 )
 
 MOVES_PER_ITEM = 4096
-MIN_FEED = 1.0 / 60.0  # mm/s, F1; a slower move would never end
+MIN_FEED = 0.1 / 60.0  # mm/s, F0.1, the least that is written
 MAX_DURATION = 4 * 3600.0  # s of a move; a longer one is a mistake, and would never end
 MAX_MARK_BYTES = 1 << 21  # of lines between two moves that are carried without a stop
 BYTES_PER_MARK = 200  # in addition to the text
 MAX_FILAMENT = 2e3  # mm of one move; loading takes less
-MAX_FILAMENT_PER_PATH = 10.0  # Klipper refuses more than a quarter mm per mm
+MAX_FILAMENT_PER_PATH = 10.0  # mm/mm; Klipper refuses more than a quarter
 MIN_PATH = 1e-9  # mm; a curve may end where it begins, and squares of less may be 0
 
 

@@ -43,12 +43,11 @@ from hframe_post.gcode.lexer import (
 )
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.objects import Objects
-from hframe_post.gcode.state import AXES, Extent, ReadOptions, State
+from hframe_post.gcode.state import Extent, ReadOptions, State
 from hframe_post.stream.types import Handling, Item, MoveAtRest, Passthrough, Position
 
 MAX_DWELL = 24 * 3600.0  # s
 MIN_WRITTEN_PATH = 1e-3  # mm; the resolution of a file
-IMPOSSIBLE_FILAMENT_PER_PATH = 1e3
 LINES_TO_G11 = 500  # lines within which a G10 has its G11
 TOOL = re.compile(r"T\d+")
 # causes of uncompensated moves that are no commands
@@ -194,11 +193,13 @@ class _Reader:
         state = self._state
         start = state.position
         path, filament = math.dist(start[:3], end[:3]), abs(end[3] - start[3])
-        if path < MIN_WRITTEN_PATH and filament > MAX_FILAMENT_PER_PATH * path:
-            self._stand(line, (*start[:3], end[3]), state.others.velocity[3])
-        elif filament > IMPOSSIBLE_FILAMENT_PER_PATH * path:
-            raise line.error(f"{filament:.3g} mm of filament along {path:.3g} mm of path")
-        elif path > MIN_PATH:
+        if filament > MAX_FILAMENT_PER_PATH * path:  # the filament decides how long that takes
+            fed = (*start[:3], end[3])
+            self._stand(line, fed, state.others.velocity[3])
+            start, moves = fed, path >= MIN_WRITTEN_PATH
+        else:
+            moves = path > MIN_PATH
+        if moves:
             self._objects.moved()
             self.items.add_move(line.number, start, end, state.speed)
         state.position = end
@@ -285,6 +286,8 @@ class _Reader:
         effect = self._options.vocabulary.effect(name, arguments)
         waits = name in ("G10", "G11") and effect is commands.Effect.WAITS
         seconds = self._retraction.duration(name) if waits else 0.0
+        # before the line passes: what it leaves holds when the stream goes on
+        axes = self._state.home(arguments) if name == "G28" else range(3)
         self._pass_through(line, effect.handling, seconds)
         if effect not in (commands.Effect.UNKNOWN, commands.Effect.OTHER_TOOL):
             return
@@ -293,13 +296,9 @@ class _Reader:
         if not self._other_tool or effect is commands.Effect.OTHER_TOOL:
             self._cause = name[:40]
         self._retraction.forget()
-        if name == "G28":
-            homed = [axis for axis in range(3) if AXES[axis].encode() in arguments.upper()]
-            self._state.forget(homed or range(3), homed=True)
-        else:
-            self._state.forget()
-            if self._dialect.may_set_modes(name):
-                self._macro, self._e_named = name[:40], False
+        self._state.forget(axes)
+        if self._dialect.may_set_modes(name):
+            self._macro, self._e_named = name[:40], False
 
     def _apply_retraction(self, line: Line, name: str) -> bool:
         """Turn G10 or G11 into a move of filament; return False if it must pass through."""

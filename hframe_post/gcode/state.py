@@ -57,8 +57,8 @@ class ReadOptions:
         own, names = firmware(printer), printer.firmware
         vocabulary = Vocabulary.with_names(names.harmless, names.returns, names.other_tools or ())
         return cls(
-            own.reads(printer), limits, extrusion, printer.travel, vocabulary, printer.retraction,
-            own.limits(printer),
+            own.reads(), limits, extrusion, printer.travel, vocabulary, printer.retraction,
+            own.limits(),
         )  # fmt: skip
 
 
@@ -165,12 +165,17 @@ class State:
         ox, oy, oz, oe = self.offset
         self.position, self.offset = (x, y, z, e + filament), (ox, oy, oz, oe + filament)
 
-    def forget(self, axes: Iterable[int] = range(3), homed: bool = False) -> None:
-        """Mark axes as unknown; homing also drops their offsets from G92."""
+    def forget(self, axes: Iterable[int] = range(3)) -> None:
+        """Mark axes as unknown."""
         for axis in axes:
             self.known[axis] = False
-            if homed:
-                self.offset = _replaced(self.offset, axis, 0.0)
+
+    def home(self, arguments: bytes) -> list[int]:
+        """Drop the offsets of the axes that G28 homes, and return them."""
+        named = [k for k in range(3) if AXES[k].encode() in arguments.upper()]
+        for axis in named or range(3):
+            self.offset = _replaced(self.offset, axis, 0.0)
+        return named or [0, 1, 2]
 
     def rename_position(self, line: Line, words: Words) -> None:
         """Apply G92: the file's name for the machine's place changes. Raises GcodeError."""

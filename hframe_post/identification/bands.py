@@ -35,7 +35,7 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import USUAL_CHIP
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
-from hframe_post.writers.stream.print_time import duration
+from hframe_post.writers.print_time import duration
 
 LABEL = re.compile(r"an(\d+)_(\d+)sp(\d+)_(\d+)", re.IGNORECASE)
 WINDOW = 0.25  # s of a spectrum; a stroke at full speed lasts longer

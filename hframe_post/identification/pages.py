@@ -15,7 +15,7 @@ from hframe_post.identification.report import IdentificationReport
 from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.identification.verify import Verdict
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.page.measured import Card, Chart, Curve, Section, page
+from hframe_post.page.charts import Card, Chart, Curve, Section, page
 
 TITLES = {
     "Gxx": "x: from the motors to the nozzle (Gxx)",

@@ -11,20 +11,52 @@ struct rules { /* those of the printer, and of the file for motors A and B, z an
         axis_acceleration[COLUMNS], belts[2][2];
 };
 
+/* Return the length of a move; share: what a mm of it is of motors A and B, of z and of e. */
+static double find_shares(const double *points, const double belts[2][2], double *delta, double *share)
+{
+    for (int c = 0; c < COLUMNS; c++)
+        delta[c] = points[COLUMNS + c] - points[c];
+    double length = sqrt(delta[X] * delta[X] + delta[Y] * delta[Y] + delta[Z] * delta[Z]);
+    for (int c = 0; c < COLUMNS; c++) {
+        const double *belt = belts[c % 2];
+        share[c] = fabs(c < Z ? belt[X] * delta[X] + belt[Y] * delta[Y] : delta[c]) / length;
+    }
+    return length;
+}
+
+struct shared { /* limits of motors A and B, z and e, and of the path */
+    double velocity[COLUMNS], acceleration[COLUMNS], belts[2][2], path;
+};
+
+/* Lower speed and acceleration (n) of moves between points (n + 1, 4); return how many were. */
+static int64_t lower_moves(const double *points, int64_t n, const struct shared *to, double *speed,
+                           double *acceleration)
+{
+    int64_t count = 0;
+    for (int64_t k = 0; k < n; k++, points += COLUMNS) {
+        double delta[COLUMNS], share[COLUMNS], v = lesser(to->path, speed[k]), a = acceleration[k];
+        find_shares(points, to->belts, delta, share);
+        for (int c = 0; c < COLUMNS; c++) {
+            v = lesser(to->velocity[c] / share[c], v);
+            a = lesser(to->acceleration[c] / share[c], a);
+        }
+        count += v < speed[k] || a < acceleration[k];
+        speed[k] = v, acceleration[k] = a;
+    }
+    return count;
+}
+
+LOOP(lower_moves, FLOATS(0, COLUMNS * (COUNT(1) + 1)), COUNT(1),
+     (const struct shared *)FLOATS(2, sizeof(struct shared) / sizeof(double)), OUT_FLOATS(3, COUNT(1)),
+     OUT_FLOATS(4, COUNT(1)))
+
 /* points (n + 1, 4); asked (n) for speed, acceleration and speed of corners. */
 static int64_t limit_moves(const double *points, const double *speed, const double *acceleration,
                            const double *corner, int64_t n, const struct rules *rules,
                            struct limited *moves)
 {
     for (int64_t k = 0; k < n; k++, points += COLUMNS) {
-        double delta[COLUMNS], share[COLUMNS];
-        for (int c = 0; c < COLUMNS; c++)
-            delta[c] = points[COLUMNS + c] - points[c];
-        double length = sqrt(delta[X] * delta[X] + delta[Y] * delta[Y] + delta[Z] * delta[Z]);
-        for (int c = 0; c < COLUMNS; c++) {
-            const double *belt = rules->belts[c % 2];
-            share[c] = fabs(c < Z ? belt[X] * delta[X] + belt[Y] * delta[Y] : delta[c]) / length;
-        }
+        double delta[COLUMNS], share[COLUMNS], length = find_shares(points, rules->belts, delta, share);
         int travels = delta[E] == 0.0;
         double cruise = lesser(speed[k], travels ? rules->travel_cruise : rules->cruise);
         double a = lesser(acceleration[k], travels ? rules->travel_acceleration : rules->acceleration);
@@ -204,3 +236,101 @@ static int64_t find_runs(const struct limited *moves, const double *caps, int64_
 LOOP(find_runs, (const struct limited *)FLOATS(0, OF_MOVE * COUNT(2)), FLOATS(1, COUNT(2) + 1), COUNT(2),
      REAL(3), REAL(4), REAL(5), REAL(6), WITHIN(7, 1, MOST_ITEMS), OUT_FLOATS(8, 8 * (COUNT(2) + 1)),
      OUT_FLOATS(9, COUNT(2) + 1), OUT_INTEGERS(10, COUNT(2) + 1), OUT_FLOATS(11, COUNT(2) + 1))
+
+struct planned { /* a run, without a limit on jerk */
+    double length, begun2, ended2, acceleration; /* speeds squared */
+};
+
+static struct planned planned(const double *s, const int64_t *ends, const double *speed,
+                              const double *acceleration, int64_t i)
+{
+    return (struct planned){s[ends[i + 1]] - s[ends[i]], speed[i] * speed[i], speed[i + 1] * speed[i + 1],
+                            acceleration[i]};
+}
+
+/* Return the time of a run whose greatest speed is top. */
+static double run_time(struct planned run, double top, double begun, double ended)
+{
+    double ramped = (2.0 * top * top - run.begun2 - run.ended2) / (2.0 * run.acceleration);
+    return (2.0 * top - begun - ended) / run.acceleration + greater(run.length - ramped, 0.0) / top;
+}
+
+/* Time (r) of runs that end at vertices (r + 1) of a path, whose lengths are s (m): as fast as their
+ * cruise and acceleration (r) allow from one speed (r + 1) to the next. */
+static int64_t run_seconds(const double *s, int64_t m, const int64_t *ends, const double *speed,
+                           const double *cruise, const double *acceleration, int64_t r, double *seconds)
+{
+    (void)m;
+    for (int64_t i = 0; i < r; i++) {
+        struct planned run = planned(s, ends, speed, acceleration, i);
+        double least2 = greater(run.begun2, run.ended2);
+        double reached2 = run.acceleration * run.length + (run.begun2 + run.ended2) / 2.0;
+        double top = lesser(cruise[i], sqrt(greater(reached2, least2)));
+        seconds[i] = run_time(run, top, speed[i], speed[i + 1]);
+    }
+    return r;
+}
+
+LOOP(run_seconds, FLOATS(0, COUNT(1)), COUNT(1), INDICES(2, COUNT(6) + 1, 0, COUNT(1)),
+     FLOATS(3, COUNT(6) + 1), FLOATS(4, COUNT(6)), FLOATS(5, COUNT(6)), COUNT(6), OUT_FLOATS(7, COUNT(6)))
+
+/* Lower the speeds (r + 1) of runs, and find the greatest speed and the time of each, (r), as Klipper
+ * plays them. It plans a second time, where the square of the speed changes by no more than a gain,
+ * which is smaller by ratios (r). Where that plan accelerates, the path gets no faster
+ * than the plan's next peak; where it brakes all along, no faster than where it begins to.
+ * room (4, r + 1). */
+static int64_t smoothed_runs(const double *s, int64_t m, const int64_t *ends, const double *cruise,
+                             const double *acceleration, const double *ratios, int64_t r, double *room,
+                             double *speed, double *top, double *seconds)
+{
+    (void)m;
+    double *summed = room, *both = summed + r + 1, *gain = both + r + 1, *height = gain + r + 1;
+    double least = INFINITY;
+    summed[0] = 0.0;
+    for (int64_t i = 0; i < r; i++) {
+        struct planned run = planned(s, ends, speed, acceleration, i);
+        gain[i] = 2.0 * (1.0 - ratios[i]) * run.acceleration * run.length;
+        summed[i + 1] = summed[i] + gain[i];
+    }
+    for (int64_t i = 0; i <= r; i++) {
+        least = lesser(least, speed[i] * speed[i] - summed[i]);
+        both[i] = (least + summed[i]) + summed[i];
+    }
+    least = INFINITY;
+    for (int64_t i = r; i >= 0; i--) {
+        least = lesser(least, both[i]);
+        both[i] = least - summed[i];
+    }
+    double rounding = 1e-12 * summed[r], following = INFINITY;
+    int climbs_after = 1;
+    for (int64_t i = r - 1; i >= 0; i--) { /* height: of the next peak; of no climb, NAN */
+        int climbs = both[i] + rounding < both[i + 1] + gain[i];
+        int peak = climbs && (both[i] + gain[i] > both[i + 1] + rounding || !climbs_after);
+        if (peak)
+            following = lesser((both[i] + both[i + 1] + gain[i]) / 2.0, cruise[i] * cruise[i]);
+        height[i] = climbs ? following : NAN;
+        climbs_after = climbs;
+    }
+    double before = INFINITY;
+    for (int64_t i = 0; i < r; i++) {
+        struct planned run = planned(s, ends, speed, acceleration, i);
+        int climbs = height[i] == height[i];
+        /* the next peak's height is the latest one's behind it */
+        before = climbs ? height[i] : before;
+        double smooth = climbs ? height[i] : lesser(before, run.begun2);
+        double reached = run.acceleration * run.length + (run.begun2 + run.ended2) / 2.0;
+        top[i] = sqrt(lesser(lesser(reached, smooth), cruise[i] * cruise[i]));
+    }
+    for (int64_t i = 0; i < r; i++) {
+        speed[i] = lesser(speed[i], top[i]);
+        speed[i + 1] = lesser(speed[i + 1], top[i]);
+    }
+    for (int64_t i = 0; i < r; i++)
+        seconds[i] = run_time(planned(s, ends, speed, acceleration, i), top[i], speed[i], speed[i + 1]);
+    return r;
+}
+
+LOOP(smoothed_runs, FLOATS(0, COUNT(1)), COUNT(1), INDICES(2, COUNT(6) + 1, 0, COUNT(1)),
+     FLOATS(3, COUNT(6)), FLOATS(4, COUNT(6)), FLOATS(5, COUNT(6)), COUNT(6),
+     OUT_FLOATS(7, 4 * (COUNT(6) + 1)), OUT_FLOATS(8, COUNT(6) + 1), OUT_FLOATS(9, COUNT(6)),
+     OUT_FLOATS(10, COUNT(6)))

@@ -38,6 +38,16 @@ def limit_moves(
     return table
 
 
+def lower_moves(points: Array, limits: Array, speed: Array, acceleration: Array) -> int:
+    """Lower speed and acceleration (n,) of moves between points (n + 1, 4); return how many were.
+
+    limits (13,): speed and acceleration of motors A and B, z and e, the matrix from x, y to A and
+    B, and speed along the path.
+    """
+    lowered: int = kernels.lower_moves(points, len(speed), limits, speed, acceleration)
+    return lowered
+
+
 def greatest_speeds(
     points: Array, moves: Array, extruder_corner_velocity: float, shorter: float = math.inf,
     steep: float = STEEP,
@@ -62,3 +72,29 @@ def find_runs(moves: Array, caps: Array, jerk: float, deceleration: float, last:
     constants = FEASIBLE * jerk, deceleration, last, FEASIBLE, PLATEAU
     r = kernels.find_runs(moves, caps, n, *constants, np.empty(8 * (n + 1)), s, ends, speed)
     return s, ends[: r + 1], speed[: r + 1]
+
+
+def run_seconds(s: Array, ends: Integers, speed: Array, cruise: Array, most: Array) -> Array:
+    """Return how long runs take if nothing limits their jerk, (r,).
+
+    s: path length at the vertices; ends, speed (r + 1,): see ``find_runs``; cruise, most (r,):
+    greatest speed and acceleration.
+    """
+    seconds = np.empty(len(cruise))
+    kernels.run_seconds(s, len(s), ends, speed, cruise, most, len(cruise), seconds)
+    return seconds
+
+
+def smoothed_runs(
+    s: Array, ends: Integers, speed: Array, cruise: Array, most: Array, ratios: Array
+) -> tuple[Array, Array, Array]:
+    """Return speeds at the ends of runs, (r + 1,), top speeds and seconds (r,), as Klipper's.
+
+    ratios (r,): see ``FileLimits.cruise_ratio``. See ``run_seconds`` for the others.
+    """
+    r = len(cruise)
+    speed, top, seconds = speed.copy(), np.empty(r), np.empty(r)
+    room = np.empty(4 * (r + 1))
+    n = len(s)
+    kernels.smoothed_runs(s, n, ends, cruise, most, ratios, r, room, speed, top, seconds)
+    return speed, top, seconds

@@ -27,6 +27,9 @@
     EACH(klipper_feeds)                                                                       \
     EACH(least_squares)                                                                       \
     EACH(limit_moves)                                                                         \
+    EACH(lower_moves)                                                                         \
+    EACH(run_seconds)                                                                         \
+    EACH(smoothed_runs)                                                                       \
     EACH(line_pieces)                                                                         \
     EACH(marlin_block_times)                                                                  \
     EACH(marlin_blocks)                                                                       \

@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from hframe_post.hosts.moonraker.history import LONGEST_TEXT, Event
-from hframe_post.hosts.moonraker.interface import page_of
-from hframe_post.page.measured import WARNING, Card, Chart, Curve, Section, page
+from hframe_post.hosts.moonraker.conversion import page_of
+from hframe_post.hosts.moonraker.disk import LONGEST_TEXT, Event
+from hframe_post.page.charts import WARNING, Card, Chart, Curve, Section, page
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.stream.print_time import duration
+from hframe_post.writers.print_time import duration
 
 DAY = 24 * 3600.0  # s
 OLD = 90  # days, from which a model is to be checked

@@ -136,7 +136,7 @@ def avoid_bands(
     if bands is None:
         yield from items
         return
-    walls, caps = OuterWalls(start), firmware(printer).caps(printer)
+    walls, caps = OuterWalls(start), firmware(printer).caps()
     waiting, choices, count = list[Item](), list[_Choice](), 0
     for item in items:
         waiting.append(item)
@@ -186,7 +186,7 @@ def _choice(moves: Moves, outer: Flags, bands: MotorBands, limits: Limits, first
     speed = np.minimum(moves.speed, limits.velocity)
     highest = np.minimum(np.minimum(FASTEST * moves.speed, limits.velocity), melted)
     for values in (highest, speed):
-        moves.limits.lower(values, acceleration, delta)
+        moves.limits.lower(values, acceleration, moves.points)
     lower, upper = bands.around(speed, delta[:, :Z] / length[:, None])
     raised = outer & ~first & (upper <= highest) & (upper - speed < speed - lower)
     crossing = (np.square(upper) - np.square(lower)) / acceleration

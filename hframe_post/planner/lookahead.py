@@ -27,7 +27,16 @@ from hframe_post.arrays import Array, Integers
 from hframe_post.native.lookahead import STEEP, Runs, find_runs, greatest_speeds, limit_moves
 from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
-from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough, Plan, Planned
+from hframe_post.stream.types import (
+    FileLimits,
+    Handling,
+    Item,
+    Mark,
+    Moves,
+    Passthrough,
+    Plan,
+    Planned,
+)
 
 BATCH = 4096  # moves planned at once; more if none of their speeds is final
 LONGEST_QUEUE = 16 * BATCH
@@ -71,6 +80,8 @@ class Lookahead:
         self._limits, self._batch, self._longest = limits, batch, longest
         self._z_share, self._steep = z_share, steep
         self._moves: list[_Limited] = []
+        self._file_limits: FileLimits | None = None  # of the latest moves
+        self._rules = np.zeros(0)
         self._marks: list[Mark] = []
         self._speed = 0.0
         self._want = self._batch
@@ -78,8 +89,25 @@ class Lookahead:
 
     def append(self, moves: Moves) -> None:
         self._marks += [Mark(mark.index + self.count, mark.text) for mark in moves.marks]
-        self._moves.append(_limited(moves, self._limits, self._z_share))
+        if moves.limits is not self._file_limits:
+            self._file_limits, self._rules = moves.limits, self._rules_with(moves.limits)
+        table = limit_moves(
+            moves.points, moves.speed, moves.acceleration, moves.corner, self._rules
+        )
+        self._moves.append(_Limited(moves.line, moves.points, table))
         self.count += len(moves.line)
+
+    def _rules_with(self, own: FileLimits) -> Array:
+        """Return the limits of the profile and of the file, as ``limit_moves`` takes them."""
+        limits, z_share = self._limits, self._z_share
+        velocity = min(limits.velocity, own.path)
+        return np.array([
+            velocity, limits.travel_velocity or velocity, limits.acceleration, limits.hardest,
+            limits.z_velocity, limits.extruder_velocity, MELTED,
+            z_share * limits.z_acceleration, z_share * limits.extruder_acceleration,
+            limits.square_corner_velocity, min(limits.junction_deviation, own.deviation),
+            *own.velocity, *own.acceleration, *own.belts[0], *own.belts[1],
+        ])  # fmt: skip
 
     def mark(self, text: bytes) -> None:
         self._marks.append(Mark(self.count, text))
@@ -129,7 +157,7 @@ class Lookahead:
         self._marks = [Mark(m.index - n, m.text) for m in self._marks[len(marks) :]]
         self._speed = float(speed[-1])
         self.count -= n
-        _, cruise, acceleration, _ = moves.limits[ends[:-1]].T
+        cruise, acceleration = moves.limits[ends[:-1], 1], moves.limits[ends[:-1], 2]
         return Plan(
             moves.line[:n], moves.points[: n + 1], s[: n + 1],
             ends, speed, cruise, acceleration, marks,
@@ -158,21 +186,6 @@ def _joined(parts: list[_Limited]) -> _Limited:
         np.concatenate(points),
         np.concatenate([p.limits for p in parts]),
     )
-
-
-def _limited(moves: Moves, limits: Limits, z_share: float) -> _Limited:
-    """Return the moves with the limits of the profile, lowered by those of file and firmware."""
-    own = moves.limits
-    velocity = min(limits.velocity, own.path)
-    rules = np.array([
-        velocity, limits.travel_velocity or velocity, limits.acceleration, limits.hardest,
-        limits.z_velocity, limits.extruder_velocity, MELTED,
-        z_share * limits.z_acceleration, z_share * limits.extruder_acceleration,
-        limits.square_corner_velocity, min(limits.junction_deviation, own.deviation),
-        *own.velocity, *own.acceleration, *own.belts[0], *own.belts[1],
-    ])  # fmt: skip
-    table = limit_moves(moves.points, moves.speed, moves.acceleration, moves.corner, rules)
-    return _Limited(moves.line, moves.points, table)
 
 
 def _agreement(one: Runs, other: Runs) -> int:

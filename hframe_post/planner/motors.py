@@ -43,17 +43,18 @@ class WithinMotors:
             yield self._slower(item) if isinstance(item, Moves) else item
 
     def _slower(self, moves: Moves) -> Moves:
-        delta = np.diff(moves.points, axis=0)
+        points = moves.points
         speed, acceleration = moves.speed.copy(), moves.acceleration.copy()
-        moves.limits.lower(speed, acceleration, delta)
+        moves.limits.lower(speed, acceleration, points)
         asked = speed.copy(), acceleration.copy()
-        self._limits.lower(speed, acceleration, delta)
+        lowered = self._limits.lower(speed, acceleration, points)
         corner = np.minimum(moves.corner, self._corner)
-        slowed = (speed < asked[0]) | (acceleration < asked[1]) | (corner < moves.corner)
-        length = lengths(delta[:, :E])
+        length = lengths(points[1:, :E] - points[:-1, :E])
         self.path += float(length.sum())
-        if not slowed.any():
+        slowed = corner < moves.corner
+        if not lowered and not slowed.any():
             return moves
+        slowed |= (speed < asked[0]) | (acceleration < asked[1])
         self.slowed += float(length[slowed].sum())
         return replace(
             moves, speed=frozen(speed), acceleration=frozen(acceleration), corner=frozen(corner)

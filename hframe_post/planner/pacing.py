@@ -216,7 +216,10 @@ class _Pacer:
             np.concatenate([getattr(each, name) for each in moves])
             for name in ("speed", "acceleration", "corner")
         )
-        moves[0].limits.lower(file_speed, file_acceleration, delta)
+        starts = [0, *ends[:-1].tolist()]
+        for each, first_move in zip(moves, starts, strict=True):
+            of = slice(first_move, first_move + len(each.line))
+            moves[0].limits.lower(file_speed[of], file_acceleration[of], each.points)
         speed = file_speed * feed
         slowed = speed * self._layer_factors(layer)
         speed = np.maximum(slowed, np.minimum(speed, self._paces.min_speed))

@@ -10,12 +10,13 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Z, lengths
 from hframe_post.firmware.base import FirmwareLimits
-from hframe_post.native.lookahead import STEEP
+from hframe_post.native.lookahead import STEEP, smoothed_runs
 from hframe_post.planner.bands import MotorBands, OuterWalls, TimeInBands
 from hframe_post.planner.lookahead import Lookahead
 from hframe_post.planner.sampling import sample
@@ -100,31 +101,24 @@ class AsSliced:
 
     def _timed(self, plan: Plan) -> Plan:
         """Add the time of a plan; return it with the speeds that it reaches."""
-        d, cruise, a = np.diff(plan.s[plan.ends]), plan.cruise, plan.acceleration
-        ratio = np.concatenate(self._ratio)
-        self._ratio = [ratio[len(plan.line) :]]
-        v2 = np.square(plan.speed)
-        reached = a * d + (v2[:-1] + v2[1:]) / 2.0
-        gain = 2.0 * (1.0 - ratio[plan.ends[:-1]]) * a * d
-        smooth = _smoothed_tops(v2, gain, np.square(cruise))
-        top = np.sqrt(np.minimum(np.minimum(reached, smooth), np.square(cruise)))
-        speed = plan.speed.copy()
-        speed[:-1] = np.minimum(speed[:-1], top)
-        speed[1:] = np.minimum(speed[1:], top)
-        v_s, v_e = speed[:-1], speed[1:]
+        ratio, n, cruise = _joined(self._ratio), len(plan.line), plan.cruise
+        self._ratio = [ratio[n:]]
+        speed, top, seconds = smoothed_runs(
+            plan.s, plan.ends, plan.speed, cruise, plan.acceleration, ratio[plan.ends[:-1]]
+        )
         if self._bands is not None:
             self._add_in_bands(replace(plan, speed=speed), top, self._bands)
-        if (durations := self._rules.durations) is None:
-            self.seconds += float(_seconds(d, v_s, v_e, top, a).sum())
-        else:
+        if (durations := self._rules.durations) is not None:
             lead = np.abs(np.diff(plan.points[:, :Z], axis=0) @ self._rules.belts.T).max(axis=1)
             lead = np.add.reduceat(lead, plan.ends[:-1])
-            self.seconds += float(durations(lead, d, v_s, v_e, cruise, a).sum())
+            d = np.diff(plan.s[plan.ends])
+            seconds = durations(lead, d, speed[:-1], speed[1:], cruise, plan.acceleration)
+        self.seconds += float(seconds.sum())
         return replace(plan, cruise=top, speed=speed)
 
     def _add_in_bands(self, plan: Plan, top: Array, bands: MotorBands) -> None:
         """Add a plan's outer walls to the time in bands. top: greatest speed of each run."""
-        outer = np.concatenate(self._outer)
+        outer = _joined(self._outer)
         self._outer = [outer[len(plan.line) :]]
         if not outer[: len(plan.line)].any():
             return
@@ -165,39 +159,8 @@ class AsSliced:
         return float(d / top + top / a)
 
 
-def run_seconds(plan: Plan) -> Array:
-    """Return how long each run of a plan takes if nothing limits its jerk, (r,)."""
-    d, v, a = np.diff(plan.s[plan.ends]), plan.speed, plan.acceleration
-    v_s, v_e = v[:-1], v[1:]
-    reached = np.sqrt(np.maximum(a * d + (v_s**2 + v_e**2) / 2.0, np.maximum(v_s, v_e) ** 2))
-    return _seconds(d, v_s, v_e, np.minimum(plan.cruise, reached), a)
-
-
-def _seconds(d: Array, v_s: Array, v_e: Array, top: Array, a: Array) -> Array:
-    """Return the seconds (n,) of ways d (mm) from speed to speed over a speed between."""
-    cruised = np.maximum(d - (2.0 * top**2 - v_s**2 - v_e**2) / (2.0 * a), 0.0)
-    return np.asarray((2.0 * top - v_s - v_e) / a + cruised / top)
-
-
-def _smoothed_tops(v2: Array, gain: Array, cruise2: Array) -> Array:
-    """Return the greatest squares of speed (r,) in runs whose ends have v2, (r + 1,).
-
-    Klipper plans a second time, in which the square may change by no more than the gain (r,). Where
-    that plan accelerates, the path gets no faster than the plan's next peak; where it brakes all
-    along, no faster than where it begins to.
-    """
-    summed = np.concatenate([[0.0], np.cumsum(gain)])
-    rising = np.minimum.accumulate(v2 - summed) + summed
-    both = np.minimum.accumulate((rising + summed)[::-1])[::-1] - summed
-    begun, ended, rounding = both[:-1], both[1:], 1e-12 * summed[-1]
-    climbs = begun + rounding < ended + gain
-    peak = climbs & ((begun + gain > ended + rounding) | np.append(~climbs[1:], False))
-    n = len(gain)
-    index = np.arange(n)
-    following = np.minimum.accumulate(np.where(peak, index, n)[::-1])[::-1]
-    before = np.maximum.accumulate(np.where(peak, index, -1))
-    heights = np.append(np.minimum((begun + ended + gain) / 2.0, cruise2), math.inf)
-    return np.asarray(np.where(climbs, heights[following], np.minimum(heights[before], v2[:-1])))
+def _joined(parts: list[Any]) -> Any:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _lifts(move: MoveAtRest) -> bool:

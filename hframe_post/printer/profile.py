@@ -24,9 +24,8 @@ from hframe_post.model.impulse_response import (
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Bed, Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.printer.decoding import file_text
 from hframe_post.printer.firmware_tables import check_needs, load_firmware
-from hframe_post.printer.schema import checked, checked_value, known_keys, numbers, roots
+from hframe_post.printer.schema import checked, checked_value, file_text, known_keys, numbers, roots
 from hframe_post.printer.settings import (
     PLACES,
     SHARE,

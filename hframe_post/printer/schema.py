@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, field, fields
 from difflib import get_close_matches
 from operator import ge, gt, le, lt
+from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, get_type_hints
 
 import numpy as np
@@ -150,3 +152,26 @@ def known_keys(table: dict[str, Any], known: tuple[str, ...], path: str) -> None
             near = get_close_matches(key, known, n=1, cutoff=0.0)
             where = f"{path}.{key}" if path else key
             raise PrinterError(f"unknown key; nearest known is {near[0]!r}", where)
+
+
+# ----------------------------------------------------------------------
+# Files of settings → text, whatever editor or shell wrote them.
+
+UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # as PowerShell's > writes it
+
+
+def file_text(path: Path, most: int, hint: str) -> str:
+    """Return a file's text without a byte order mark.
+
+    Raises OSError, and PrinterError if it is larger than ``most`` bytes (then with the hint) or not
+    text.
+    """
+    with path.open("rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise PrinterError(f"larger than {most} bytes: {hint}", source=str(path))
+    try:
+        return content.decode("utf-16" if content.startswith(UTF_16) else "utf-8-sig")
+    except UnicodeError:
+        cause = "cannot be read as text: save it as UTF-8"
+        raise PrinterError(cause, source=str(path)) from None

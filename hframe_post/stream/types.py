@@ -13,7 +13,8 @@ from enum import Enum
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Integers, Z, lengths
+from hframe_post.arrays import Array, Integers
+from hframe_post.native.lookahead import lower_moves, run_seconds
 
 Position = tuple[float, float, float, float]  # x, y, z, e
 
@@ -44,20 +45,14 @@ class FileLimits:
     cruise_ratio: float = 0.0
     belts: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.0), (0.0, 1.0))
 
-    def shares(self, delta: Array) -> Array:
-        """Return what a mm of path is of each motor, of z and of e, (n, 4), for moves (n, 4)."""
-        way = np.abs(delta)
-        way[:, :Z] = np.abs(delta[:, :Z] @ np.array(self.belts).T)
-        return np.asarray(way / lengths(delta[:, :E])[:, None])
+    def lower(self, speed: Array, acceleration: Array, points: Array) -> int:
+        """Lower speed and acceleration (n,) of moves between points (n + 1, 4) to these limits.
 
-    def lower(self, speed: Array, acceleration: Array, delta: Array) -> None:
-        """Lower speed and acceleration (n,) of moves by delta (n, 4) to these limits."""
-        np.minimum(speed, self.path, out=speed)
-        share = self.shares(delta)
-        with np.errstate(divide="ignore"):
-            for values, limits in ((speed, self.velocity), (acceleration, self.acceleration)):
-                for axis in np.flatnonzero(np.isfinite(limits)):
-                    np.minimum(values, limits[axis] / share[:, axis], out=values)
+        Returns how many moves became slower.
+        """
+        (ax, ay), (bx, by) = self.belts
+        limits = np.array([*self.velocity, *self.acceleration, ax, ay, bx, by, self.path])
+        return lower_moves(points, limits, speed, acceleration)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +152,11 @@ class Plan:
     cruise: Array
     acceleration: Array
     marks: tuple[Mark, ...]
+
+    @property
+    def seconds(self) -> Array:
+        """Return how long each run takes if nothing limits its jerk, (r,)."""
+        return run_seconds(self.s, self.ends, self.speed, self.cruise, self.acceleration)
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Steps
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Dwell, Handling, Mark, Passthrough, Samples
-from hframe_post.writers.step_file import KEY_BITS, MOTORS, End, Item, Note, Start, Stepped
+from hframe_post.writers.tables import KEY_BITS, MOTORS, End, Item, Note, Start, Stepped
 
 GRAIN = 9  # decimals of a mm; finer differences are noise, on which no motor must tremble
 SAMPLES_AT_ONCE = 1 << 14

@@ -16,20 +16,10 @@ from hframe_post.model.plant import Coupling, Plant
 from hframe_post.model.rounds import order, rounds_needed
 from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.printer.profile import load
-from tests.compensation.test_compensate import stroke
 from tests.coupled import coupled_plant
+from tests.paths import ORIGIN, strokes
 
 WINDOW = Window(5, 88, 44, 30.0)
-ORIGIN = np.array([100.0, 120.0])
-
-
-def strokes() -> Array:
-    """Return diagonal strokes of 30 mm and back, one of them in x alone, (n, 2)."""
-    x, y = (stroke(30.0, speed, 600) for speed in (100.0, 150.0))
-    n = max(len(x), len(y))
-    x, y = (np.pad(each, (0, n - len(each)), mode="edge") for each in (x, y))
-    back = np.column_stack([np.concatenate([x, x[::-1]]), np.concatenate([y, np.full(n, y[-1])])])
-    return np.asarray(ORIGIN + back)
 
 
 def commanded(plant: Plant, strategy: str = "racking", cuts: tuple[int, ...] = ()) -> Array:

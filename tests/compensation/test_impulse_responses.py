@@ -26,14 +26,13 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join, smaller
 from hframe_post.stream.types import Samples
 from hframe_post.studies.simulation.uncertainty import draws, perturbed
-from tests.compensation.test_coupled import ORIGIN, WINDOW, strokes
-from tests.compensation.test_stops import planned
+from tests.gcode_tools import planned
 from tests.gcode_tools import strokes as printed_strokes
 from tests.modes import axis_mode, coupling_mode, damped_by_the_frame, deviation_of_mode
+from tests.paths import ORIGIN, strokes
 from tests.plants import as_response
 
 LONG = 1900  # samples in which all modes here settle to 1e-11
-SAME = 1e-9  # mm
 
 
 def measured() -> Plant:
@@ -155,6 +154,7 @@ def test_a_response_that_cannot_be_inverted_is_refused() -> None:
 
 # ---------------------------------------------------------------------- what is not known
 
+WINDOW = Window(5, 88, 44, 30.0)
 EASY = replace(WINDOW, effort=1e-3)  # enough to make it regular
 
 

@@ -23,7 +23,7 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.types import Dwell, Samples
-from tests.gcode_tools import HEAD, strokes
+from tests.gcode_tools import HEAD, planned, strokes
 
 NAMES = ("fbs", "racking")
 
@@ -31,13 +31,6 @@ NAMES = ("fbs", "racking")
 @pytest.fixture(scope="module")
 def paper() -> Printer:
     return load("paper")
-
-
-def planned(lines: Iterable[str], printer: Printer, strategy: str = "racking") -> list[Samples]:
-    raw = (line.encode() + b"\n" for line in lines)
-    items = read(raw, ReadOptions.from_printer(printer, "printer"))
-    waits = stop_rules(printer.compensation.stops, strategy)
-    return list(sample(plan(items, printer.limits), printer.limits, waits))
 
 
 def compensated(chunks: Iterable[Samples], printer: Printer) -> list[Samples]:

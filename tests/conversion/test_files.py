@@ -19,9 +19,8 @@ from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 from hframe_post.writers import steps
-from hframe_post.writers.files import Outputs
-from hframe_post.writers.samples import as_csv
-from hframe_post.writers.step_file import MOTORS, inlined
+from hframe_post.writers.outputs import Outputs
+from hframe_post.writers.tables import MOTORS, as_csv, inlined
 from tests.command_line import run
 from tests.conftest import SAMPLES, few
 

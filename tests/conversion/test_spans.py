@@ -22,7 +22,7 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import MoveAtRest, Planned, SpanEnd
-from hframe_post.writers.stream.print_time import DeferredLine
+from hframe_post.writers.print_time import DeferredLine
 from tests.conftest import SAMPLES
 from tests.gcode_tools import follow
 

@@ -7,7 +7,7 @@ import pytest
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.printer.profile import parse
-from hframe_post.writers.stream.print_time import DeferredLine
+from hframe_post.writers.print_time import DeferredLine
 
 PROFILE = 'extends = "paper"\n[plant]\ninvented = false\n[firmware]\n'
 HALF = [f"G1 X{80 + 40 * (k % 2)} Y{80 + 5 * k} E{k + 1} F6000" for k in range(4)]

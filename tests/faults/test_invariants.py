@@ -18,8 +18,8 @@ from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import load
 from hframe_post.stream.types import Samples, frozen
-from hframe_post.writers.files import Outputs
-from hframe_post.writers.stream import machine, segments
+from hframe_post.writers import decimation, machine
+from hframe_post.writers.outputs import Outputs
 from tests.conftest import MEASURED
 
 PART = (
@@ -101,7 +101,7 @@ def test_filament_that_is_not_where_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: float, last: float, cause: str
 ) -> None:
     """Segments that have lost some of it on their way into the text."""
-    right = segments.segments
+    right = decimation.segments
 
     def faulty(*of: Any) -> Any:
         made = right(*of)

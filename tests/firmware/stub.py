@@ -23,9 +23,9 @@ from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.model.shapers import Shaping
 from hframe_post.native.ramps import whole_feeds
 from hframe_post.printer.firmware_tables import TABLES, FirmwareTable
+from hframe_post.printer.new_profile import Known, Tables
 from hframe_post.printer.schema import positive
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Known, Tables
 from hframe_post.stream.types import ModalState
 
 SAMPLES = 4  # in a segment
@@ -95,21 +95,21 @@ class Stub(Firmware):
     configuration = "stub.txt"
     unchecked = "the stub's settings are not checked"
 
-    def motion(
-        self, printer: Printer, tolerance: float | None, retract_moving: bool = False
-    ) -> StubMotion:
+    def motion(self, tolerance: float | None, retract_moving: bool = False) -> StubMotion:
         return StubMotion()
 
-    def code(self, printer: Printer) -> StubCode:
-        table = printer.firmware.table(StubTable)
+    def code(self) -> StubCode:
+        table = self.printer.firmware.table(StubTable)
         assert table is not None
         return StubCode(table)
 
-    def shaper_settings(self, shaping: Shaping) -> str:
+    @staticmethod
+    def shaper_settings(shaping: Shaping) -> str:
         return f"SHAPE X{shaping.x.hz:.1f} Y{shaping.y.hz:.1f}"
 
-    def source(self, files: Sequence[Path]) -> Source | None:
-        return StubSource(files[0]) if files[0].name == self.configuration else None
+    @classmethod
+    def source(cls, files: Sequence[Path]) -> Source | None:
+        return StubSource(files[0]) if files[0].name == cls.configuration else None
 
 
 class StubSource(Source):
@@ -137,15 +137,12 @@ class StubSource(Source):
         return f"Measure {quoted(target)}."
 
 
-STUB = Stub()
-
-
 def add() -> None:
     """Add the stub to the firmwares, as a program of its owner does."""
-    FIRMWARES[STUB.name] = STUB
-    TABLES[STUB.name] = StubTable
+    FIRMWARES[Stub.name] = Stub
+    TABLES[Stub.name] = StubTable
 
 
 def remove() -> None:
     """Undo ``add``."""
-    del FIRMWARES[STUB.name], TABLES[STUB.name]
+    del FIRMWARES[Stub.name], TABLES[Stub.name]

@@ -42,7 +42,7 @@ def test_a_profile_comes_before_what_marlin_has_stored() -> None:
     text = text.replace('extends = "paper"', 'extends = "paper"', 1)
     stored, own = parse(text, "stored"), parse(f"{text}\n[extruder]\nadvance = 0.07\n", "own")
     for printer, seconds in ((stored, 0.03), (own, 0.07), (load("paper-marlin"), 0.0)):
-        assert firmware(printer).advance(printer) == Advance(seconds, 0.04, marlin_advance)
+        assert firmware(printer).advance() == Advance(seconds, 0.04, marlin_advance)
 
 
 def test_later_lines_replace_what_they_name() -> None:

@@ -58,13 +58,13 @@ def with_own(profile: Printer, **own: object) -> Printer:
 
 
 def code(profile: Printer) -> MarlinCode:
-    found = firmware(profile).code(profile)
+    found = firmware(profile).code()
     assert isinstance(found, MarlinCode)
     return found
 
 
 def motion(profile: Printer) -> MarlinMotion:
-    found = firmware(profile).motion(profile, None)
+    found = firmware(profile).motion(None)
     assert isinstance(found, MarlinMotion)
     return found
 
@@ -136,6 +136,20 @@ def test_strokes_last_as_long_as_they_were_planned_to(marlin: Printer, planner: 
         assert stroke.seconds == pytest.approx(planned, abs=1e-3)
         assert 0.5 * speed < stroke.speed < speed
         assert mine.stroke(stroked, speed, planned, 0.0, *corners).speed == speed
+
+
+def test_turning_back_is_a_stop_and_going_on_is_none(marlin: Printer) -> None:
+    there, mine = from_there((0.0, 0.0, 0.4, 0.0)), motion(marlin)
+    on = there[1], (*there[1][:2], there[1][2] + 0.4, there[1][3])
+    assert mine.corners(there[::-1], 10.0, (0.0, 0.0), there)[0] == 0.0
+    assert mine.corners(on, 10.0, (0.0, 0.0), there)[0] > 0.0
+
+
+def test_limits_are_set_in_whole_numbers_and_corners_to_a_hundredth(marlin: Printer) -> None:
+    assert code(with_own(marlin, **JERKS)).set_limits(150.4, 1234.6, 3.14159)[4:] == [
+        "M201 X1235 Y1235", "M203 X150 Y150", "M204 P1235 T1235", "M205 X3.14 Y3.14",
+    ]  # fmt: skip
+    assert code(marlin).set_limits(150.0, 1000.0, 5.0)[-1] == "M205 J0.0104"
 
 
 @pytest.mark.parametrize("planner", ["2.1-dev", "ft-motion"])

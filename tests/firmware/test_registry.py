@@ -32,7 +32,7 @@ def test_command_line_takes_what_is_registered() -> None:
 
 
 def motion(printer: Printer, tolerance: float | None, retract_moving: bool = False) -> MotionRules:
-    return firmware(printer).motion(printer, tolerance, retract_moving)
+    return firmware(printer).motion(tolerance, retract_moving)
 
 
 def test_motion_is_that_of_the_profiles_firmware() -> None:

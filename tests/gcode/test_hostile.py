@@ -29,7 +29,7 @@ def on_bed(*text: str) -> list[Item]:
 @pytest.mark.parametrize(
     "line",
     [
-        "G1 X9 F0.01", "M203 Y0.001", "M204 S0.0000001", "G1 E219414", "M220 S0.01",
+        "G1 X900 F0.1", "G1 X9 F0.01", "M203 Y0.001", "M204 S0.0000001", "G1 E219414", "M220 S0.01",
         "SET_VELOCITY_LIMIT VELOCITY=1e-3", "G4 P-5000", "G4 P" + "9" * 400,
         "G3 X0 Y0 I1 J0 P1000000", "G3 X0 Y0 I900000 J0", "G5 I2 J3 P-2 Q4294967297 X90 Y60",
         "G3 X0 Y0 I1 J0 P1.5", "G1 X" + "9" * 5000,
@@ -48,7 +48,7 @@ def test_endless_motion_is_an_error_with_its_line(line: str) -> None:
 def test_filament_without_a_path_is_extruded_at_rest(
     monkeypatch: pytest.MonkeyPatch, compiled: bool
 ) -> None:
-    """Along a path that is long enough to be written, so much filament is an error."""
+    """The path follows where it is long enough to be written."""
     if not compiled:
         monkeypatch.setattr(batching, "plain_moves", one_by_one)
     text = ("M83", *HOME, "G1 X1 Y1 Z1", "G1 X5 E0.3", "G1 X5.0004 E6", "G1 X9 E0.3")
@@ -60,9 +60,16 @@ def test_filament_without_a_path_is_extruded_at_rest(
     assert fed.start[:3] == fed.end[:3] == (5.0, 1.0, 1.0)
     assert fed.end[3] - fed.start[3] == pytest.approx(6.0)
     assert further.points[0].tolist() == pytest.approx([5.0004, 1.0, 1.0, 6.3])
-    for line in ("G1 X5.005 E6", "G1 X4.999 E-2", "G3 X5.002 Y1 I-2 J0 E9"):
-        with pytest.raises(GcodeError, match=f"line {len(text) - 1}: .* mm of filament along"):
-            items(*text[:-2], line)
+    for line, fed_mm in (("G1 X5.005 E6", 6.0), ("G1 X4.999 E-2", -2.0), ("G1 X5.3 E300", 300.0)):
+        found = [i for i in items(*text[:-2], line) if isinstance(i, Moves | MoveAtRest)]
+        _, fed, further = found
+        assert isinstance(fed, MoveAtRest)
+        assert isinstance(further, Moves)
+        assert fed.end[3] - fed.start[3] == pytest.approx(fed_mm)
+        assert further.points[0].tolist() == pytest.approx(list(fed.end))
+        assert further.points[-1].tolist() == pytest.approx(
+            [float(line.split()[1][1:]), 1, 1, 0.3 + fed_mm]
+        )
 
 
 @pytest.mark.parametrize("compiled", [True, False])

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from hframe_post.hosts.moonraker.upload import CONVERTING
+from hframe_post.hosts.moonraker.originals import CONVERTING
 from tests.command_line import run
 from tests.conftest import ROOT
 from tests.klipper.batch import dictionary

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hframe_post.hosts.moonraker.history import FULL, Event, add, events
+from hframe_post.hosts.moonraker.disk import FULL, Event, add, events
 
 
 def test_a_broken_line_costs_only_itself(tmp_path: Path) -> None:

@@ -18,8 +18,8 @@ from typing import Any
 
 import pytest
 
-from hframe_post.hosts.moonraker.interface import PAGE, page_of
-from hframe_post.hosts.moonraker.upload import KEPT
+from hframe_post.hosts.moonraker.conversion import PAGE, page_of
+from hframe_post.hosts.moonraker.originals import KEPT
 from tests.command_line import RECTANGLE
 from tests.conftest import SAMPLES
 from tests.hosts.moonraker import Printer, processes, until

@@ -20,11 +20,9 @@ import pytest
 
 from hframe_post.hosts import moonraker
 from hframe_post.hosts.moonraker import conversion
+from hframe_post.hosts.moonraker.conversion import Interface, Settings, as_html, page_of
 from hframe_post.hosts.moonraker.disk import FOLDER, BeyondError, FailureError, alone
-from hframe_post.hosts.moonraker.interface import Interface, as_html, page_of
-from hframe_post.hosts.moonraker.originals import Originals
-from hframe_post.hosts.moonraker.settings import Settings
-from hframe_post.hosts.moonraker.upload import CONVERTING, REFUSAL, Upload, refuse
+from hframe_post.hosts.moonraker.originals import CONVERTING, REFUSAL, Originals, Upload, refuse
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT, SAMPLES
 from tests.hosts.moonraker import WAIT, until, waiting_for

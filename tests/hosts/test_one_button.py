@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from hframe_post.hosts.moonraker.interface import PAGE
+from hframe_post.hosts.moonraker.conversion import PAGE
 from hframe_post.hosts.moonraker.originals import SETTINGS, settings_of
 from hframe_post.printer.profile import load
 from tests.command_line import RECTANGLE, run

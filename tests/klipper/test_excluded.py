@@ -16,7 +16,7 @@ from hframe_post.arrays import Array
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.printer.profile import load
-from hframe_post.writers.stream.print_time import DeferredLine
+from hframe_post.writers.print_time import DeferredLine
 from tests.conftest import few
 
 from .head import head

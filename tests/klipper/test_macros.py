@@ -12,7 +12,7 @@ from hframe_post.conversion.options import Options
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.stream.print_time import DeferredLine
+from hframe_post.writers.print_time import DeferredLine
 from tests.conftest import few
 from tests.printers import profile_of
 

@@ -19,7 +19,7 @@ from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Extruder, Printer
-from hframe_post.writers.stream.print_time import DeferredLine
+from hframe_post.writers.print_time import DeferredLine
 from tests.conftest import SAMPLES
 from tests.quantities import below, near
 

@@ -19,7 +19,7 @@ from hframe_post.identification.recordings.runs import gcode
 from hframe_post.identification.recordings.strokes import runs
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.stream.print_time import DeferredLine
+from hframe_post.writers.print_time import DeferredLine
 from tests.quantities import below
 
 from .host import Playback, play

@@ -36,7 +36,7 @@ def test_it_has_klippers_cruise_ratio_and_corners_of_lifts(
     lines: list[bytes], tmp_path: Path
 ) -> None:
     printer, lines = load("paper"), [*lines[:1], b"G92 X0 Y0 Z0\n", *lines[1:]]
-    own = AsSliced(firmware(printer).limits(printer))
+    own = AsSliced(firmware(printer).limits())
     for item in [*parsed(lines, printer, Options("racking").resolved(printer)), None]:
         list(own.planned(item))
     path = tmp_path / "sliced.gcode"

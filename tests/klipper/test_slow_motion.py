@@ -13,7 +13,7 @@ from hframe_post.conversion.pipeline import Stages, parsed, prepared
 from hframe_post.planner import sampling
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer import profile
-from hframe_post.writers.stream.print_time import DeferredLine
+from hframe_post.writers.print_time import DeferredLine
 
 from .host import Playback
 

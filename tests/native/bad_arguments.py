@@ -99,6 +99,14 @@ def right() -> dict[str, Arguments]:
             floats(62), zeros(5), floats(5),
         ],
         "least_squares": [*stop],
+        "lower_moves": [floats(5, 4), 4, floats(13), floats(4), floats(4)],
+        "run_seconds": [
+            floats(6), 6, numbers(0, 2, 5), floats(3), floats(2), floats(2), 2, floats(2),
+        ],
+        "smoothed_runs": [
+            floats(6), 6, numbers(0, 2, 5), floats(2), floats(2), floats(2), 2, floats(12),
+            floats(3), floats(2), floats(2),
+        ],
         "limit_moves": [
             floats(6, 4), floats(5), floats(5), floats(5), 5, floats(23), floats(5, 4),
         ],

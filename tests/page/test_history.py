@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hframe_post.hosts.moonraker.history import Event, add
-from hframe_post.hosts.moonraker.interface import page_of
+from hframe_post.hosts.moonraker.conversion import page_of
+from hframe_post.hosts.moonraker.disk import Event, add
 from tests.chromium import Browser
 from tests.command_line import run
 from tests.conftest import ROOT

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.page.measured import MOST_POINTS, Card, Chart, Curve, Section, page
+from hframe_post.page.charts import MOST_POINTS, Card, Chart, Curve, Section, page
 from tests.chromium import Browser
 from tests.page.pages import check_readable, data_of
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import FileLimits, Item, Mark, Moves
 from tests.gcode_tools import converted
+from tests.klipper.host import play
 from tests.planner.planning import FREE, cut, moves
 
 COREXY = load("example-corexy")
@@ -115,7 +117,7 @@ def test_time_in_bands_as_sliced_is_that_of_the_motion() -> None:
             for block in (circle(12.0, 42.0), wall([(0, 0), (30, 3), (30, 40), (0, 0)], 50.0))),
         rel=0.03,
     )  # fmt: skip
-    time = AsSliced(firmware(PRINTER).limits(PRINTER), bands)
+    time = AsSliced(firmware(PRINTER).limits(), bands)
     block = circle(12.0, 42.0)
     assert sum(map(len, time.samples([block])))
     steady = bands and bands.contains(belts(block, block.speed)).mean()
@@ -141,3 +143,33 @@ def gcode(*blocks: Moves) -> list[bytes]:
 def test_bands_are_checked(value: str) -> None:
     with pytest.raises(PrinterError, match=r"speed\.avoid"):
         parse(f'extends = "example-corexy"\n[speed]\navoid = {value}\n', "name")
+
+
+# ---------------------------------------------------------------------- on Klipper's host
+
+
+def motor_speeds(file: Path, folder: Path) -> Array:
+    """Return the speeds of A and B (2, n) on the host, every 2 ms while the circle is printed."""
+    playback = play(file, workdir=folder)
+    assert playback.warnings == ()
+    time = np.arange(playback.start, playback.end, 2e-3)
+    extrudes = np.diff(playback.extruded(time)) > 0.0
+    return PRINTER.kinematics.belts(*np.diff(playback.position(time)[:, :2].T) / 2e-3)[:, extrudes]
+
+
+@pytest.mark.slow
+@pytest.mark.klipper
+def test_motors_leave_the_bands_in_as_much_time(tmp_path: Path) -> None:
+    lines = gcode(circle(20.0))
+    text, report = converted(lines, PRINTER, Options("racking"))
+    (sliced := tmp_path / "sliced.gcode").write_bytes(b"".join(lines))
+    (changed := tmp_path / "changed.gcode").write_bytes(text)
+    before, after = motor_speeds(sliced, tmp_path / "a"), motor_speeds(changed, tmp_path / "b")
+    bands = MotorBands.from_printer(PRINTER)
+    assert bands is not None
+    assert report.bands is not None
+    assert bands.contains(before).mean() == pytest.approx(report.bands.before.share, abs=0.03)
+    assert bands.contains(before).mean() > 0.4
+    assert bands.contains(after).mean() == pytest.approx(report.bands.after.share, abs=0.03)
+    assert bands.contains(after).mean() < 0.1
+    assert after.shape[1] < 1.04 * before.shape[1]

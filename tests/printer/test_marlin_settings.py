@@ -8,9 +8,9 @@ import pytest
 
 from hframe_post.errors import HframeError
 from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin, is_of_marlin, text_in
+from hframe_post.printer.new_profile import Known, profile_text
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Known, profile_text
 from tests.printers import M503
 
 BED = {axis: Known((0.0, 220.0), "test") for axis in "xy"}

@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import HframeError
-from hframe_post.writers import temporary
-from hframe_post.writers.files import Outputs
-from hframe_post.writers.temporary import give_up
+from hframe_post.writers import outputs
+from hframe_post.writers.outputs import Outputs, give_up, undisturbed
 
 ROOT = os.geteuid() == 0
 only_root = pytest.mark.skipif(not ROOT, reason="only root gives files away")
@@ -35,7 +34,7 @@ def target(tmp_path: Path) -> Path:
 def nothing_is_left(tmp_path: Path) -> Iterator[None]:
     yield
     assert not list(tmp_path.rglob(".hframe-post-*"))
-    assert not temporary._unfinished
+    assert not outputs._unfinished
 
 
 # ---------------------------------------------------------------------- whole or not there
@@ -228,5 +227,5 @@ def test_a_signal_handler_can_give_up_at_any_time(target: Path) -> None:
         assert give_up()
         assert list(target.parent.iterdir()) == [target]
     assert target.read_bytes() == b"old"
-    with temporary.undisturbed():
+    with undisturbed():
         assert not give_up()

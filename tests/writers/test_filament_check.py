@@ -8,7 +8,7 @@ import pytest
 from hframe_post.arrays import Array, Integers
 from hframe_post.errors import HframeError
 from hframe_post.stream.types import Mark
-from hframe_post.writers.stream.segments import Batch, check_filament
+from hframe_post.writers.decimation import Batch, check_filament
 
 ENDS = np.array([10, 20, 30, 40])
 

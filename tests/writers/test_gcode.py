@@ -30,9 +30,9 @@ from hframe_post.stream.types import (
     Samples,
     frozen,
 )
-from hframe_post.writers.stream.gcode import GcodeWriter
-from hframe_post.writers.stream.machine import Ledger
-from hframe_post.writers.stream.print_time import DeferredLine
+from hframe_post.writers.gcode import GcodeWriter
+from hframe_post.writers.machine import Ledger
+from hframe_post.writers.print_time import DeferredLine
 from tests.gcode_tools import follow
 
 STATE = ModalState(True, False, 0.0, 50.0, (0.0, 0.0, 0.0))
@@ -46,7 +46,7 @@ Parts = tuple[MotionRules, Code]  # of a firmware on a printer
 def parts_of(profile: str) -> Parts:
     printer = load(profile)
     own = firmware_of(printer)
-    return own.motion(printer, 0.002), own.code(printer)
+    return own.motion(0.002), own.code()
 
 
 @pytest.fixture(params=list(PROFILES))

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hframe_post.writers.files import Outputs
-from hframe_post.writers.stream.print_time import (
+from hframe_post.writers.outputs import Outputs
+from hframe_post.writers.print_time import (
     SUMMARY,
     DeferredLine,
     Output,

@@ -14,7 +14,7 @@ from hframe_post.arrays import Array
 from hframe_post.prediction.predict import predict
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from hframe_post.writers.samples import COLUMNS, tabulate, write_npz
+from hframe_post.writers.tables import COLUMNS, tabulate, write_npz
 from tests.plants import Filter
 
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from hframe_post.arrays import TS
-from hframe_post.firmware.klipper.motion import KlipperMotion
+from hframe_post.firmware.klipper.firmware import Klipper
 from hframe_post.firmware.registry import firmware
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.stream.machine import Motion
-from hframe_post.writers.stream.segments import Units
-from hframe_post.writers.stream.timing import TimedMotion, Timing
+from hframe_post.writers.decimation import Units
+from hframe_post.writers.machine import Motion
+from hframe_post.writers.timing import TimedMotion, Timing
 
 UNITS = Units(finer=2)  # of a sweep
 STEADY = 200  # segments
@@ -26,7 +26,7 @@ def test_a_batch_ends_as_slowly_as_the_next_begins(paper: Printer) -> None:
     t = np.arange(N + 1) * TS
     at = np.zeros((N + 1, 4))
     at[:, 0] = SPEED * t + MORE / (2.0 * np.pi * HZ) * np.sin(2.0 * np.pi * HZ * t)
-    T, rest, rules = np.full(N, TS), np.zeros(N + 1, dtype=bool), KlipperMotion.from_printer(paper)
+    T, rest, rules = np.full(N, TS), np.zeros(N + 1, dtype=bool), Klipper(paper).motion(None)
     for cut in range(N // 2, N // 2 + 17):  # wherever in a period a batch may end
         timing = Timing(rules, UNITS, STEADY)
         first = timing.feeds(at[: cut + 1], T[:cut], rest[: cut + 1].copy(), np.inf)
@@ -37,7 +37,7 @@ def test_a_batch_ends_as_slowly_as_the_next_begins(paper: Printer) -> None:
 
 
 def test_a_motion_between_rests_is_in_time_with_the_ramps_at_both_ends(paper: Printer) -> None:
-    rules, units, T = KlipperMotion.from_printer(paper), Units(0), np.full(4, 0.02)
+    rules, units, T = Klipper(paper).motion(None), Units(0), np.full(4, 0.02)
     at = np.zeros((5, 4), dtype=np.int64)
     at[:, 0] = np.rint(units.per_mm[0] * np.arange(5.0))
     timing = Timing(rules, units)
@@ -55,7 +55,7 @@ def test_a_short_motion_that_must_be_late_gets_a_speed_that_can_be_written() -> 
     assert printer.firmware.marlin is not None
     marlin = replace(printer.firmware.marlin, planner="2.1-dev")
     printer = replace(printer, firmware=replace(printer.firmware, tables=(marlin,)))
-    timing = Timing(firmware(printer).motion(printer, None), Units(0))
+    timing = Timing(firmware(printer).motion(None), Units(0))
     timing._before = 39.68  # mm/s, of the retraction before it
     x, e = [113.218, 113.341, 113.218], [0.0, 0.00281, 0.00996]
     at = np.column_stack([x, np.full(3, 102.67), np.full(3, 27.7), e])

@@ -15,8 +15,8 @@ from hframe_post.firmware.klipper.live import klipper_name
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import extruder
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
+from hframe_post.printer.new_profile import Known, as_float
 from hframe_post.printer.settings import SMOOTH_TIME, Printer
-from hframe_post.printer.setup import Known, as_float
 
 CLOSE = 1e-3  # tolerated difference of two numbers
 SHAPES = re.compile(r"^\s*SET_INPUT_SHAPER\b[^\n]*SHAPER_FREQ", re.MULTILINE | re.IGNORECASE)

@@ -7,14 +7,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from hframe_post.firmware.advance import Advance, klipper_advance, klipper_seconds
-from hframe_post.firmware.base import Firmware, FirmwareLimits, belts, unlimited
+from hframe_post.firmware.base import Firmware, FirmwareLimits, unlimited
 from hframe_post.firmware.configuration import Finding, Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words, object_label
 from hframe_post.firmware.klipper.code import KlipperCode, averaged_shorter, table_of
 from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.model.shapers import Shaping
 from hframe_post.printer.firmware_tables import KlipperTable
-from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import FileLimits
 
 _LABEL = re.compile(  # Klipper's, and comments that hosts replace by them
@@ -88,32 +87,32 @@ class Klipper(Firmware):
     configuration = compared = "printer.cfg"
     unchecked = "printer.cfg is not checked: name it with --printer-cfg"
 
-    def motion(
-        self, printer: Printer, tolerance: float | None, retract_moving: bool = False
-    ) -> KlipperMotion:
-        return KlipperMotion.from_printer(printer, tolerance, retract_moving)
+    def motion(self, tolerance: float | None, retract_moving: bool = False) -> KlipperMotion:
+        code, corner = self.code(), self.printer.limits.square_corner_velocity
+        return KlipperMotion(code.table, code.stream, tolerance, corner, retract_moving)
 
-    def code(self, printer: Printer) -> KlipperCode:
-        return KlipperCode.from_printer(printer)
+    def code(self) -> KlipperCode:
+        return KlipperCode.from_printer(self.printer)
 
-    def advance(self, printer: Printer) -> Advance:
-        if (extruder := averaged_shorter(printer.extruder)) is None:
-            return super().advance(printer)
+    def advance(self) -> Advance:
+        if (extruder := averaged_shorter(self.printer.extruder)) is None:
+            return super().advance()
         return Advance(extruder.advance, extruder.stream_smooth_time, klipper_seconds)
 
-    def limits(self, printer: Printer) -> FirmwareLimits:
-        table = table_of(printer)
-        own, usual = unlimited(printer.limits), table.acceleration
+    def limits(self) -> FirmwareLimits:
+        table = table_of(self.printer)
+        own, usual = unlimited(self.printer.limits), table.acceleration
         others = FileLimits(
-            path=table.velocity, cruise_ratio=table.minimum_cruise_ratio, belts=belts(printer)
+            path=table.velocity, cruise_ratio=table.minimum_cruise_ratio, belts=self.belts
         )
         return FirmwareLimits(own, usual, usual, table.square_corner_velocity, others)
 
-    def most(self, printer: Printer) -> tuple[float, float]:
-        table = table_of(printer)
+    def most(self) -> tuple[float, float]:
+        table = table_of(self.printer)
         return table.velocity, table.acceleration
 
-    def shaper_settings(self, shaping: Shaping) -> str:
+    @staticmethod
+    def shaper_settings(shaping: Shaping) -> str:
         lines = ["[input_shaper]"]
         for axis, chosen in (("x", shaping.x), ("y", shaping.y)):
             lines += [
@@ -123,18 +122,17 @@ class Klipper(Firmware):
             ]
         return "\n".join(lines)
 
-    def source(self, files: Sequence[Path]) -> Source:
+    @classmethod
+    def source(cls, files: Sequence[Path]) -> Source:
         from hframe_post.firmware.klipper.source import KlipperSource
 
         return KlipperSource(files[0])
 
-    def host_findings(
-        self, config: Path, log: Path | None, printer: Printer, remedy: str
-    ) -> Iterator[Finding]:
+    def host_findings(self, config: Path, log: Path | None, remedy: str) -> Iterator[Finding]:
         from hframe_post.firmware.klipper.macro_check import check_macros
         from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
         from hframe_post.firmware.klipper.version import check_version
 
         read = KlipperConfig(config)
-        yield from check_macros(read, printer, remedy)
+        yield from check_macros(read, self.printer, remedy)
         yield from check_version(read, log)

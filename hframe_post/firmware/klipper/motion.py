@@ -9,7 +9,6 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.klipper.code import table_of
 from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.firmware.klipper.segments import sparser, thinned
 from hframe_post.firmware.motion import SPARED, MotionRules, NextTo, Stroke, Way
@@ -17,7 +16,6 @@ from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.native.decimate import breakpoints, fitted
 from hframe_post.native.ramps import klipper_durations, klipper_feeds
 from hframe_post.printer.firmware_tables import KlipperTable
-from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import StopRules
 
 MOST_LONGER = 1.1  # times a lift's own duration, to which it may be slowed down
@@ -37,17 +35,6 @@ class KlipperMotion(MotionRules):
     tolerance: float | None = None
     users_corner: float = 0.0
     retract_moving: bool = False
-
-    @classmethod
-    def from_printer(
-        cls, printer: Printer, tolerance: float | None = None, retract_moving: bool = False
-    ) -> KlipperMotion:
-        """Return Klipper's motion on this printer. Raises PrinterError without its table."""
-        users = printer.limits
-        limits = StreamLimits.from_limits(users, printer.motors, printer.kinematics)
-        return cls(
-            table_of(printer), limits, tolerance, users.square_corner_velocity, retract_moving
-        )  # fmt: skip
 
     @property
     def lines_per_second(self) -> float:

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hframe_post.errors import HframeError
-from hframe_post.printer.decoding import file_text
 from hframe_post.printer.firmware_tables import MACROS
+from hframe_post.printer.schema import file_text
 
 SAVED = "#*#"  # starts each line that SAVE_CONFIG wrote
 HEADING = re.compile(r"#\*# <-+ SAVE_CONFIG -+>")

@@ -7,8 +7,7 @@ import math
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.printer.firmware_tables import END_MACRO
-from hframe_post.printer.settings import CHIP_NAME, SMOOTH_TIME
-from hframe_post.printer.setup import (
+from hframe_post.printer.new_profile import (
     CLOCK,
     Known,
     Tables,
@@ -16,6 +15,7 @@ from hframe_post.printer.setup import (
     profile_text,
     sweep,
 )
+from hframe_post.printer.settings import CHIP_NAME, SMOOTH_TIME
 
 KINEMATICS = {  # ours, the safest first, by Klipper's name
     "corexy": ("corexy", "hbot"),

@@ -10,8 +10,8 @@ from hframe_post.firmware.klipper.check import warnings
 from hframe_post.firmware.klipper.macros import FILE, macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import from_klipper, kinematics_in
+from hframe_post.printer.new_profile import Tables
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Tables
 
 
 class KlipperSource(Source):

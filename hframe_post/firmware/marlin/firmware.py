@@ -11,20 +11,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hframe_post.errors import PrinterError
+from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.advance import Advance, marlin_advance
 from hframe_post.firmware.base import (
     UNLIMITED_DEVIATION,
     Firmware,
     FirmwareLimits,
-    belts,
     unlimited,
 )
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
 from hframe_post.model.shapers import Shaping
 from hframe_post.printer.firmware_tables import MarlinTable
-from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import FileLimits
 
 if TYPE_CHECKING:
@@ -61,70 +59,75 @@ class Marlin(Firmware):
         "'hframe-post setup' with them again"
     )
 
-    def motion(
-        self, printer: Printer, tolerance: float | None, retract_moving: bool = False
-    ) -> MarlinMotion:
+    def motion(self, tolerance: float | None, retract_moving: bool = False) -> MarlinMotion:
         """Return its motion. tolerance: not used, segments are as long as whole steps make them."""
         from hframe_post.firmware.marlin.motion import MarlinMotion
 
-        return MarlinMotion.from_printer(printer, retract_moving)
+        if retract_moving:
+            raise HframeError(
+                "Marlin does not retract in motion: leave out --retract moving, or write for "
+                "Klipper with --firmware klipper"
+            )
+        return MarlinMotion(self.code(), self.printer.kinematics)
 
-    def code(self, printer: Printer) -> MarlinCode:
+    def code(self) -> MarlinCode:
         from hframe_post.firmware.marlin.code import MarlinCode
 
-        return MarlinCode.from_printer(printer)
+        return MarlinCode.from_printer(self.printer)
 
-    def reads(self, printer: Printer) -> Dialect:
+    def reads(self) -> Dialect:
         """Return what its build reads: one with junction deviation ignores M205 X and Y."""
-        table = printer.firmware.marlin
+        table = self.printer.firmware.marlin
         known = table is not None and not table.classic_jerk
         return replace(self.dialect, has_deviation=known)
 
-    def moves(self, printer: Printer) -> MarlinMoves:
+    def moves(self) -> MarlinMoves:
         from hframe_post.firmware.marlin.written_moves import MarlinMoves
 
-        return MarlinMoves(self.code(printer), printer.kinematics)
+        return MarlinMoves(self.code(), self.printer.kinematics)
 
-    def advance(self, printer: Printer) -> Advance:
-        table = printer.firmware.marlin
+    def advance(self) -> Advance:
+        table = self.printer.firmware.marlin
         seconds = 0.0 if table is None else table.linear_advance
-        return Advance.from_printer(printer, marlin_advance, seconds)
+        return Advance.of_extruder(self.printer.extruder, marlin_advance, seconds)
 
-    def limits(self, printer: Printer) -> FirmwareLimits:
-        table = printer.firmware.marlin
+    def limits(self) -> FirmwareLimits:
+        table = self.printer.firmware.marlin
         if table is None:
-            return super().limits(printer)
+            return super().limits()
         (v_x, v_y), (a_x, a_y) = table.max_velocity, table.max_acceleration
         corner, deviation, known = min(table.jerk), math.inf, math.inf
         if not table.classic_jerk:  # such a board knows no other rule, whatever the file says
             corner, deviation, known = math.inf, table.junction_deviation, UNLIMITED_DEVIATION
         others = FileLimits(
             (v_x, v_y, math.inf, math.inf), (a_x, a_y, math.inf, math.inf), deviation=deviation,
-            belts=belts(printer),
+            belts=self.belts,
         )  # fmt: skip
         return FirmwareLimits(
-            unlimited(printer.limits, known), table.acceleration,
-            table.travel_acceleration, corner, others, self.code(printer).durations,
+            unlimited(self.printer.limits, known), table.acceleration,
+            table.travel_acceleration, corner, others, self.code().durations,
         )  # fmt: skip
 
-    def shaper_settings(self, shaping: Shaping) -> str:
+    @staticmethod
+    def shaper_settings(shaping: Shaping) -> str:
         lines = ["; for Marlin 2.1.2 or newer with INPUT_SHAPING_X and INPUT_SHAPING_Y"]
         for axis, chosen in (("X", shaping.x), ("Y", shaping.y)):
             lines.append(f"M593 {axis} F{chosen.hz:.1f} D{chosen.damping:.3f}")
         return "\n".join([*lines, "M500 ; saves it"])
 
-    def source(self, files: Sequence[Path]) -> Source | None:
+    @classmethod
+    def source(cls, files: Sequence[Path]) -> Source | None:
         from hframe_post.firmware.marlin.m503 import is_of_marlin, text_in
         from hframe_post.firmware.marlin.source import MarlinSource
 
         return MarlinSource(files) if is_of_marlin(text_in(files[0])) else None
 
-    def check_serial(self, printer: Printer) -> None:
-        table = printer.firmware.marlin
+    def check_serial(self) -> None:
+        table = self.printer.firmware.marlin
         if table is not None and not table.baud:
             raise PrinterError(
                 "OctoPrint prints over a serial line, which starves without it and makes prints "
                 "worse. Write the speed of the connection below [firmware.marlin], such as "
                 "'baud = 115200' (docs/firmware.md)",
-                "firmware.marlin.baud", printer.name,
+                "firmware.marlin.baud", self.printer.name,
             )  # fmt: skip

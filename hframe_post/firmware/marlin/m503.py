@@ -14,8 +14,8 @@ from pathlib import Path
 
 from hframe_post.errors import HframeError
 from hframe_post.native.corners import square_corner_velocity
-from hframe_post.printer.decoding import file_text
-from hframe_post.printer.setup import CLOCK, Known, Tables, as_float, sweep
+from hframe_post.printer.new_profile import CLOCK, Known, Tables, as_float, sweep
+from hframe_post.printer.schema import file_text
 
 MAX_SIZE = 1 << 22  # bytes of a file
 LINE = re.compile(r"(?:^|[\s:>])(M\d+)((?: +[A-Z](?:-?\d+\.?\d*)?(?=\s|$))+)")

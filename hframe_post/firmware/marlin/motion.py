@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, Integers, Z
-from hframe_post.errors import HframeError
 from hframe_post.firmware.advance import ExtruderLimits
 from hframe_post.firmware.marlin.code import JUNCTION_DEVIATION, MarlinCode
 from hframe_post.firmware.marlin.planner import Planner
@@ -31,7 +30,6 @@ from hframe_post.native.whole_steps import (
     with_late_starts,
     without_reversals,
 )
-from hframe_post.printer.settings import Printer
 
 SLOWEST_STROKE = 0.3  # of the speed that the file asks for
 Z_JERK = 0.3  # mm/s, Marlin's default; profiles have none
@@ -46,19 +44,6 @@ class MarlinMotion(MotionRules):
 
     code: MarlinCode
     kinematics: Kinematics
-
-    @classmethod
-    def from_printer(cls, printer: Printer, retract_moving: bool = False) -> MarlinMotion:
-        """Return Marlin's motion on this printer.
-
-        Raises PrinterError without its tables, HframeError if it is to retract in motion.
-        """
-        if retract_moving:
-            raise HframeError(
-                "Marlin does not retract in motion: leave out --retract moving, or write for "
-                "Klipper with --firmware klipper"
-            )
-        return cls(MarlinCode.from_printer(printer), printer.kinematics)
 
     @property
     def planner(self) -> Planner:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin
+from hframe_post.printer.new_profile import Known, Tables
 from hframe_post.printer.settings import Printer
-from hframe_post.printer.setup import Known, Tables
 
 
 class MarlinSource(Source):

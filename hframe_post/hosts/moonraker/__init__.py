@@ -5,10 +5,10 @@ a process (``__main__``) in Moonraker's Python, which in turn runs hframe-post: 
 imported here, and Moonraker's loop never waits.
 
 While a file is converted it is in FOLDER, and its place is taken by a line of G-code that Klipper
-answers with an error, and a comment that names the kept file (``upload``). The sliced file stays in
-FOLDER afterwards, so that it can be converted again with a newer profile (``originals``,
-``again``), and so does the page of its conversion (``pages``). ``measuring`` lets Klipper record
-its accelerometers and hframe-post compute the model.
+answers with an error, and a comment that names the kept file (``originals``). The sliced file
+stays in FOLDER afterwards, so that it can be converted again with a newer profile (``originals``,
+``again``), and so does the page of its conversion (``answering``). ``measuring`` lets Klipper
+record its accelerometers and hframe-post compute the model.
 """
 
 from __future__ import annotations

@@ -13,14 +13,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from .answering import Answering
+from .answering import Answering, Pages
+from .conversion import ENDPOINT, Settings, as_html
 from .disk import FOLDER, NAME
-from .freshness import FRESH, STALE, Freshness
-from .interface import ENDPOINT, as_html
-from .measuring import Measuring
+from .measuring import FRESH, STALE, Freshness, Measuring
 from .originals import STAMP
-from .pages import Pages
-from .settings import Settings
 
 PROGRAM = str(Path(__file__).resolve().parent)
 CONVERT, CANCEL, STATUS = (f"/server/{NAME}/{word}" for word in ("convert", "cancel", "status"))

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import json
 import os
 import re
+import socket
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from .disk import NAME, BeyondError, FailureError, GoneError
-from .interface import Interface
-from .originals import PAGE_SUFFIX
+from .disk import FOLDER, HISTORY, NAME, BeyondError, FailureError, GoneError
+from .originals import PAGE_SUFFIX, SETTINGS, Originals
 
 LOG = re.compile(r"\s*\d+\.\d{3} s  (?P<text>.*)")  # of hframe-post -v
 PERCENT = re.compile(r"(?P<percent>\d+ %) is read")
@@ -138,3 +140,117 @@ def _end_if_over(process: subprocess.Popen[str], is_over: Callable[[], bool]) ->
             process.stdin.close()
             return
         time.sleep(WATCH)
+
+
+# ----------------------------------------------------------------------
+# What processes of the component say in the web interface, through Moonraker's socket.
+
+ENDPOINT, PAGE = "/server/hframe_post/report", "/server/hframe_post/page"
+LINK = re.compile(rf"{PAGE}(\?file=[a-z0-9%./~-]+)?")
+# capitals are encoded, too: Fluidd puts links of its own around those that are a command
+PLAIN = frozenset(b"abcdefghijklmnopqrstuvwxyz0123456789./~-")
+QUIET = 5.0  # s between two reports of progress
+PAGE_SHOWS = "its page shows the predicted error, layer by layer"
+
+
+def page_of(name: str) -> str:
+    """Return the address of the page of a file. name: in Moonraker."""
+    coded = (chr(byte) if byte in PLAIN else f"%{byte:02x}" for byte in os.fsencode(name))
+    return f"{PAGE}?file={''.join(coded)}"
+
+
+def as_html(text: str) -> str:
+    """Return a text as consoles take it, with links to our pages.
+
+    Mainsail, Fluidd and KlipperScreen read messages as markup. Names and lines of a file are shown
+    as they are. Fluidd copies what is directly in a link to its command line, hence the ``b``.
+    """
+    link = r'<a href="\g<0>" target="_blank"><b>open the page</b></a>'
+    return LINK.sub(link, html.escape(text, quote=False))
+
+
+class Interface:
+    """The web interface's console. name: of the file that the reports are about."""
+
+    def __init__(self, address: str, name: str = "") -> None:
+        self._address, self._name, self._last = address, name, time.monotonic()
+
+    def progress(self, text: str) -> None:
+        if time.monotonic() - self._last > QUIET:
+            self.report(text)
+
+    def report(self, text: str, failed: bool = False) -> None:
+        self._last = time.monotonic()
+        about = f"{self._name}: " if self._name else ""
+        params = {"text": f"hframe-post: {about}{text}", "failed": failed}
+        request = {
+            "jsonrpc": "2.0",
+            "method": ENDPOINT.strip("/").replace("/", "."),
+            "params": params,
+            "id": 1,
+        }
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as connection:
+            connection.settimeout(10.0)
+            connection.connect(self._address)
+            connection.sendall(json.dumps(request).encode() + b"\x03")
+            connection.recv(4096)
+
+
+# ----------------------------------------------------------------------
+# The section of moonraker.conf, as the component passes it to its processes.
+
+START = 120.0  # s that the shortest command may take, on a slow host that prints
+
+
+@dataclass(frozen=True)
+class Settings:
+    """gcodes: the folder of G-code. socket: Moonraker's. command: that converts. keep: bytes of
+    sliced files. recordings: the folder into which Klipper writes those of accelerometers.
+    """
+
+    gcodes: str
+    socket: str
+    command: list[str]
+    keep: int
+    recordings: str
+
+    @classmethod
+    def from_json(cls, text: str) -> Settings:
+        return cls(**json.loads(text))
+
+    def as_json(self) -> str:
+        return json.dumps(asdict(self))
+
+    @property
+    def folder(self) -> Path:
+        return Path(self.gcodes) / FOLDER
+
+    @property
+    def history(self) -> Path:
+        return self.folder / HISTORY
+
+    @property
+    def originals(self) -> Originals:
+        return Originals(Path(self.gcodes), self.keep)
+
+    def present(self) -> str:
+        """Return the hash of the present settings. Raises FailureError if the profile is unusable.
+
+        It is that of the first line of a file that the command would convert now.
+        """
+        lines = said([*self.command, "--stamp"], START)
+        found = [SETTINGS.match(f"{line}\n".encode()) for line in lines]
+        for one in found:
+            if one is not None:
+                return one["settings"].decode()
+        raise FailureError(" ".join(lines[-1:]) or "hframe-post says nothing of its settings")
+
+    def program_and_profile(self) -> tuple[list[str], Path]:
+        """Return the command's words before -p, and the profile after it. Raises FailureError."""
+        for option in ("-p", "--printer"):
+            if option in self.command[1:-1]:
+                place = self.command.index(option)
+                return self.command[:place], Path(self.command[place + 1])
+        raise FailureError(
+            f"command in [{NAME}] of moonraker.conf names no profile. Add -p and the profile's path"
+        )

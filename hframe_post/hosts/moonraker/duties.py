@@ -13,14 +13,21 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from .conversion import converted, said
-from .disk import BeyondError, FailureError, GoneError, alone, cause, settle, stamp
-from .history import BROKEN, Event, add
-from .interface import PAGE_SHOWS, Interface, page_of
-from .originals import PAGE_SUFFIX, settings_of
+from .conversion import PAGE_SHOWS, START, Interface, Settings, converted, page_of, said
+from .disk import (
+    BROKEN,
+    BeyondError,
+    Event,
+    FailureError,
+    GoneError,
+    add,
+    alone,
+    cause,
+    settle,
+    stamp,
+)
+from .originals import PAGE_SUFFIX, Upload, refuse, settings_of
 from .recordings import conclude, prepare, reuse
-from .settings import START, Settings
-from .upload import Upload, refuse
 
 __all__ = ["Settings", "again", "conclude", "page", "prepare", "reuse", "stale", "tidy", "upload"]
 

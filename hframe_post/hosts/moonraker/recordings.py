@@ -14,15 +14,12 @@ import shutil
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from .conversion import said
-from .disk import FOLDER, FailureError, cause
-from .found import RESULTS, found, offer
-from .history import Event, add
-from .interface import PAGE, Interface
-from .settings import Settings
+from .conversion import PAGE, Interface, Settings, said
+from .disk import FOLDER, Event, FailureError, add, cause, events
 
 WRITING = {  # the words of a command before the file of G-code
     "calibration": ("measure", "-q", "--times", "2", "-o"),
@@ -245,3 +242,41 @@ def _checked(found: Mapping[str, Any]) -> Iterator[str]:
         moved = f"moved from {before:.1f} to {now:.1f} Hz" if one["drifted"] else "has not drifted"
         old, new = (f"{100.0 * share:.0f} %" for share in one["unexplained"])
         yield f"{AXES[name]}: the main resonance {moved}, unexplained {old} → {new}"
+
+
+# ----------------------------------------------------------------------
+# Recordings that the owner has made with Klipper or Shake&Tune, where these leave them.
+
+RESULTS = ("ShakeTune_results", "K-ShakeTune_results")  # next to printer.cfg; the second until 2024
+SESSION = 24 * 3600.0  # s before the last recording, in which the printer has not changed
+
+
+def found(settings: Settings, profile: Path) -> dict[Path, float]:
+    """Return the recordings of the last session, with their times in s since 1970.
+
+    What Klipper writes with OUTPUT=resonances is a spectrum, which tells no model.
+    """
+    files = [*Path(settings.recordings).glob("raw_data_*.csv")]
+    for name in RESULTS:
+        for ending in ("*.stdata", "*.csv"):
+            files += profile.with_name(name).rglob(ending)
+    times = dict[Path, float]()
+    for path in sorted(files):
+        with contextlib.suppress(OSError):  # it was deleted meanwhile
+            times[path] = path.stat().st_mtime
+    last = max(times.values(), default=0.0)
+    return {path: at for path, at in times.items() if at > last - SESSION}
+
+
+def offer(settings: Settings, profile: Path) -> str:
+    """Return the line that offers recordings; empty: there are none since the last calibration."""
+    times = found(settings, profile)
+    last = max(times.values(), default=0.0)
+    done = (one.at for one in events(settings.history) if one.kind == "calibration" and one.hz)
+    if last <= max(done, default=0.0):
+        return ""
+    day = datetime.fromtimestamp(last, timezone.utc).date()  # noqa: UP017  Python 3.9
+    return (
+        f"recordings by Klipper or Shake&Tune found: {len(times)}, the last of {day}. To use them "
+        "instead of measuring, cancel, then type HFRAME_CALIBRATE RECORDINGS=found"
+    )

@@ -86,7 +86,7 @@ def tower(printer: Printer, heat: Heat) -> list[str]:
 
 
 def _code(printer: Printer) -> Code:
-    return firmware(printer).code(printer)
+    return firmware(printer).code()
 
 
 def _limits(printer: Printer, acceleration: float, corner: float) -> list[str]:

@@ -36,6 +36,7 @@ from hframe_post.arrays import TS, Array, Integers, X, Y, Z
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.firmware.code import plain
 from hframe_post.firmware.klipper.code import KlipperCode
+from hframe_post.firmware.klipper.firmware import Klipper
 from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.firmware.motion import VELOCITY_HEADROOM
@@ -53,8 +54,8 @@ from hframe_post.stream.types import (
     frozen,
 )
 from hframe_post.version import __version__
-from hframe_post.writers.stream.gcode import GcodeWriter
-from hframe_post.writers.stream.print_time import Output, duration
+from hframe_post.writers.gcode import GcodeWriter
+from hframe_post.writers.print_time import Output, duration
 
 OUTER = 60.0  # mm from the middle of x to the outer places: the paper's longest arm (its Fig. 4)
 NEAREST = 10.0  # mm; racking cannot be told from places that are closer
@@ -118,7 +119,7 @@ def allowed(printer: Printer, share: float, multiple: float) -> tuple[float, flo
     stream = StreamLimits.from_limits(limits, motors, printer.kinematics)
     velocity = min(limits.velocity, share * motors.belt_velocity)
     acceleration = min(limits.acceleration, stream.acceleration / multiple)
-    most = firmware(printer).most(printer)
+    most = firmware(printer).most()
     return min(velocity, most[0]), min(acceleration, most[1])
 
 
@@ -222,7 +223,8 @@ def recording_chips(printer: Printer, run: PlannedRun, chips: Sequence[str]) -> 
 
 def _klipper(printer: Printer, planned: list[PlannedRun]) -> tuple[KlipperMotion, KlipperCode]:
     """Return Klipper with limits no higher than the runs need, since a cancel leaves them."""
-    motion, code = KlipperMotion.from_printer(printer), KlipperCode.from_printer(printer)
+    own = Klipper(printer)
+    motion, code = own.motion(None), own.code()
     speed, acceleration = (
         max(np.linalg.norm(np.diff(run.command, n=n, axis=0), axis=1).max() for run in planned)
         / TS**n

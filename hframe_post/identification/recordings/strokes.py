@@ -35,7 +35,7 @@ from hframe_post.identification.recordings.runs import (
 )
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import frozen
-from hframe_post.writers.stream.print_time import duration
+from hframe_post.writers.print_time import duration
 
 SECONDS = 60.0
 LONGEST, SHORTEST = 80.0, 0.5  # mm of a stroke

@@ -94,7 +94,7 @@ def played(printer: Printer, run: PlannedRun, z: float) -> tuple[PlannedRun, lis
     speed.
     """
     own = firmware(printer)
-    play = own.moves(printer)
+    play = own.moves()
     x, y = (round(place / play.step) * play.step for place in run.position)
     reach = min(room(printer, run.axis, run.position), REACH)
     if reach < NARROWEST:
@@ -103,7 +103,7 @@ def played(printer: Printer, run: PlannedRun, z: float) -> tuple[PlannedRun, lis
     if velocity < 2.0 * SLOW:
         raise LimitError("speed (mm/s)", velocity, 2.0 * SLOW, None, "raise limits.velocity")
     a = float(np.floor(min(sweep.amplitude, acceleration)))
-    lines_per_second = own.motion(printer, None).lines_per_second
+    lines_per_second = own.motion(None).lines_per_second
     end_hz = min(sweep.end_hz, SPARED * lines_per_second / 2.0)  # two lines a period
     pulses = _pulses(play, a, min(RISE, velocity - SLOW), reach, end_hz, sweep.rate_hz_per_s)
     steps, v = (np.array(column) for column in zip(*pulses, strict=True))

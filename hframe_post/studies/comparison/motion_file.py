@@ -22,11 +22,11 @@ from hframe_post.gcode.commands import LIMIT_PARAMETERS, LIMITS, MODAL, MOTION_W
 from hframe_post.gcode.curves import check_curve, curve
 from hframe_post.gcode.lexer import Line, Words, command, numbers, parameters
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.state import AXES, Extent, State
+from hframe_post.gcode.state import Extent, State
 from hframe_post.native import ramps
 from hframe_post.native.corners import junction_deviation, junction_speeds
 from hframe_post.stream.types import frozen
-from hframe_post.writers.stream.print_time import SUMMARY
+from hframe_post.writers.print_time import SUMMARY
 
 EXTRUDER_CORNER_VELOCITY = 1.0  # mm/s, Klipper's default; no file sets it
 
@@ -105,9 +105,7 @@ class _MotionReader:
         if name in MODAL:
             state.set_mode(name)
         elif name == "G28":
-            homed = [axis for axis in range(3) if AXES[axis].encode() in arguments.upper()]
-            state.forget(homed or range(3), homed=True)
-            state.known = [True, True, True]
+            state.home(arguments)
         return False
 
     def _apply_motion(self, line: Line, name: str, words: Words) -> bool:

@@ -32,7 +32,7 @@ from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.studies.shapers.search import calibrated_with, search
-from hframe_post.writers.stream.print_time import duration
+from hframe_post.writers.print_time import duration
 
 WORTH = 0.95  # of a shaper's error, below which one that needs a newer Klipper is shown
 CALIBRATED = " as calibrated"  # appended to the name of a shaper with Klipper's frequencies
@@ -65,7 +65,7 @@ def compare_shapers(
     pieces = SlicedFile.from_items(parsed(lines(), printer, options), printer).paths
     shapings = {found.x.name: found for found in search(printer.plant, pieces)}
     shapings |= {name + CALIBRATED: calibrated_with(printer.plant, name) for name in KLIPPER}
-    sliced, meter = AsSliced(firmware(printer).limits(printer)), ErrorMeter(plant)
+    sliced, meter = AsSliced(firmware(printer).limits()), ErrorMeter(plant)
     by_firmware: dict[str, Shapes] = {**shapings, **by_itself(printer, LIVE)}
     today = shape(sliced.samples(parsed(lines(), printer, options)), by_firmware)
     ours = SampleStream(lines(), printer, options, tuple(STRATEGIES)[1:])
@@ -94,7 +94,7 @@ def comparison_as_json(found: list[ShaperComparison]) -> list[dict[str, Any]]:
     ]
 
 
-def comparison_as_text(found: list[ShaperComparison], firmware: Firmware) -> str:
+def comparison_as_text(found: list[ShaperComparison], firmware: Firmware | type[Firmware]) -> str:
     """Return a table, and the settings of the best shaper that the firmware has."""
     lines = [
         "",

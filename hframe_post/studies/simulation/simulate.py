@@ -34,7 +34,7 @@ from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import branches
 from hframe_post.stream.types import Samples
-from hframe_post.writers.stream.print_time import duration
+from hframe_post.writers.print_time import duration
 
 # ---------------------------------------------------------------------- the report
 
@@ -248,7 +248,7 @@ def simulate(
     model predicts an error that no working printer has.
     """
     shapings = {} if options.shaping is None else {SHAPER: options.shaping}
-    sliced = AsSliced(firmware(printer).limits(printer))
+    sliced = AsSliced(firmware(printer).limits())
     motion = sliced.samples(parsed(lines(), printer, options))
     today = _Judged(shape(motion, shapings), printer, study)
     strategies = tuple(name for name in options.strategies if name != "none")

@@ -8,7 +8,7 @@ from typing import Any
 from hframe_post.studies.speed.curve import Curve, Step
 from hframe_post.studies.speed.prints import Point
 from hframe_post.studies.speed.report import CAUSES, MEASURES
-from hframe_post.writers.stream.print_time import duration
+from hframe_post.writers.print_time import duration
 
 WALL = "outer-wall"
 NAMED = 0.15  # share of the time from which a cause is named

@@ -116,7 +116,7 @@ class Drive:
 
     def excerpt(self, seconds: tuple[float, float] = SECONDS) -> list[Piece]:
         """Return pieces from all over the print. seconds: least and most to keep."""
-        advance = firmware(self._printer).advance(self._printer)
+        advance = firmware(self._printer).advance()
         return excerpt(self._items(), FIRST_LAYERS, seconds, advance)
 
     def useful_feeds(self, pieces: Iterable[Piece]) -> dict[str, float]:
@@ -251,7 +251,7 @@ class Drive:
 
     def original(self) -> Original:
         """Return what the file is without this tool, at its own speeds."""
-        sliced = AsSliced(firmware(self._printer).limits(self._printer))
+        sliced = AsSliced(firmware(self._printer).limits())
         commands = sliced.samples(self._items())
         labels, layers = Labels(by_name=False), dict[int, float]()
         statistics: dict[str, ErrorStatistics] = {}

@@ -27,10 +27,10 @@ from hframe_post.firmware.code import Code, plain
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.native.digits import TOO_LONG, least_too_long, motion_lines
 from hframe_post.stream.types import Position, Samples
-from hframe_post.writers.stream.machine import LimitChange, Machine, PlacedMove, Text
-from hframe_post.writers.stream.print_time import DeferredLine, Output
-from hframe_post.writers.stream.segments import Units
-from hframe_post.writers.stream.timing import TimedCommand, TimedMotion, TimedMove, Timing
+from hframe_post.writers.decimation import Units
+from hframe_post.writers.machine import LimitChange, Machine, PlacedMove, Text
+from hframe_post.writers.print_time import DeferredLine, Output
+from hframe_post.writers.timing import TimedCommand, TimedMotion, TimedMove, Timing
 
 TEXT_AT_ONCE = 1 << 16  # bytes
 
@@ -141,7 +141,7 @@ def _as_text(commands: Iterable[TimedCommand], units: Units) -> Iterator[Output]
                 if stroke.after and not revert:
                     yield stroke.before
                     revert = stroke.after
-                feed = round(stroke.speed * units.per_feed)
+                feed = max(round(stroke.speed * units.per_feed), 1)  # F0 is none
                 yield _standing_line(move, feed, units)
             case TimedMotion():
                 yield from _motion(command, feed, revert, units)

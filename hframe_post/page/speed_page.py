@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hframe_post.page.measured import Card, Chart, Curve, Section, page
+from hframe_post.page.charts import Card, Chart, Curve, Section, page
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.speed import curve as speeds
 from hframe_post.studies.speed.curve_report import (
@@ -17,7 +17,7 @@ from hframe_post.studies.speed.curve_report import (
     shown_feature,
 )
 from hframe_post.studies.speed.prints import Point
-from hframe_post.writers.stream.print_time import duration
+from hframe_post.writers.print_time import duration
 
 TODAY = "as sliced, today"
 Points = Sequence[tuple[float, float]]

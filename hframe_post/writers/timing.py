@@ -11,7 +11,8 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, lengths
 from hframe_post.firmware.motion import MotionRules, NextTo, Stroke, Way
-from hframe_post.writers.stream.machine import (
+from hframe_post.writers.decimation import Units
+from hframe_post.writers.machine import (
     LimitChange,
     Motion,
     MotionEnd,
@@ -19,7 +20,6 @@ from hframe_post.writers.stream.machine import (
     PlacedMove,
     Text,
 )
-from hframe_post.writers.stream.segments import Units
 
 CATCH_UP = 0.01  # share of its time by which a segment is sped up or delayed, in a long motion
 REVERSED = -0.999  # cosine between ways from which every firmware stops between them

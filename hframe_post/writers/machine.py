@@ -22,8 +22,7 @@ from hframe_post.stream.types import (
     Samples,
     SlowStraight,
 )
-from hframe_post.writers.stream.print_time import Output, passed_on
-from hframe_post.writers.stream.segments import (
+from hframe_post.writers.decimation import (
     SAMPLES_AT_ONCE,
     Batch,
     Place,
@@ -34,6 +33,7 @@ from hframe_post.writers.stream.segments import (
     rows_before,
     segments,
 )
+from hframe_post.writers.print_time import Output, passed_on
 
 
 class Text(NamedTuple):

@@ -1,1 +1,0 @@
-"""Samples to a stream of G-code."""
