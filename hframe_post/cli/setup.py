@@ -76,8 +76,8 @@ def setup(
     """Make this printer's profile from Klipper's printer.cfg or from Marlin's answer to M503.
 
     Writes printer.toml, the profile, and makes it the default; for Klipper also hframe.cfg, to
-    include in printer.cfg. For Marlin, save what the printer answers to M503 and M115 in one file;
-    its Configuration.h and Configuration_adv.h may follow. Where printer.toml exists, setup changes
+    include in printer.cfg. For Marlin, save the answers to M503, M115 and M211 in one file; its
+    Configuration.h and Configuration_adv.h may follow. Where printer.toml exists, setup changes
     nothing in it and lists what differs. A profile instead of printer.cfg becomes the default.
 
     \b

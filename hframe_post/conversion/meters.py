@@ -96,7 +96,7 @@ class InputMeter:
         for clock, seconds in times_of(line).items():
             before = self._times.get(clock, math.inf)
             if clock not in ("all", "gone") and seconds > before + ROUNDED_S:
-                self._note(
+                self.note(
                     "time", f"the time left rises from {duration(before)} to {duration(seconds)} "
                     f"at line {number}, as sliced. Was the file put together from several?"
                 )  # fmt: skip
@@ -106,12 +106,13 @@ class InputMeter:
     def _check_closed(self, counted: bool) -> None:
         name, number = self._open.get(counted, (b"", 0))
         if name:
-            self._note(
+            self.note(
                 "object", f"line {number} begins an object that nothing ends, as sliced: who "
                 "excludes it may lose what follows, such as the end code"
             )  # fmt: skip
 
-    def _note(self, kind: str, text: str) -> None:
+    def note(self, kind: str, text: str) -> None:
+        """Keep the first oddity of a kind."""
         self.summary.oddities.setdefault(kind, text)
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
@@ -124,7 +125,7 @@ class InputMeter:
                     fed = np.diff(item.points[:, E])
                     if fed.min() < -MOST_WIPED:
                         k = int((fed < -MOST_WIPED).argmax())
-                        self._note(
+                        self.note(
                             "filament", f"line {item.line[k]} takes back {-fed[k]:.1f} mm of "
                             "filament while it moves, as sliced. Is a G92 E0 or M83 missing "
                             "before it?"

@@ -75,8 +75,12 @@ def parsed(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterat
     return paced(_read(lines, printer, options), options)
 
 
-def _read(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Item]:
-    return read(lines, ReadOptions.from_printer(printer, options.limits, options.extrusion))
+def _read(
+    lines: Iterable[bytes], printer: Printer, options: Options,
+    note: Callable[[str, str], object] = lambda *_: None,
+) -> Iterator[Item]:  # fmt: skip
+    own = ReadOptions.from_printer(printer, options.limits, options.extrusion)
+    return read(lines, replace(own, note=note))
 
 
 def read_ahead(items: Iterator[Item]) -> Iterator[Item]:
@@ -282,7 +286,8 @@ class PlannedFile:
 
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
-        items = _read(self._input.lines(self._lines), self._printer, self._options)
+        lines = self._input.lines(self._lines)
+        items = _read(lines, self._printer, self._options, self._input.note)
         items = read_ahead(self._times.timed("read", self._input.items(items)))
         items = paced(self._sliced.items(items), self._options)
         items = self._path.items(items)

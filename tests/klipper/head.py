@@ -30,6 +30,7 @@ class _Printer:
         self.commands: dict[str, Callable[[Any], object]] = {}
         self.at = [0.0, 0.0, 0.0, 0.0]
         self.moves: list[tuple[float, ...]] = []
+        self.speed = 0.0  # of the last move, mm/s
         self.respond_info = lambda *_: None
 
     def register_command(
@@ -73,8 +74,9 @@ class _Printer:
     def get_position(self) -> list[float]:
         return list(self.at)
 
-    def move(self, place: list[float], _: float) -> None:
+    def move(self, place: list[float], speed: float) -> None:
         if place != self.at:
+            self.speed = speed
             self.at = list(place)
             self.moves.append(tuple(place))
 
@@ -107,6 +109,22 @@ class _Command:
 
 def head(lines: Iterable[str]) -> tuple[Array, list[int]]:
     """Return where the head goes (n, 4), mm, and how many places it had seen before each line."""
+    printer, before = _played(lines)
+    return np.array(printer.moves), before
+
+
+def speed(lines: Iterable[str]) -> float:
+    """Return the feed rate, mm/s, of the last move."""
+    return _played(lines)[0].speed
+
+
+def parsed(line: str) -> Any:
+    """Return a line as a command, for a handler of Klipper's."""
+    name, _, rest = line.partition(";")[0].strip().partition(" ")
+    return _Command(_Printer(), name.upper(), rest)
+
+
+def _played(lines: Iterable[str]) -> tuple[_Printer, list[int]]:
     printer = _Printer()
     for name in EXTRAS:
         module = importlib.import_module(f"klippy.extras.{name}")
@@ -120,4 +138,4 @@ def head(lines: Iterable[str]) -> tuple[Array, list[int]]:
         name, _, rest = line.partition(";")[0].strip().partition(" ")
         if handler := printer.commands.get(name.upper()):
             handler(_Command(printer, name.upper(), rest))
-    return np.array(printer.moves), before
+    return printer, before
