@@ -20,12 +20,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import Array, E, Z, moved
+from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.nozzle import Response
 from hframe_post.model.stop import StopSolver
 from hframe_post.model.stop_cost import BESIDE, BEYOND, Stop, Surroundings
 from hframe_post.model.strategies import Compensator, strategy
 from hframe_post.native.stop import NEAREST
-from hframe_post.printer.settings import STOPS, Printer
+from hframe_post.printer.settings import STOPS, Motors, Travel
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Dwell, Samples, StopRules, frozen
 
@@ -49,8 +50,13 @@ def stop_rules(stops: str, strategy: str, lifts: StopRules = AT_REST) -> StopRul
 class StopSolvers:
     """Solvers by strategy, without the strategies whose command is the path."""
 
-    def __init__(self, compensator: Compensator, names: Iterable[str], printer: Printer) -> None:
-        self._compensator, self._names, self._printer = compensator, tuple(names), printer
+    def __init__(
+        self, compensator: Compensator, names: Iterable[str], travel: Travel, motors: Motors,
+        kinematics: Kinematics,
+    ) -> None:  # fmt: skip
+        self._compensator, self._names = compensator, tuple(names)
+        self._bed, self._motors = (travel.x, travel.y), motors.belt_acceleration
+        self._belts = kinematics.matrix
         self._latest = compensator, self._of(compensator)
 
     def at(self, filament: float) -> dict[str, StopSolver]:
@@ -61,13 +67,10 @@ class StopSolvers:
         return self._latest[1]
 
     def _of(self, compensator: Compensator) -> dict[str, StopSolver]:
-        printer = self._printer
         effort = compensator.x.window.effort, compensator.y.window.effort
-        belts, motors = printer.kinematics.matrix, printer.motors.belt_acceleration
-        bed = printer.travel.x, printer.travel.y
         plants = {name: strategy(name).assumed(compensator.plant) for name in self._names}
         return {
-            name: StopSolver(plant, effort, belts, motors, bed)
+            name: StopSolver(plant, effort, self._belts, self._motors, self._bed)
             for name, plant in plants.items()
             if plant is not None
         }

@@ -15,7 +15,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, E
 from hframe_post.compensation.shape import LIVE, SHAPER, Shapes, shape
-from hframe_post.conversion.meters import ErrorMeter
+from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.klipper.live import by_itself
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
@@ -23,6 +23,7 @@ from hframe_post.model.shapers import Shaping
 from hframe_post.planner.bands import MotorBands
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.best_shaper import Paths, paths, ranked
+from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.predict import contour_error, stepped
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer, Steps
@@ -54,9 +55,11 @@ class Today:
 class SlicedFile:
     """The firmware's own motion of the items that pass: their time, and pieces of the motion."""
 
-    def __init__(self, printer: Printer) -> None:
-        rules = firmware(printer).limits()
-        self._printer, self.own = printer, AsSliced(rules, MotorBands.from_printer(printer))
+    def __init__(
+        self, printer: Printer, own: Firmware | None = None, bands: MotorBands | None = None
+    ) -> None:
+        self._firmware = own or firmware(printer)
+        self._printer, self.own = printer, AsSliced(self._firmware.limits(), bands)
         self._pieces, self._every, self._count = list[Piece](), 1, 0
         self._piece, self._seconds = list[Planned](), 0.0  # of motion
         self._total, self._extrudes = 0.0, False  # seconds of all pieces that count
@@ -108,7 +111,7 @@ class SlicedFile:
         """Return about the best input shaper of the firmware; None if nothing is extruded."""
         if not self.paths:
             return None
-        return ranked(plant, self.paths, firmware(self._printer).shapers)[0]
+        return ranked(plant, self.paths, self._firmware.shapers)[0]
 
     def _samples(self, pieces: Iterable[Piece]) -> Iterator[Samples]:
         return successive(ended(self._motion(piece)) for _, piece in pieces)

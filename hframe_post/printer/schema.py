@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import codecs
+import hashlib
+import json
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, Field, field, fields
+from dataclasses import MISSING, Field, asdict, field, fields, is_dataclass
 from difflib import get_close_matches
 from operator import ge, gt, le, lt
 from pathlib import Path
@@ -140,6 +142,18 @@ def _number(hint: type[float], value: Any, rules: Rules, key: str) -> float:
 
 
 STROKES = "Klipper is measured by strokes within [limits] ('hframe-post measure')"
+
+
+def digest_of(settings: Mapping[str, Any]) -> str:
+    """Return a hash of settings by their names, in whatever order they stand."""
+
+    def plain(value: Any) -> Any:
+        return asdict(value) if is_dataclass(value) and not isinstance(value, type) else str(value)
+
+    text = json.dumps(settings, sort_keys=True, default=plain)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
 OLD_KEYS = {f"sweep.{key}": STROKES for key in ("start_hz", "stroke", "sway", "quiet")}
 
 

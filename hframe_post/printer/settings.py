@@ -305,12 +305,12 @@ class Printer:
     limits: Limits
     kinematics: Kinematics
     motors: Motors
-    steps: Steps | None
     compensation: Compensation
     firmware: FirmwareSettings
     plant: Plant
     sweep: Sweep
     digest: str
+    steps: Steps | None = None
     verified: Verified | None = None
     invented: bool = False
     speed: Speed = Speed()

@@ -68,11 +68,6 @@ class StageTimes:
                 stack[-1] += spent
 
 
-def joined(one: dict[str, float], other: dict[str, float]) -> dict[str, float]:
-    stages = {**one, **other}
-    return {stage: one.get(stage, 0.0) + other.get(stage, 0.0) for stage in stages}
-
-
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread in the whole process; also works as a decorator.

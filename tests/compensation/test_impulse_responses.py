@@ -288,7 +288,14 @@ def held(chunks: Sequence[Samples], printer: Printer) -> Samples:
     compensator = prepared(printer)
     names = ("fbs", "racking")
     commands = compensate(chunks, compensator, names)
-    return join(list(dwell_at_stops(commands, StopSolvers(compensator, names, printer))))
+    return join(
+        list(
+            dwell_at_stops(
+                commands,
+                StopSolvers(compensator, names, printer.travel, printer.motors, printer.kinematics),
+            )
+        )
+    )
 
 
 @pytest.mark.parametrize("n", [13, 700])

@@ -13,7 +13,7 @@ import pytest
 
 from hframe_post.compensation.shape import shape
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import parsed
+from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SHAPED, SlicedFile
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.firmware.registry import FIRMWARES
@@ -32,7 +32,7 @@ from tests.conftest import SAMPLES
 
 def paths(lines: Iterable[bytes], printer: Printer) -> Paths:
     """Pieces of the firmware's own motion."""
-    return SlicedFile.from_items(parsed(lines, printer, Options("none")), printer).paths
+    return SlicedFile.from_items(Chain(printer, Options("none")).parsed(lines), printer).paths
 
 
 @pytest.fixture(scope="module")

@@ -15,14 +15,14 @@ import numpy as np
 
 from hframe_post.arrays import TS, Z
 from hframe_post.compensation.guard import check_model, max_deviation
-from hframe_post.conversion.meters import ErrorMeter
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Stages, planned, sampled
+from hframe_post.conversion.pipeline import Chain, Stages
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.doubts import Doubts
+from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Compensation, Motors, Printer
 from hframe_post.stream.chunks import branches
@@ -104,7 +104,8 @@ def tune(
     options: Options = RACKING,
 ) -> list[Trial]:
     """Return a trial of every candidate, in one pass over the print. Raises HframeError."""
-    return tried(sampled(planned(lines, printer, options), printer, options), printer, grid, drawn)
+    chain = Chain(printer, options)
+    return tried(chain.sampled(chain.planned(lines)), printer, grid, drawn)
 
 
 def tried(
@@ -112,7 +113,7 @@ def tried(
     drawn: list[Plant],
 ) -> list[Trial]:  # fmt: skip
     """Return a trial of every candidate on samples of a path, in one pass. Raises HframeError."""
-    check_model(printer)
+    check_model(printer.plant, printer.compensation.windows, printer.travel, printer.limits)
     trials = [Trial(windows) for windows in grid]
     compensators: list[tuple[Trial, Compensator]] = []
     for trial in trials:
@@ -154,7 +155,7 @@ def _tried(
     trial: Trial, compensator: Compensator, samples: Iterable[Samples], printer: Printer,
     drawn: list[Plant],
 ) -> Iterator[None]:  # fmt: skip
-    commands = Stages(printer, RACKING, compensator).compensated(samples)
+    commands = Stages(Chain(printer, RACKING), compensator).compensated(samples)
     doubts = None if drawn else Doubts.from_plant(printer.plant)
     meters = [ErrorMeter(printer.plant, doubts=doubts), *map(ErrorMeter, drawn)]
     streams = branches(_rated(commands, trial, printer.kinematics), len(meters))
