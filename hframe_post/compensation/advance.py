@@ -15,12 +15,12 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Integers
 from hframe_post.firmware.advance import Advance, ExtruderLimits
 from hframe_post.model.advance import NEAR, REACH, bounded, extruding, smoothed
-from hframe_post.printer.settings import LONGEST_SMOOTHING
+from hframe_post.printer.settings import MAX_SMOOTHING_S
 from hframe_post.stream.chunks import neighbours, stretches
 from hframe_post.stream.tally import joined, tallied
 from hframe_post.stream.types import Dwell, Mark, Passthrough, Samples, frozen
 
-AROUND = REACH + NEAR + round(LONGEST_SMOOTHING / TS / 2.0)  # samples on which advance depends
+AROUND = REACH + NEAR + round(MAX_SMOOTHING_S / TS / 2.0)  # samples on which advance depends
 APART = 2 * NEAR  # samples between two speeds of the extruder, for its acceleration
 
 

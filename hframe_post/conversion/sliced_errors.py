@@ -31,9 +31,9 @@ from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Planned, Samples, frozen
 
 PIECE_S = 3.0  # of motion in a piece; more only if a single run lasts longer, 4 times at most
-SETTLED = 300  # samples after which it does not matter how a piece began
-LEAST_S = 120.0  # to keep of a print; at most twice as much is kept
-SHAPED = 4  # pieces on which the shaper is chosen: its error is within 5 % of that on all
+SETTLING_SAMPLES = 300  # samples after which it does not matter how a piece began
+KEPT_S = 120.0  # to keep of a print; at most twice as much is kept
+SHAPED_PIECES = 4  # pieces on which the shaper is chosen: its error is within 5 % of that on all
 
 Piece = tuple[float, tuple[Planned, ...]]  # its seconds, and what it consists of
 
@@ -82,7 +82,7 @@ class SlicedFile:
     @cached_property
     def paths(self) -> Paths:
         """Return the motion of a few pieces, once all items have passed."""
-        return paths(self._samples(self._pieces[:: max(len(self._pieces) // SHAPED, 1)]))
+        return paths(self._samples(self._pieces[:: max(len(self._pieces) // SHAPED_PIECES, 1)]))
 
     def today(self, live: bool = False) -> Today:
         """Return the errors of the pieces, once all items have passed.
@@ -122,7 +122,7 @@ class SlicedFile:
         Of a piece that begins in motion the first samples do not count: they extrude nothing.
         """
         first, most = piece[0], round(4.0 * PIECE_S / TS)
-        lead = SETTLED if isinstance(first, Plan) and first.speed[0] else 0
+        lead = SETTLING_SAMPLES if isinstance(first, Plan) and first.speed[0] else 0
         for chunk in self.own.sampled(piece, most // 4):
             if lead and len(chunk):
                 xyze = chunk.xyze.copy()
@@ -160,7 +160,7 @@ class SlicedFile:
             self._pieces.append((seconds, piece))
         self._count += 1
         self._total += seconds
-        while self._kept > 2.0 * LEAST_S and len(self._pieces) > 1:
+        while self._kept > 2.0 * KEPT_S and len(self._pieces) > 1:
             self._pieces, self._every = self._pieces[::2], 2 * self._every
 
     @property

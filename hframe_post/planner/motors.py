@@ -14,7 +14,7 @@ import numpy as np
 
 from hframe_post.arrays import E, lengths
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.printer.settings import CORNER, Motors
+from hframe_post.printer.settings import CORNER_S, Motors
 from hframe_post.stream.types import FileLimits, Item, Moves, frozen
 
 SHARE = 0.6  # of the belts' acceleration: with 0.75, slices had to be clamped a fifth of the time
@@ -29,7 +29,7 @@ class WithinMotors:
         none = (math.inf, math.inf)
         self._limits = FileLimits((v, v, *none), (a, a, *none), belts=((ax, ay), (bx, by)))
         # in a right angle the speed changes by √2 times itself
-        self._corner = kinematics.min_speed_ratio * CORNER * a / math.sqrt(2.0)
+        self._corner = kinematics.min_speed_ratio * CORNER_S * a / math.sqrt(2.0)
         self.path = self.slowed = 0.0
 
     @property

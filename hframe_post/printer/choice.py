@@ -31,7 +31,7 @@ OPTION = "option -p"
 PROGRAMS = ("PrusaSlicer", "SuperSlicer", "OrcaSlicer")
 PRESETS = ("*/*.ini", "user/*/*/*.json")  # of PrusaSlicer and SuperSlicer; of OrcaSlicer
 AGAIN = "run 'hframe-post setup PROFILE.TOML' again"
-MAX_SIZE = 1 << 20  # bytes
+MAX_PRESET_BYTES = 1 << 20  # bytes
 QUOTED = r'(?:\\*"(?P<quoted>[^"]+?)\\*"|(?P<plain>[^\s"\\;]+))'
 NOTE = re.compile(rf'{VARIABLE}\s*=\s*(?:\\+")?(?P<plain>(?:[^"\\\n]|\\+(?![nr"]))+)')
 HOOK = re.compile(rf"hframe-post.*?\s(?:-p|--printer)[ =]{QUOTED}")
@@ -151,7 +151,7 @@ def presets() -> Iterator[Preset]:
 
 def _in_file(path: Path) -> Iterator[Preset]:
     try:
-        if path.stat().st_size > MAX_SIZE:
+        if path.stat().st_size > MAX_PRESET_BYTES:
             return
         lines = path.read_text("utf-8", "replace").splitlines()
     except OSError:  # another user's, or gone meanwhile

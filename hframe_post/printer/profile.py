@@ -69,8 +69,8 @@ MICRORAD = 1e-3  # rad per mm/sample² in which 1000 mm/s² during 1 ms cause 1 
 DEVIATIONS = {"least": -1e6, "most": 1e6}  # µm or µrad
 LAGS = {"least": -1e3, "most": 1e3}  # ms, or µrad at 1 mm/s
 AXES = {"x": X, "y": Y}
-MOST_CROSS = 16
-LARGEST_FILE = 1 << 20  # bytes of a profile
+MAX_COUPLINGS = 16
+MAX_PROFILE_BYTES = 1 << 20  # bytes of a profile
 # a value, and the comment in which `setup` repeated it: jerk and deceleration, limits of the motors
 GUESSED = re.compile(
     r"^\w+ = (\S+) +# \1 \((?:low, for small errors|as M201 does|[^()\n]*the velocity above|"
@@ -100,7 +100,7 @@ def text_of(path: str) -> str:
         known = ", ".join(shipped())
         raise PrinterError(f"no such profile or file; shipped are: {known}", source=path)
     try:
-        return file_text(Path(path), LARGEST_FILE, "no profile is")
+        return file_text(Path(path), MAX_PROFILE_BYTES, "no profile is")
     except OSError as error:
         raise PrinterError(f"cannot be read: {error}", source=path) from None
 
@@ -318,8 +318,10 @@ def _bed(mass: Any, limits: Limits, kinematics: Kinematics) -> Bed | None:
 def _cross(tables: Any) -> tuple[Coupling, ...]:
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise PrinterError("must be tables, each below [[plant.cross]]", "plant.cross")
-    if len(tables) > MOST_CROSS:
-        raise PrinterError(f"must be at most {MOST_CROSS}, they are {len(tables)}", "plant.cross")
+    if len(tables) > MAX_COUPLINGS:
+        raise PrinterError(
+            f"must be at most {MAX_COUPLINGS}, they are {len(tables)}", "plant.cross"
+        )
     return tuple(
         _coupling(table, f"plant.cross[{number}]") for number, table in enumerate(tables, 1)
     )

@@ -35,9 +35,9 @@ def today(lines: Iterable[bytes], printer: Printer) -> Today:
 def test_a_share_of_a_print_without_stops_stands_for_all(
     paper: Printer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sliced_errors, "LEAST_S", 1e9)
+    monkeypatch.setattr(sliced_errors, "KEPT_S", 1e9)
     all_of_it = today(vase(60), paper)
-    monkeypatch.setattr(sliced_errors, "LEAST_S", 30.0)
+    monkeypatch.setattr(sliced_errors, "KEPT_S", 30.0)
     some = today(vase(60), paper)
     assert some.share < 0.4 < all_of_it.share == 1.0
     for name in ("none", "shaper"):
