@@ -89,13 +89,14 @@ def test_stronger_couplings_take_more_rounds_and_no_command_cancels_too_strong_o
     weak, strong = (coupled_plant(seed) for seed in (1, 0))
     assert rounds_needed(weak, windows) == 2
     assert rounds_needed(strong, windows) == 4
-    check_model(replace(paper, plant=strong))
+    check_model(strong, windows, paper.travel, paper.limits)
     stronger = [
         replace(c, G=replace(c.G, deviation=3.0 * c.G.deviation, lag=3.0 * c.G.lag))
         for c in strong.cross
     ]
+    too_strong = replace(strong, cross=tuple(stronger))
     with pytest.raises(PrinterError, match="couplings of this model are so strong"):
-        check_model(replace(paper, plant=replace(strong, cross=tuple(stronger))))
+        check_model(too_strong, windows, paper.travel, paper.limits)
 
 
 def test_equal_bits_however_the_stream_is_cut() -> None:

@@ -120,7 +120,7 @@ def test_a_filter_is_the_definition_wherever_its_input_is_cut(
 )
 def test_a_settled_filter_stands_still(G: ImpulseResponse, late: int) -> None:
     f = stream_filter(G, late)
-    f.settle(12.5)
+    f.state[:] = 12.5
     standing = f.run(np.full(50, 12.5))
     assert np.abs(standing - 12.5).max() < 1e-12  # mm
     assert np.array_equal(standing, np.full(50, 12.5))  # gain 1 at rest, exactly
@@ -288,7 +288,14 @@ def held(chunks: Sequence[Samples], printer: Printer) -> Samples:
     compensator = prepared(printer)
     names = ("fbs", "racking")
     commands = compensate(chunks, compensator, names)
-    return join(list(dwell_at_stops(commands, StopSolvers(compensator, names, printer))))
+    return join(
+        list(
+            dwell_at_stops(
+                commands,
+                StopSolvers(compensator, names, printer.travel, printer.motors, printer.kinematics),
+            )
+        )
+    )
 
 
 @pytest.mark.parametrize("n", [13, 700])

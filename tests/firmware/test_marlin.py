@@ -307,7 +307,7 @@ def test_filament_is_counted_anew_before_floats_forget(marlin: Printer) -> None:
 def test_bound_on_lines_is_kept_or_told(marlin: Printer) -> None:
     for bound in (60.0, 125.0, 500.0):
         report = converted(sample("rectangle.gcode"), with_own(marlin, lines_per_second=bound))[1]
-        assert report.busiest_second <= bound
+        assert report.written.busiest_second <= bound
         assert "lines in a second" not in report.as_text()
     hops = [b"G1 X100 Y100 Z1 F6000\n"]
     hops += [b"G1 X%d Z%d\n" % (100 + k % 2, 1 + k % 2) for k in range(4)]
@@ -320,7 +320,7 @@ def test_short_segments_do_not_cut_turns_off() -> None:
     """Settling at stops turns x and y back at different moments, a few steps apart."""
     ender = load("example-ender")
     report = converted(layers("cube.gcode", 1), ender)[1]
-    below(report.approximation, 0.012, "RMS distance of the lines to the command, mm")  # was 0.026
+    below(report.written.off, 0.012, "RMS distance of the lines to the command, mm")  # was 0.026
     error = report.lines_error("racking")
     below(error, 0.004, "contour error that whole steps leave, mm RMS")  # was 0.0055
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_post.conversion.meters import ErrorMeter
+from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.windows import EVERY, WINDOW, Windows
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import smaller

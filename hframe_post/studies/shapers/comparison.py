@@ -16,23 +16,24 @@ from typing import Any
 
 from hframe_post.arrays import TS
 from hframe_post.compensation.shape import LIVE, Shapes, shape
-from hframe_post.conversion.meters import ErrorMeter
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream, parsed
+from hframe_post.conversion.pipeline import Chain, SampleStream
 from hframe_post.conversion.sliced_errors import SlicedFile
+from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.firmware.klipper.live import by_itself
-from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
-from hframe_post.model.shapers import Shaping
+from hframe_post.model.shapers import WITH_PARAMETERS, Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.sliced import AsSliced
+from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.studies.shapers.search import calibrated_with, search
 from hframe_post.writers.print_time import duration
 
+WORTH = 0.95  # of a shaper's error, below which one that needs a newer Klipper is shown
 CALIBRATED = " as calibrated"  # appended to the name of a shaper with Klipper's frequencies
 
 
@@ -60,12 +61,13 @@ def compare_shapers(
     lines: opens the file and yields its lines, at each call again. plant: on which all are judged;
     they are made for the printer's. Raises HframeError.
     """
-    pieces = SlicedFile.from_items(parsed(lines(), printer, options), printer).paths
+    stages = Chain(printer, options)
+    pieces = SlicedFile.from_items(stages.parsed(lines()), printer).paths
     shapings = {found.x.name: found for found in search(printer.plant, pieces)}
     shapings |= {name + CALIBRATED: calibrated_with(printer.plant, name) for name in KLIPPER}
-    sliced, meter = AsSliced(firmware(printer).limits()), ErrorMeter(plant)
+    sliced, meter = AsSliced(stages.firmware.limits()), ErrorMeter(plant)
     by_firmware: dict[str, Shapes] = {**shapings, **by_itself(printer, LIVE)}
-    today = shape(sliced.samples(parsed(lines(), printer, options)), by_firmware)
+    today = shape(sliced.samples(stages.parsed(lines())), by_firmware)
     ours = SampleStream(lines(), printer, options, tuple(STRATEGIES)[1:])
     for _ in chain(meter.samples(today), meter.samples(ours)):
         pass
@@ -92,7 +94,8 @@ def comparison_as_json(found: list[ShaperComparison]) -> list[dict[str, Any]]:
     ]
 
 
-def comparison_as_text(found: list[ShaperComparison]) -> str:
+def comparison_as_text(found: list[ShaperComparison], firmware: Firmware | type[Firmware]) -> str:
+    """Return a table, and the settings of the best shaper that the firmware has."""
     lines = [
         "",
         f"{'comparison':22s}{'x, Hz (damping)':>17s}{'y, Hz (damping)':>17s}"
@@ -105,4 +108,13 @@ def comparison_as_text(found: list[ShaperComparison]) -> str:
             f"{compared.name:22s}{axes[0]:>17s}{axes[1]:>17s}{um['rms']:9.1f}{um['p95']:8.1f}"
             f"{um['peak']:7.0f}{100.0 * compared.width.rms:9.1f}{duration(compared.seconds):>13s}"
         )
+    shapers = [(one.contour.rms, one.shaping) for one in found if one.shaping is not None]
+    rms, best = next(each for each in shapers if each[1].x.name in firmware.shapers)
+    lines += ["", firmware.shaper_settings(best)]
+    least, newer = next(
+        (each for each in shapers if each[1].x.name in WITH_PARAMETERS), (rms, best)
+    )
+    if firmware.newer_versions and least < WORTH * rms:
+        lines += ["", f"# {1e3 * least:.1f} µm, on {firmware.newer_versions} only:"]
+        lines += [f"# {line}" for line in firmware.shaper_settings(newer).splitlines()]
     return "\n".join(lines)
