@@ -330,9 +330,9 @@ class PlannedFile:
     def _print_time(self, motion: MotionSummary) -> PrintTime:
         own = self._sliced.own
         return PrintTime(
-            own.seconds,
-            motion.duration,
-            own.standing + self._ramps,
+            own.seconds + own.elsewhere,
+            motion.duration + own.elsewhere,
+            own.standing + self._ramps + own.elsewhere,
             TS * motion.resting,
             self._within.share,
         )

@@ -23,7 +23,7 @@ class WithinMotors:
     """Slows moves down. path, slowed: mm of all moves, and of those that became slower."""
 
     def __init__(self, printer: Printer) -> None:
-        motors, kinematics = printer.stated or printer.motors, printer.kinematics
+        motors, kinematics = printer.motors.stated, printer.kinematics
         v, a = motors.belt_velocity, SHARE * motors.belt_acceleration
         (ax, ay), (bx, by) = kinematics.matrix.tolist()
         none = (math.inf, math.inf)

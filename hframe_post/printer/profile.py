@@ -210,8 +210,7 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         name = kind.__name__.lower()
         return checked(kind, document[name], name) if name in document else None
 
-    stated = checked(Motors, document.get("motors", {}), "motors")
-    motors = stated.completed(
+    motors = checked(Motors, document.get("motors", {}), "motors").completed(
         kinematics, limits.velocity, limits.acceleration, limits.square_corner_velocity
     )
     uncertainty = document["plant"].get("uncertainty")
@@ -238,7 +237,6 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
         uncertainty,
         _day(document["plant"].get("measured"), "plant.measured"),
         model,
-        None if motors == stated else stated,
     )
     check_needs(printer.firmware, printer.steps is not None)
     return printer
