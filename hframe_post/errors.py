@@ -72,7 +72,7 @@ class GcodeError(HframeError):
 class LeftAloneError(GcodeError):
     """The input is not to be converted: it says so, or it was converted already.
 
-    stamp: what converted it, as ``conversion.pipeline.stamp`` says it; empty if nothing did.
+    stamp: what converted it, as ``conversion.options.stamp`` says it; empty if nothing did.
     """
 
     def __init__(self, cause: str, line: int, stamp: str = "") -> None:

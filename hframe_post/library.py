@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import settling_samples
 from hframe_post.conversion import files
-from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import parsed, prepared, stamp
+from hframe_post.conversion.options import Options, stamp
+from hframe_post.conversion.pipeline import Chain, prepared
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.errors import (
@@ -344,7 +344,7 @@ def _watch(source: Path, outputs: Outputs) -> None:
 def _pictured(options: Options, source: Input, printer: Printer, plant: Plant) -> Options:
     """Return options that collect a page's picture, with the best input shaper for the print."""
     predicted = dict.fromkeys(("none", *options.strategies))
-    items = parsed(islice(source.again(), SHAPED_LINES), printer, options)
+    items = Chain(printer, options).parsed(islice(source.again(), SHAPED_LINES))
     shaping = SlicedFile.from_items(items, printer).shaping(plant)
     return replace(options, predict=tuple(predicted), picture=True, shaping=shaping)
 

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import atexit
 import os
-import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from functools import cache
+from contextlib import contextmanager
 from pathlib import Path
 
 from hframe_post.process import CHILD
-from tests.command_server import ask
-from tests.conftest import ROOT, SAMPLES
+from tests.command_server import call
+from tests.conftest import SAMPLES
 
 RECTANGLE = SAMPLES / "rectangle.gcode"
 WAIT = 60.0  # s
@@ -34,14 +30,7 @@ def run(
     changed = {**os.environ, **environment}
     if any(name.startswith("PYTHON") for name in environment):
         return subprocess.run(command, input=stdin, capture_output=True, check=False, env=changed)
-    with ExitStack() as stack:
-        files = [stack.enter_context(tempfile.TemporaryFile()) for _ in range(3)]
-        files[0].write(stdin)
-        files[0].seek(0)
-        status = ask(_server(), command[3:], changed, [file.fileno() for file in files])
-        for file in files[1:]:
-            file.seek(0)
-        return subprocess.CompletedProcess(command, status, files[1].read(), files[2].read())
+    return call("hframe_post.__main__", ["hframe-post", *command[3:]], changed, stdin=stdin)
 
 
 @contextmanager
@@ -60,26 +49,6 @@ def started(*arguments: str | Path) -> Iterator[subprocess.Popen[bytes]]:
         finally:
             process.kill()
             os.close(writing_end)
-
-
-@cache
-def _server() -> socket.socket:
-    """Start the process that forks commands; it ends with this one, which closes the socket."""
-    ours, theirs = socket.socketpair()
-    # Threads of BLAS wait for each other on a busy machine.
-    server = subprocess.Popen(
-        [sys.executable, "-m", "tests.command_server", str(theirs.fileno())],
-        pass_fds=[theirs.fileno()], cwd=ROOT, stdin=subprocess.DEVNULL,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip
-    theirs.close()
-
-    def end() -> None:
-        ours.close()
-        server.wait()
-
-    atexit.register(end)
-    return ours
 
 
 def until(holds: Callable[[], bool]) -> None:

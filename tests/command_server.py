@@ -1,18 +1,27 @@
-"""A process that has imported the package and forks for each command it is asked to run."""
+"""Processes that have imported what commands need, and fork for each that they are asked to run."""
 
 from __future__ import annotations
 
+import atexit
+import gc
 import json
 import os
 import pkgutil
 import signal
 import socket
 import struct
+import subprocess
 import sys
-from collections.abc import Sequence
+import tempfile
+import traceback
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import NoReturn
 
+ROOT = Path(__file__).parent.parent
 LENGTH = struct.Struct("=q")  # of the request
 ANSWER = struct.Struct("=qd")  # status, and processor time, s
 _spent = [0.0]
@@ -23,16 +32,49 @@ def spent() -> float:
     return _spent[0]
 
 
-def ask(
-    server: socket.socket, arguments: list[str], environment: dict[str, str], streams: Sequence[int]
-) -> int:
-    """Have a command run with these standard streams; return its exit status."""
-    request = json.dumps([arguments, environment, os.getcwd()]).encode()
-    socket.send_fds(server, [LENGTH.pack(len(request))], streams)
-    server.sendall(request)
-    status, seconds = ANSWER.unpack(_received(server, ANSWER.size))
-    _spent[0] += seconds
-    return int(status)
+def call(
+    module: str, argv: Sequence[str], environment: Mapping[str, str], *, stdin: bytes = b"",
+    folder: Path | None = None, prepared: str = __name__, timeout: float | None = None,
+) -> subprocess.CompletedProcess[bytes]:  # fmt: skip
+    """Run what ``python -m module`` runs, in a fork of a process that has imported its modules.
+
+    prepared: the module whose ``prepare`` imports them. Raises TimeoutError after ``timeout`` s.
+    """
+    with ExitStack() as stack:
+        files = [stack.enter_context(tempfile.TemporaryFile()) for _ in range(3)]
+        files[0].write(stdin)
+        files[0].seek(0)
+        request = [module, list(argv), dict(environment), str(folder or Path.cwd())]
+        text, server = json.dumps(request).encode(), _server(prepared)
+        server.settimeout(timeout)
+        socket.send_fds(server, [LENGTH.pack(len(text))], [file.fileno() for file in files])
+        server.sendall(text)
+        status, seconds = ANSWER.unpack(_received(server, ANSWER.size))
+        _spent[0] += seconds
+        for file in files[1:]:
+            file.seek(0)
+        return subprocess.CompletedProcess(argv, int(status), files[1].read(), files[2].read())
+
+
+@cache
+def _server(prepared: str) -> socket.socket:
+    """Start the process that forks; it ends with this one, which closes the socket."""
+    ours, theirs = socket.socketpair()
+    # -P: no folder's modules get in the way. Threads of BLAS wait for each other on a busy machine.
+    server = subprocess.Popen(
+        [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), prepared],
+        pass_fds=[theirs.fileno()], cwd=ROOT, stdin=subprocess.DEVNULL, process_group=0,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    theirs.close()
+
+    def end() -> None:
+        ours.close()
+        os.killpg(server.pid, signal.SIGTERM)  # a command that did not end, too
+        server.wait()
+
+    atexit.register(end)
+    return ours
 
 
 def _received(connection: socket.socket, count: int) -> bytes:
@@ -43,6 +85,18 @@ def _received(connection: socket.socket, count: int) -> bytes:
             raise EOFError
         text += piece
     return text
+
+
+# ---------------------------------------------------------------------- the process that forks
+
+
+def prepare() -> None:
+    """Import all modules of the package."""
+    import hframe_post
+
+    for module in pkgutil.walk_packages(hframe_post.__path__, "hframe_post."):
+        if not module.name.startswith(("hframe_post.hosts.", "hframe_post.__main__")):
+            import_module(module.name)
 
 
 def serve(connection: socket.socket) -> None:
@@ -63,11 +117,11 @@ def serve(connection: socket.socket) -> None:
         connection.sendall(ANSWER.pack(os.waitstatus_to_exitcode(status), seconds))
 
 
-def _run(request: tuple[list[str], dict[str, str], str], streams: Sequence[int]) -> NoReturn:
-    """Do in this process, a fork, what ``python -m hframe_post`` does in a new one."""
+def _run(request: tuple[str, list[str], dict[str, str], str], streams: Sequence[int]) -> NoReturn:
+    """Do in this process, a fork, what ``python -m module`` does in a new one."""
     status = 1
     try:
-        arguments, environment, folder = request
+        module, sys.argv, environment, folder = request
         os.environ.clear()
         os.environ.update(environment)
         os.chdir(folder)
@@ -76,22 +130,23 @@ def _run(request: tuple[list[str], dict[str, str], str], streams: Sequence[int])
             os.close(stream)
         sys.stdin = os.fdopen(0)
         sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
-        sys.argv = ["hframe-post", *arguments]
-        import_module("hframe_post.__main__").main()
+        import_module(module).main()
+        status = 0
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else bool(end.code)
+    except BaseException:
+        traceback.print_exc()
     finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
         os._exit(status)
 
 
 def main() -> None:
-    """Import all modules of the package, then serve the socket whose number is the argument."""
-    import hframe_post
-
+    """Import what the second argument prepares, then serve the socket of the first."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends this process through its tests
-    for module in pkgutil.walk_packages(hframe_post.__path__, "hframe_post."):
-        if not module.name.startswith(("hframe_post.hosts.", "hframe_post.__main__")):
-            import_module(module.name)
+    import_module(sys.argv[2]).prepare()
+    gc.freeze()  # no fork searches these modules for garbage
     signal.signal(signal.SIGINT, signal.default_int_handler)
     serve(socket.socket(fileno=int(sys.argv[1])))
 

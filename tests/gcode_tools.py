@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pytest
 
+from hframe_post.compensation.stops import stop_rules
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
+from hframe_post.gcode.reader import read
+from hframe_post.gcode.state import ReadOptions
+from hframe_post.planner.lookahead import plan
+from hframe_post.planner.sampling import sample as sampled
 from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import Samples
 from hframe_post.writers.print_time import DeferredLine
 from tests.conftest import SAMPLES
 
@@ -72,6 +79,13 @@ def converted(
     conversion = GcodeConversion(iter(lines), profile, options or Options("racking"))
     pieces = [o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion]
     return b"".join(pieces), conversion.report()
+
+
+def planned(lines: Iterable[str], printer: Printer, strategy: str = "racking") -> list[Samples]:
+    raw = (line.encode() + b"\n" for line in lines)
+    items = read(raw, ReadOptions.from_printer(printer, "printer"))
+    waits = stop_rules(printer.compensation.stops, strategy)
+    return list(sampled(plan(items, printer.limits), printer.limits, waits))
 
 
 def sample(name: str) -> list[bytes]:

@@ -121,7 +121,6 @@ def relative(found: Array, true: Array) -> float:
 # ---------------------------------------------------------------------- random printers
 
 FAULTS = ("friction", "play", "second", "third", "along")
-CLASSES = ("linear", *FAULTS)
 
 
 def drawn(seed: int) -> tuple[Machine, Chip, str]:

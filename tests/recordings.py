@@ -15,10 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from hframe_post.arrays import TS, Array
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
-from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.nozzle import Response
 from hframe_post.model.plant import Plant
-from hframe_post.model.transfer_function import TransferFunction
 from tests.plants import Filter
 
 # printer.cfg of the Sovol SV08 whose recordings are among the tests
@@ -102,11 +100,6 @@ def nozzle(plant: Plant, swept: Array, axis: int, arm: float = 50.0) -> BSpline:
     assert plant.Gxtheta is not None
     theta = Filter(plant.Gxtheta).run(swept)
     return spline(Filter(plant.Gxx).run(swept), arm * theta)
-
-
-def in_y_alone(G: TransferFunction | ImpulseResponse, swept: Array, size: float) -> BSpline:
-    """Return a motion in y, ``size`` times what G makes of ``swept`` (m,)."""
-    return spline(np.zeros(len(swept)), size * Filter(G).run(swept))
 
 
 def spline(x: Array, y: Array) -> BSpline:

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import hashlib
+import shutil
 import subprocess
 import tempfile
 from dataclasses import dataclass
@@ -275,12 +277,15 @@ def _pointer(values: Array) -> ctypes.c_void_p:
 
 @functools.cache
 def compiled(source: str) -> ctypes.CDLL:
-    """Return the functions of a C source."""
-    folder = Path(tempfile.mkdtemp(prefix="simulator"))
-    (folder / "simulator.c").write_text(source)
-    target = folder / "simulator.so"
-    command = ["gcc", "-O2", "-shared", "-fPIC", "-o", str(target), str(folder / "simulator.c")]
-    subprocess.run([*command, "-lm"], check=True)
+    """Return the functions of a C source, compiled once on a machine."""
+    name = hashlib.sha256(source.encode()).hexdigest()[:16]
+    target = Path(tempfile.gettempdir()) / f"hframe-post-simulator-{name}.so"
+    if not target.exists():
+        with tempfile.TemporaryDirectory() as folder:
+            made = Path(folder) / target.name
+            command = ["gcc", "-O2", "-shared", "-fPIC", "-xc", "-", "-o", str(made), "-lm"]
+            subprocess.run(command, input=source.encode(), check=True)
+            shutil.move(made, target)
     return ctypes.CDLL(str(target))
 
 

@@ -16,7 +16,7 @@ import hframe_post as hp
 from examples.paper.commands import WholeTrajectory, windowed
 from hframe_post.arrays import TS, Array, Complex, E, X, Y, Z
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream, planned, prepared, sampled
+from hframe_post.conversion.pipeline import Chain, SampleStream, prepared
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
@@ -101,7 +101,8 @@ def frequency_responses(plant: Plant, hz: Array) -> FrequencyResponses:
 def path(printer: Printer) -> Array:
     """Return the planned rectangle of Fig. 7, (E + 1, 2); it begins and ends at rest."""
     options = Options("none", tolerance=None)  # the path alone, without rests for a command
-    chunks = sampled(planned(rectangle(printer), printer, options), printer, options)
+    chain = Chain(printer, options)
+    chunks = chain.sampled(chain.planned(rectangle(printer)))
     xy = np.concatenate([chunk.xyze[:, :Z] for chunk in chunks])
     corners = xy[0] + np.array([[120, 0], [120, 20], [0, 20], [0, 0]])
     repeats = np.ones(len(xy), dtype=np.int64)

@@ -32,8 +32,7 @@ from hframe_post.cli.options import (
     printer_option,
     say,
 )
-from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import first_line
+from hframe_post.conversion.options import Options, first_line
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.process import Interruption

@@ -28,8 +28,7 @@ from hframe_post.cli.options import (
     say,
     verbose_option,
 )
-from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import first_line
+from hframe_post.conversion.options import Options, first_line
 from hframe_post.errors import LeftAloneError, one_line
 from hframe_post.printer.choice import verification_as_text
 from hframe_post.printer.profile import check_identified, played_by

@@ -24,7 +24,7 @@ from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.version import log_of
 from hframe_post.firmware.registry import firmware
 from hframe_post.hosts.moonraker.disk import events
-from hframe_post.page.history import OLD, history_page
+from hframe_post.page.history import STALE_DAYS, history_page
 from hframe_post.printer.choice import PROFILE, VARIABLE, Choice, choose, config_file, presets
 from hframe_post.printer.profile import load, shipped
 from hframe_post.printer.settings import Printer
@@ -234,7 +234,7 @@ def _check_config(
 def _check_age(findings: _Findings, path: Path, profile: Printer) -> None:
     written = datetime.fromtimestamp(path.stat().st_mtime, UTC).date()
     days = (datetime.now(UTC).date() - (profile.measured or written)).days
-    if not profile.invented and days > OLD:
+    if not profile.invented and days > STALE_DAYS:
         how = "measured" if profile.measured else "written"
         again = "Measure it again"
         if profile.firmware.kind.records:

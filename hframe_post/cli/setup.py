@@ -83,9 +83,9 @@ def setup(
 
     Writes printer.toml, the profile, and makes it the default. For Klipper it also writes
     hframe.cfg, to include in printer.cfg, which only --moonraker changes. For Marlin, save what the
-    printer answers to M503 and M115 in one file; its Configuration.h and Configuration_adv.h may
-    follow. Where printer.toml exists, setup changes nothing in it and lists what differs; --reset
-    writes it anew.
+    printer answers to M503, M115 and M211 in one file; its Configuration.h and Configuration_adv.h
+    may follow. Where printer.toml exists, setup changes nothing in it and lists what differs;
+    --reset writes it anew.
 
     --moonraker is for the printer's computer. On a terminal it asks first whether Klipper itself
     shall compensate, on files as they are sliced. It also links a component into Moonraker, adds a

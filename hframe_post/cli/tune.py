@@ -22,13 +22,13 @@ from hframe_post.cli.options import (
     shown_working,
 )
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import parsed
+from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware
 from hframe_post.prediction.best_shaper import error
 from hframe_post.printer.model_file import with_windows
-from hframe_post.printer.schema import LARGEST
+from hframe_post.printer.schema import MAX_NUMBER
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.shapers.search import (
     calibrated,
@@ -47,8 +47,8 @@ from hframe_post.writers.outputs import Outputs
 
 def weight(text: str) -> float:
     value = number(text)
-    if not 0.0 <= value < LARGEST:
-        raise click.BadParameter(f"{text!r} is not a number from 0 to below {LARGEST:g}")
+    if not 0.0 <= value < MAX_NUMBER:
+        raise click.BadParameter(f"{text!r} is not a number from 0 to below {MAX_NUMBER:g}")
     return value
 
 
@@ -147,7 +147,7 @@ def _recommend_shaper(
     lines: Iterable[bytes], profile: Printer, options: Options,
     write_json: Callable[[dict[str, Any]], None], json_file: Path | None,
 ) -> None:  # fmt: skip
-    pieces = SlicedFile.from_items(parsed(lines, profile, options), profile).paths
+    pieces = SlicedFile.from_items(Chain(profile, options).parsed(lines), profile).paths
     found = search(profile.plant, pieces)
     usual = error(profile.plant, calibrated(profile.plant), pieces)
     write_json(shapings_as_json(found, usual))

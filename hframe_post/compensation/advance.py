@@ -15,28 +15,25 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Integers
 from hframe_post.firmware.advance import Advance, ExtruderLimits
 from hframe_post.model.advance import NEAR, REACH, bounded, extruding, smoothed
-from hframe_post.printer.settings import LONGEST_SMOOTHING
+from hframe_post.printer.settings import MAX_SMOOTHING_S
 from hframe_post.stream.chunks import neighbours, stretches
+from hframe_post.stream.tally import joined, tallied
 from hframe_post.stream.types import Dwell, Mark, Passthrough, Samples, frozen
 
-AROUND = REACH + NEAR + round(LONGEST_SMOOTHING / TS / 2.0)  # samples on which advance depends
+AROUND = REACH + NEAR + round(MAX_SMOOTHING_S / TS / 2.0)  # samples on which advance depends
 APART = 2 * NEAR  # samples between two speeds of the extruder, for its acceleration
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class AdvanceSummary:
     """Advance wherever there are samples: least and most of it, s.
 
     hardest: greatest acceleration, mm/s², of an extruder to which the firmware adds the advance.
     """
 
-    least: float = math.inf
-    most: float = 0.0
-    hardest: float = 0.0
-
-    def join(self, other: AdvanceSummary) -> None:
-        self.least, self.most = min(self.least, other.least), max(self.most, other.most)
-        self.hardest = max(self.hardest, other.hardest)
+    least: float = tallied(math.inf, min)
+    most: float = tallied(0.0, max)
+    hardest: float = tallied(0.0, max)
 
 
 class Advancing:
@@ -83,7 +80,7 @@ class Advancing:
         around, start = [*before, chunk, *after], sum(map(len, before))
         K, half = self._in_force(chunk.first - start, sum(map(len, around)))
         own = slice(start, start + len(chunk))
-        self.summary.join(AdvanceSummary(float(K[own].min()), float(K[own].max())))
+        self._note(float(K[own].min()), float(K[own].max()))
         if not K.any():
             return chunk
         path, found = np.concatenate([each.xyze for each in around]), np.zeros((len(chunk), 2))
@@ -93,8 +90,11 @@ class Advancing:
             np.copyto(found[:, 0], ahead[own], where=half[own] == width)
             if self._limits is None:
                 near = slice(max(own.start - APART, 0), own.stop)
-                self.summary.hardest = max(self.summary.hardest, _hardest(path[near], ahead[near]))
+                self._note(hardest=_hardest(path[near], ahead[near]))
         return replace(chunk, advance=frozen(found), in_e=self._limits is not None)
+
+    def _note(self, least: float = math.inf, most: float = 0.0, hardest: float = 0.0) -> None:
+        self.summary = joined(self.summary, AdvanceSummary(least, most, hardest))
 
     def _ahead(self, path: Array, K: Array, half: int) -> Array:
         if (limits := self._limits) is None:

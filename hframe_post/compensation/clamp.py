@@ -19,6 +19,7 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.guard import is_safe
 from hframe_post.printer.settings import Motors, Travel
 from hframe_post.stream.chunks import join, neighbours, stretches
+from hframe_post.stream.tally import joined, tallied
 from hframe_post.stream.types import Dwell, Samples, frozen
 
 REACH = 80  # samples over which a reduction fades in and out
@@ -37,13 +38,8 @@ class Clamped:
     """Number of samples clamped, source line of the first, and the greatest change (mm)."""
 
     samples: int = 0
-    line: int = 0
-    most: float = 0.0
-
-    def joined(self, later: Clamped) -> Clamped:
-        return Clamped(
-            self.samples + later.samples, self.line or later.line, max(self.most, later.most)
-        )
+    line: int = tallied(0, lambda one, later: one or later)
+    most: float = tallied(0.0, max)
 
 
 class Clamp:
@@ -75,7 +71,7 @@ class Clamp:
                 if changed.any():
                     line = int(chunk.line[np.argmax(changed)])
                     most = float(np.hypot(*(safe - chunk.commands[strategy]).T).max())
-                    self.clamped = self.clamped.joined(Clamped(int(changed.sum()), line, most))
+                    self.clamped = joined(self.clamped, Clamped(int(changed.sum()), line, most))
                 yield replace(chunk, commands={**chunk.commands, strategy: frozen(safe)})
 
     def _all_safe(self, chunks: list[Samples], strategy: str) -> bool:

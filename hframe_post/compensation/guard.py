@@ -15,11 +15,13 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, X, Y, Z
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.model.kinematics import Differences, Kinematics, Rates
+from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.rounds import contraction
 from hframe_post.native.guard import farthest, is_safe
-from hframe_post.printer.settings import Limits, Motors, Printer, Travel
+from hframe_post.printer.settings import Limits, Motors, Travel
 from hframe_post.stream.chunks import stretches
+from hframe_post.stream.tally import tallied
 from hframe_post.stream.types import Samples
 
 LEEWAY, SLACK = 1.0 + 1e-9, 1e-9  # factor and mm by which a limit that is met exactly passes
@@ -33,18 +35,18 @@ ADVICE = (
 # ---------------------------------------------------------------------- the model
 
 
-def check_model(printer: Printer) -> None:
+def check_model(
+    plant: Plant, windows: tuple[Window, Window], travel: Travel, limits: Limits
+) -> None:
     """Raise PrinterError if x and y would act on each other more than in any printer."""
-    travel, windows = printer.travel, printer.compensation.windows
     for place in (*product(travel.x, travel.y), (sum(travel.x) / 2.0, sum(travel.y) / 2.0)):
-        if not contraction(printer.plant, windows, np.array(place)) < 1.0:
+        if not contraction(plant, windows, np.array(place)) < 1.0:
             raise PrinterError(
                 f"at x = {place[X]:g}, y = {place[Y]:g} the couplings of this model are so strong "
                 f"that no command cancels them; remove them, or {ADVICE}",
-                "plant.cross", printer.name,
+                "plant.cross",
             )  # fmt: skip
-    G, limits = printer.plant.Gxtheta, printer.limits
-    if G is None:
+    if (G := plant.Gxtheta) is None:
         return
     omega = 2.0 * np.pi * SLOW_HZ
     slow = abs(complex(G.response(np.array([omega * TS]))[0]))
@@ -53,7 +55,7 @@ def check_model(printer: Printer) -> None:
         raise PrinterError(
             f"this model twists the gantry by {1e3 * angle:.0f} mrad, more than any printer; "
             f"{ADVICE}",
-            "plant.Gxtheta", printer.name,
+            "plant.Gxtheta",
         )  # fmt: skip
 
 
@@ -110,9 +112,9 @@ def check_prediction(rms: float) -> None:
 class Peaks:
     """Greatest rates of the commands, mm/s and mm/s²; axis_acceleration: x, y."""
 
-    belt_velocity: float = 0.0
-    belt_acceleration: float = 0.0
-    axis_acceleration: tuple[float, float] = (0.0, 0.0)
+    belt_velocity: float = tallied(0.0, max)
+    belt_acceleration: float = tallied(0.0, max)
+    axis_acceleration: tuple[float, float] = tallied((0.0, 0.0), lambda *both: (*map(max, *both),))
 
 
 class Guard:

@@ -1,4 +1,7 @@
-"""A print as G-code, written span by span, in this process or in several, with the same bytes."""
+"""A print as G-code, as steps of the motors or as samples, each with its report.
+
+G-code is written span by span, in this process or in several, with the same bytes.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +16,23 @@ from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from hframe_post.compensation.stops import StopSolvers
-from hframe_post.conversion.meters import MotionSummary
-from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import PlannedFile, Stages, first_line, prepared
+from hframe_post.arrays import Array
+from hframe_post.conversion.ledger import Ledger, StepTally
+from hframe_post.conversion.options import Options, first_line
+from hframe_post.conversion.pipeline import Chain, PlannedFile, SampleStream, Stages, stop_solvers
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Span, Spans
-from hframe_post.errors import HframeError
-from hframe_post.firmware.registry import firmware
+from hframe_post.errors import HframeError, PrinterError
 from hframe_post.gcode.motors import with_motors
 from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.windows import WHOLE
 from hframe_post.printer.settings import Printer
+from hframe_post.stream.tally import joined
+from hframe_post.version import __version__
 from hframe_post.writers.gcode import GcodeSummary, GcodeWriter
 from hframe_post.writers.print_time import SUMMARY, Output, after_head, later
+from hframe_post.writers.steps import StepGenerator
+from hframe_post.writers.tables import MOTORS, Header, Note, StepFileWriter, tabulate
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
@@ -38,45 +44,36 @@ class GcodeConversion:
 
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         lines, printer = with_motors(lines, printer, options.limits)
-        self._printer, self._options = printer, options
-        own = firmware(printer)
-        self._rules, self._code = own.motion(options.tolerance), own.code()
-        self._source = PlannedFile(lines, printer, options)
-        self._motion, self._written = MotionSummary(), GcodeSummary()
+        self._chain, self._stamp = Chain(printer, options), first_line(printer, options)
+        self._source, self._ledger = PlannedFile(lines, self._chain), Ledger()
 
     def __iter__(self) -> Iterator[Output]:
-        stamp = first_line(self._printer, self._options)
-        return after_head(self._pieces(), stamp, SUMMARY)
+        return after_head(self._pieces(), self._stamp, SUMMARY)
 
     def _pieces(self) -> Iterator[Output]:
-        writer = SpanWriter(self._printer, self._options, prepared(self._printer))
+        writer = SpanWriter(self._chain, self._chain.compensator)
         for span in writer.written(self._source.spans()):
-            begun = self._motion.duration
+            begun = self._ledger.duration
             for piece in span.output:
                 yield later(piece, begun)
-            self._motion.join(span.motion)
-            self._written = self._written.joined(span.written)
-        self._source.check_filament(self._written.filament)
+            self._ledger = joined(self._ledger, span.ledger)
+        self._source.check_filament(self._ledger.written.filament)
 
     @property
     def times(self) -> tuple[float, float]:
         """Return the duration of the print so far as sliced and as converted, s."""
-        return self._source.sliced_seconds, self._motion.duration
+        return self._source.sliced_seconds, self._ledger.duration
 
     @cached_property
     def _report(self) -> Report:
-        written = self._written
-        report = self._source.report(self._motion)
-        report = replace(
-            report, lines_written=written.lines + 1,  # and the stamp
-            filament_after=written.filament, busiest_second=written.busiest_second,
-            sliced_off=self._source.sliced_off() if written.off else 0.0,
-            lines_per_second=self._rules.lines_per_second, approximation=written.off,
-            advance=self._source.advance(self._motion.advance),
-            notices=(*report.notices, *self._code.notices), when_stopped=self._code.when_stopped,
+        own, ledger, options = self._chain.firmware, self._ledger, self._chain.options
+        report, code = self._source.report(ledger), own.code()
+        return replace(
+            report, with_summary=True, advance=self._source.advance(ledger),
+            sliced_off=self._source.sliced_off() if ledger.written.off else 0.0,
+            lines_per_second=own.motion(options.tolerance).lines_per_second,
+            notices=(*report.notices, *code.notices), when_stopped=code.when_stopped,
         )  # fmt: skip
-        of_summary = len(report.as_text().splitlines())
-        return replace(report, lines_written=written.lines + 1 + of_summary)
 
     def report(self) -> Report:
         """Return the report, once the output was used up."""
@@ -85,30 +82,28 @@ class GcodeConversion:
 
 @dataclass(slots=True)
 class WrittenSpan:
-    """Output of a span; the summaries are complete once the output was used up."""
+    """Output of a span; the ledger is complete once the output was used up."""
 
     output: Iterable[Output]
-    motion: MotionSummary = field(default_factory=MotionSummary)
-    written: GcodeSummary = field(default_factory=GcodeSummary)
+    ledger: Ledger = field(default_factory=Ledger)
 
 
 class SpanWriter:
     """Everything that is needed to write any span of a print."""
 
-    def __init__(self, printer: Printer, options: Options, compensator: Compensator) -> None:
-        self.made_of = printer, options, compensator
-        self._at_stops = StopSolvers(compensator, options.strategies, printer)
+    def __init__(self, chain: Chain, compensator: Compensator) -> None:
+        self.made_of = chain, compensator
+        self._at_stops = stop_solvers(chain, compensator)
 
     def streamed(self, span: Span, threads: bool = True) -> WrittenSpan:
         """Return a span that is computed while its output is taken."""
-        printer, options, compensator = self.made_of
-        start = span.beginning
+        chain, compensator = self.made_of
+        start, options, own = span.beginning, chain.options, chain.firmware
         stages = Stages(
-            printer, options, compensator, at_stops=self._at_stops,
-            printing=replace(start.printing), skip_slow=options.tolerance is not None,
-            advance=start.advance, whole=0 if start.place else WHOLE,
+            chain, compensator, at_stops=self._at_stops, printing=replace(start.printing),
+            skip_slow=options.tolerance is not None, advance=start.advance,
+            whole=0 if start.place else WHOLE,
         )  # fmt: skip
-        own = firmware(printer)
         rules = own.motion(options.tolerance, options.retract == "moving")
         writer = GcodeWriter(
             options.strategy, rules, own.code(), place=start.place, offset=start.offset
@@ -118,7 +113,7 @@ class SpanWriter:
         def output() -> Iterator[Output]:
             commands = stages.predicted(stages.commands(span.items), threads)
             yield from stages.times.timed("write", writer.write(commands))
-            result.motion, result.written = stages.summary, writer.summary
+            result.ledger = replace(stages.ledger, written=writer.summary)
 
         result.output = output()
         return result
@@ -128,7 +123,7 @@ class SpanWriter:
 
         The options' jobs is the number of processes that write them.
         """
-        source, jobs = iter(spans), self.made_of[1].jobs
+        source, jobs = iter(spans), self.made_of[0].options.jobs
         for first in source:
             if jobs > 1 and first.in_memory:
                 break
@@ -190,12 +185,12 @@ def _context() -> BaseContext:
     return multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
 
 
-def _start_worker(printer: Printer, options: Options, compensator: Compensator) -> None:
+def _start_worker(chain: Chain, compensator: Compensator) -> None:
     """Leave interrupts to the parent, and end with it even if it is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _writer[:] = [SpanWriter(printer, options, compensator)]
+    _writer[:] = [SpanWriter(chain, compensator)]
 
 
 def _end_with_parent() -> None:
@@ -211,3 +206,75 @@ def _write_in_worker(span: Span) -> WrittenSpan:
     result = _writer[0].streamed(span, threads=False)
     result.output = list(result.output)
     return result
+
+
+# ---------------------------------------------------------------------- steps
+
+
+class StepConversion:
+    """A print as text of a step file and notes for its events.
+
+    Raises PrinterError if the profile does not say how the motors step.
+    """
+
+    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+        table, kinematics = printer.steps, printer.kinematics
+        if table is None:
+            cause = "the table is missing; step timing needs it"
+            raise PrinterError(cause, "steps", printer.name)
+        if not kinematics.z_is_separate:
+            cause = (
+                f"the motor of z moves with x on a {kinematics.type}: its steps cannot be written"
+            )
+            raise PrinterError(cause, "kinematics.type", printer.name)
+        self._table = table
+        self._commands = SampleStream(lines, printer, options)
+        self._stepper = StepGenerator(options.strategy, kinematics, table)
+        header = Header(
+            __version__, printer.name, options.digest(printer.digest), table.clock_hz,
+            (table.belt, table.belt, table.z, table.e), kinematics.matrix,
+        )  # fmt: skip
+        self._writer = StepFileWriter(header)
+
+    def __iter__(self) -> Iterator[bytes | Note]:
+        yield from self._writer.write(self._stepper.step(self._commands))
+        # a step that is not due at the end of a stretch is made in the next one
+        late = self._stepper.counts.starts * self._table.e
+        self._commands.check_filament(self._filament, late)
+
+    @property
+    def _filament(self) -> float:
+        counts = self._stepper.counts
+        return float(counts.net[MOTORS.index("E")] * self._table.e + counts.passed)
+
+    def report(self) -> Report:
+        """Return the report; it is complete once the output was used up."""
+        counts = self._stepper.counts
+        motors = dict(zip(MOTORS, counts.steps.tolist(), strict=True))
+        return replace(
+            self._commands.report(), written=GcodeSummary(self._writer.lines, 0, self._filament),
+            steps=StepTally(self._writer.rows, counts.ticks, self._table.clock_hz, motors),
+        )  # fmt: skip
+
+
+# ---------------------------------------------------------------------- samples
+
+
+class SampleConversion:
+    """A print as tables of path, command and predicted motion, one row a millisecond."""
+
+    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+        self._plant, self._strategy = printer.plant, options.strategy
+        self._commands = SampleStream(lines, printer, options)
+        self._rows = 0
+
+    def __iter__(self) -> Iterator[Array]:
+        for table in tabulate(self._commands, self._strategy, self._plant):
+            self._rows += len(table)
+            yield table
+        self._commands.check_filament(self._commands.ledger.filament_out)
+
+    def report(self) -> Report:
+        """Return the report; it is complete once the output was used up."""
+        report = self._commands.report()
+        return replace(report, written=GcodeSummary(self._rows, 0, report.filament_out))

@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any, TypeAlias
 
-from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.options import TOLERANCE, Kind, Options
-from hframe_post.conversion.pipeline import stamp
+from hframe_post.conversion.conversions import GcodeConversion, SampleConversion, StepConversion
+from hframe_post.conversion.options import TOLERANCE, Kind, Options, stamp
 from hframe_post.conversion.report import Report
 from hframe_post.errors import OptionError
 from hframe_post.firmware.registry import firmware
@@ -22,11 +21,9 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.writers.outputs import Outputs, compressing
 from hframe_post.writers.print_time import write_output
+from hframe_post.writers.tables import COLUMNS, EVENTS_HEADER, as_csv, inlined, write_npz
 
-if TYPE_CHECKING:
-    from hframe_post.conversion.tables import SampleConversion, StepConversion
-
-    Conversion = GcodeConversion | StepConversion | SampleConversion
+Conversion: TypeAlias = GcodeConversion | StepConversion | SampleConversion
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,25 +152,8 @@ def _write_text(conversion: GcodeConversion, file: IO[bytes]) -> None:
     write_output(file, conversion, lambda: conversion.times, lambda: conversion.report().as_text())
 
 
-# G-code needs none of the modules that the following import.
-
-
-def _convert_steps(*arguments: Any) -> StepConversion:
-    from hframe_post.conversion.tables import StepConversion
-
-    return StepConversion(*arguments)
-
-
-def _convert_samples(*arguments: Any) -> SampleConversion:
-    from hframe_post.conversion.tables import SampleConversion
-
-    return SampleConversion(*arguments)
-
-
 def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
     """Write the step file and, next to a regular file, the file of its events."""
-    from hframe_post.writers.tables import EVENTS_HEADER, inlined
-
     out = target.open()
     if target.path is None:
         out.writelines(inlined(conversion))
@@ -189,8 +169,6 @@ def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
 
 
 def _save_samples(conversion: SampleConversion, target: Target, made_by: str) -> None:
-    from hframe_post.writers.tables import COLUMNS, as_csv, write_npz
-
     kind, packing = _suffixes(target.path)
     out = target.open()
     if target.path is not None and kind == ".npz":
@@ -206,6 +184,6 @@ TABLES = (".npz",)  # of samples, which are CSV under any other suffix
 FORMATS: dict[Kind, Format] = {
     "gcode": Format(GcodeConversion, _save_gcode, packs=False),
     "bgcode": Format(GcodeConversion, _save_binary, (SUFFIX,), packs=False),
-    "steps": Format(_convert_steps, _save_steps, (".csv",)),
-    "samples": Format(_convert_samples, _save_samples, TABLES),
+    "steps": Format(StepConversion, _save_steps, (".csv",)),
+    "samples": Format(SampleConversion, _save_samples, TABLES),
 }

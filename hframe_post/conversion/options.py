@@ -13,16 +13,19 @@ from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from hframe_post.errors import ArgumentError, OptionError
+from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.state import Extrusion, LimitSource
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.printer.firmware_tables import TABLES
+from hframe_post.printer.schema import digest_of
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.process import processor_count
 from hframe_post.stream.features import KINDS
+from hframe_post.version import __version__
 
 if TYPE_CHECKING:
-    from hframe_post.conversion.meters import Meters
+    from hframe_post.conversion.ledger import Meters
     from hframe_post.model.shapers import Shaping
     from hframe_post.planner.pacing import Paces
 
@@ -88,7 +91,7 @@ class Shown:
     default: of the field. flags: its names, the long one last. choices: its values by word. read:
     turns a word into a value; raises ArgumentError. rare: shown by --help-all only. least: that a
     whole number may be. unset: returns the value where the command line does not give it, if that
-    is not the default.
+    is not the default. decides: whether it is part of what decides the output.
     """
 
     default: Any
@@ -100,15 +103,16 @@ class Shown:
     rare: bool = False
     least: int | None = None
     unset: Callable[[], Any] | None = None
+    decides: bool = False
 
     def word(self, value: Any) -> str | None:
         """Return the word for a value; None if it is not one of the choices."""
         return next((word for word, known in self.choices.items() if known == value), None)
 
 
-def option(default: Any, *flags: str, decides: bool = False, **shown: Any) -> Any:
-    """Return a field that is ``Shown``. decides: whether it is part of what decides the output."""
-    return field(default=default, repr=decides, metadata={"shown": Shown(default, flags, **shown)})
+def option(default: Any, *flags: str, **shown: Any) -> Any:
+    """Return a field that is ``Shown``."""
+    return field(default=default, metadata={"shown": Shown(default, flags, **shown)})
 
 
 def named(choices: Iterable[str]) -> dict[str, str]:
@@ -139,7 +143,7 @@ class Options:
         "profile's.",
     )  # fmt: skip
     predict: tuple[str, ...] | None = option(
-        None, "--predict", decides=True, rare=True,
+        None, "--predict", rare=True,
         choices={"chosen": None, "all": tuple(STRATEGIES), "off": ()},
         help="Contour errors to predict: without compensation and with the chosen one, with all, "
         "or none.",
@@ -210,9 +214,9 @@ class Options:
     )  # fmt: skip
     speed: Speed | None = None
     paces: Paces | None = None
-    picture: bool = field(default=False, repr=False)
-    shaping: Shaping | None = field(default=None, repr=False)
-    meters: Meters | None = field(default=None, repr=False)
+    picture: bool = False
+    shaping: Shaping | None = None
+    meters: Meters | None = None
 
     def __post_init__(self) -> None:
         for name in ("limits", "extrusion", "retract", "format"):
@@ -260,6 +264,15 @@ class Options:
             self, strategy=strategy, predict=predict, speed=speed if speed.max_error else None
         )
 
+    def digest(self, profile: str) -> str:
+        """Return a hash of all that decides the output in addition to the input.
+
+        profile: the digest of the printer's. Predictions do not change the output, and paces follow
+        from the input and the speed asked for.
+        """
+        values = {name: getattr(self, name) for name, shown in SHOWN.items() if shown.decides}
+        return digest_of({**values, "speed": self.speed, "profile": profile})
+
     def words(self) -> list[str]:
         """Return the words of a command line that mean the same, for the options of a batch."""
         found = list[str]()
@@ -270,6 +283,20 @@ class Options:
             elif value != shown.default or shown.unset:
                 found += [shown.flags[-1], shown.word(value) or str(value)]
         return found
+
+
+def stamp(printer: Printer, options: Options) -> str:
+    """Return what made an output: version, printer and a hash of all settings."""
+    return f"{__version__}, printer {printer.name}, settings {options.digest(printer.digest)}"
+
+
+def first_line(printer: Printer, options: Options) -> bytes:
+    """Return the first line in G-code of a conversion with these options, ``resolved``.
+
+    A file that has it was converted by this version with the same profile and settings. Only the
+    comments with which the sliced file begins precede it.
+    """
+    return b"%s %s\n" % (STAMP, stamp(printer, options).encode())
 
 
 SHOWN: dict[str, Shown] = {

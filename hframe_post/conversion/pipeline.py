@@ -2,65 +2,58 @@
 
     lines of a file
       → parsed        read the G-code; set the pace, if a speed was asked for
-      → planned       look-ahead: speeds along the path
+      → scheduled     look-ahead: speeds along the path
       → sampled       the path, one sample a millisecond
       → compensated   commands for the motors, which dwell where the machine stops
       → checked       within the model's reach, the bed and the motors' limits (or clamped)
       → predicted     contour error; print time
 
-Conversions and studies all use these stages. ``SampleStream`` joins them for a whole file.
+Conversions and studies all use these stages. A ``Chain`` gives each of them what it needs of the
+printer and of the options, ``Stages`` runs those from samples on and keeps a ledger, and
+``SampleStream`` joins all for a whole file.
 """
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
-from hframe_post.arrays import TS
-from hframe_post.compensation.advance import AdvanceSummary, Advancing
+from hframe_post.compensation.advance import Advancing
 from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
-from hframe_post.conversion.meters import (
-    BandMeter,
-    Clock,
-    ErrorMeter,
-    InputMeter,
-    MotionSummary,
-    PrintTime,
-)
+from hframe_post.conversion.ledger import FileNotes, Ledger, SampleNotes
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.path_meter import PathMeter
 from hframe_post.conversion.report import AdvanceReport, BandReport, Plastic, Report
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.advance import Advance
 from hframe_post.firmware.registry import firmware
-from hframe_post.gcode.commands import STAMP
 from hframe_post.gcode.motors import with_motors
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
-from hframe_post.planner.bands import TimeInBands, avoid_bands
+from hframe_post.planner.bands import MotorBands, avoid_bands
 from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.motors import WithinMotors
 from hframe_post.planner.pacing import PieceStart, pace
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.doubts import Doubts
+from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Motors, Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
-from hframe_post.stream.running import StageTimes, joined, prefetch
-from hframe_post.stream.types import Item, Moves, Passthrough, Plan, Planned, Samples
-from hframe_post.version import __version__
+from hframe_post.stream.running import StageTimes, prefetch
+from hframe_post.stream.tally import joined
+from hframe_post.stream.types import Item, Moves, Passthrough, Planned, Samples
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
@@ -70,13 +63,78 @@ MOVES_AHEAD = 300_000  # read before the first is planned, of 64 bytes: 20 MB
 # ---------------------------------------------------------------------- the stages
 
 
-def parsed(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Item]:
-    """Read G-code and set the pace of its moves. Raises HframeError."""
-    return paced(_read(lines, printer, options), options)
+class Chain:
+    """The stages of a conversion: each gets what it needs of a printer and of the options."""
 
+    def __init__(self, printer: Printer, options: Options) -> None:
+        self.printer, self.options = printer, options
+        self.firmware = firmware(printer)
+        self.bands = MotorBands.from_profile(printer.speed.avoid, printer.kinematics)
 
-def _read(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Item]:
-    return read(lines, ReadOptions.from_printer(printer, options.limits, options.extrusion))
+    @cached_property
+    def compensator(self) -> Compensator:
+        """Return the compensator, its windows certified. Raises PrinterError."""
+        return prepared(self.printer)
+
+    def read(
+        self, lines: Iterable[bytes], note: Callable[[str, str], object] = lambda *_: None
+    ) -> Iterator[Item]:
+        """Read G-code. note: see ``ReadOptions``. Raises HframeError."""
+        options = self.options
+        own = ReadOptions.from_printer(self.printer, options.limits, options.extrusion)
+        return read(lines, replace(own, note=note))
+
+    def paced(self, items: Iterator[Item]) -> Iterator[Item]:
+        """Set the pace of moves, if a speed was asked for."""
+        return items if self.options.paces is None else pace(items, self.options.paces)
+
+    def parsed(self, lines: Iterable[bytes]) -> Iterator[Item]:
+        """Read G-code and set the pace of its moves. Raises HframeError."""
+        return self.paced(self.read(lines))
+
+    def planned(self, lines: Iterable[bytes]) -> Iterator[Planned]:
+        """Read G-code and plan the speeds along its path. Raises HframeError."""
+        return self.scheduled(self.parsed(lines))
+
+    def scheduled(
+        self, items: Iterable[Item], start: PieceStart | None = None,
+        followed: FollowedAdvance | None = None, within: WithinMotors | None = None,
+    ) -> Iterator[Planned]:  # fmt: skip
+        """Plan the speeds of moves, so that the motors can follow, and the extruder its advance.
+
+        They keep out of the bands that the profile's motors avoid. start: place of the first item
+        in the print. followed: lowers the accelerations, as ``following`` gives it. within: slows
+        moves down for the motors.
+        """
+        followed = followed or self.following()
+        items = items if followed is None else followed.items(items)
+        items, caps = (within or self.within_motors()).items(items), self.firmware.caps()
+        return plan(avoid_bands(items, self.bands, caps, start), caps)
+
+    def within_motors(self) -> WithinMotors:
+        """Return what slows moves down so that the motors can follow."""
+        printer = self.printer
+        return WithinMotors(printer.motors.stated, printer.kinematics)
+
+    def following(self, advance: Advance | None = None) -> FollowedAdvance | None:
+        """Return what lowers accelerations for the extruder; None: the firmware adds its advance.
+
+        advance: at the beginning; the profile's by default.
+        """
+        own = self.firmware
+        if (limits := own.motion(None).extruder) is None:
+            return None
+        return FollowedAdvance(advance or own.advance(), limits, own.caps().acceleration)
+
+    def sampled(self, items: Iterable[Planned], skip_slow: bool = False) -> Iterator[Samples]:
+        """Sample planned motion, with the rest that the strategy needs at stops.
+
+        skip_slow: leave out samples of slow motion, as ``sample`` does.
+        """
+        options, printer = self.options, self.printer
+        rules = self.firmware.motion(options.tolerance, options.retract == "moving")
+        rests = stop_rules(printer.compensation.stops, options.strategy, rules.stop_rules)
+        return sample(items, printer.limits, rests, skip_slow=skip_slow)
 
 
 def read_ahead(items: Iterator[Item]) -> Iterator[Item]:
@@ -98,58 +156,8 @@ def read_ahead(items: Iterator[Item]) -> Iterator[Item]:
     yield from items
 
 
-def paced(items: Iterator[Item], options: Options) -> Iterator[Item]:
-    """Set the pace of moves, if a speed was asked for."""
-    return items if options.paces is None else pace(items, options.paces)
-
-
-def planned(lines: Iterable[bytes], printer: Printer, options: Options) -> Iterator[Planned]:
-    """Read G-code and plan the speeds along its path. Raises HframeError."""
-    return scheduled(parsed(lines, printer, options), printer)
-
-
-def scheduled(
-    items: Iterable[Item], printer: Printer, start: PieceStart | None = None,
-    followed: FollowedAdvance | None = None, within: WithinMotors | None = None,
-) -> Iterator[Planned]:  # fmt: skip
-    """Plan the speeds of moves, so that the motors can follow, and the extruder its advance.
-
-    They keep out of the bands that the profile's motors avoid. start: place of the first item in
-    the print. followed: lowers the accelerations, as ``following`` gives it. within: slows moves
-    down for the motors.
-    """
-    followed = followed or following(printer)
-    items = items if followed is None else followed.items(items)
-    items = (within or WithinMotors(printer)).items(items)
-    return plan(avoid_bands(items, printer, start), firmware(printer).caps())
-
-
-def following(printer: Printer, advance: Advance | None = None) -> FollowedAdvance | None:
-    """Return what lowers accelerations for the extruder; None: the firmware adds its advance.
-
-    advance: at the beginning; the profile's by default.
-    """
-    own = firmware(printer)
-    if (limits := own.motion(None).extruder) is None:
-        return None
-    most = own.caps().acceleration
-    return FollowedAdvance(advance or own.advance(), limits, most)
-
-
-def sampled(
-    items: Iterable[Planned], printer: Printer, options: Options, skip_slow: bool = False
-) -> Iterator[Samples]:
-    """Sample planned motion, with the rest that the strategy needs at stops.
-
-    skip_slow: leave out samples of slow motion, as ``sample`` does.
-    """
-    rules = firmware(printer).motion(options.tolerance, options.retract == "moving")
-    rests = stop_rules(printer.compensation.stops, options.strategy, rules.stop_rules)
-    return sample(items, printer.limits, rests, skip_slow=skip_slow)
-
-
 class Stages:
-    """The stages from planned motion to checked commands, and a summary of what they did.
+    """The stages from planned motion to checked commands, and a ledger of what they did.
 
     strategies: to compute; the options' by default. at_stops: solvers reused from other stages with
     the same printer and compensator, because solvers cache their solutions. printing: layer and
@@ -158,30 +166,30 @@ class Stages:
     """
 
     def __init__(
-        self, printer: Printer, options: Options, compensator: Compensator,
-        strategies: tuple[str, ...] = (), at_stops: StopSolvers | None = None,
-        printing: Place | None = None, skip_slow: bool = False, advance: Advance | None = None,
-        whole: int | None = None,
+        self, chain: Chain, compensator: Compensator, strategies: tuple[str, ...] = (),
+        at_stops: StopSolvers | None = None, printing: Place | None = None,
+        skip_slow: bool = False, advance: Advance | None = None, whole: int | None = None,
     ) -> None:  # fmt: skip
-        self._skip_slow = skip_slow
-        self._printer, self._options, self._compensator = printer, options, compensator
+        printer, options, printing = chain.printer, chain.options, printing or Place()
+        self._skip_slow, self._chain = skip_slow, chain
+        self._options, self._compensator = options, compensator
+        self._plant, self._limits = printer.plant, printer.limits
         self._strategies = strategies or options.strategies
-        self._at_stops = at_stops or StopSolvers(compensator, self._strategies, printer)
+        self._at_stops = at_stops or stop_solvers(chain, compensator, self._strategies)
         # without compensation a file moves as the firmware plays it today
         motors = printer.motors if options.strategy != "none" else Motors()
         checked = (printer.travel, motors, printer.kinematics)
         self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
-        self._clock = Clock()
-        picture = _picture(printing or Place()) if options.picture else None
-        doubts = Doubts.from_plant(printer.plant, printer.uncertainty)
-        own = firmware(printer)
+        own = chain.firmware
         limits = own.motion(options.tolerance).extruder
         self._advancing = Advancing(advance or own.advance(), limits)
         self._errors = ErrorMeter(
-            printer.plant, doubts=doubts, picture=picture, whole=None if picture else whole
-        )
-        self._walls = BandMeter(printer, self._options.strategy, printing or Place())
-        self._meter = options.meters.begun(printing or Place()) if options.meters else None
+            printer.plant, doubts=Doubts.from_plant(printer.plant, printer.uncertainty),
+            picture=(picture := _picture(printing) if options.picture else None),
+            whole=None if picture else whole,
+        )  # fmt: skip
+        self._notes = SampleNotes(options.strategy, printing, chain.bands)
+        self._meter = options.meters.begun(printing) if options.meters else None
         self.times = StageTimes()
 
     def commands(self, items: Iterable[Planned]) -> Iterator[Samples]:
@@ -189,13 +197,14 @@ class Stages:
 
         Raises HframeError.
         """
-        samples = sampled(items, self._printer, self._options, self._skip_slow)
+        samples = self._chain.sampled(items, self._skip_slow)
         samples = self.times.timed("sample", samples)
         return self.checked(self.compensated(samples))
 
     def whole(self, spans: Spans) -> Iterator[Samples]:
         """Yield checked commands for a print; the spans continue each other. Raises HframeError."""
-        return continued(spans, self.commands, self._printer)
+        streams = (self.commands(span.items) for span in spans)
+        return successive(streams if self._plant.bed is None else map(ended, streams))
 
     def compensated(self, samples: Iterable[Samples]) -> Iterator[Samples]:
         commands = compensate(samples, self._compensator, self._strategies)
@@ -204,8 +213,8 @@ class Stages:
 
     def checked(self, commands: Iterable[Samples]) -> Iterator[Samples]:
         """Yield commands that are safe for the machine. Raises HframeError for others."""
-        strategy, printer = self._options.strategy, self._printer
-        commands = check_deviation(commands, strategy, printer.plant, printer.limits)
+        strategy = self._options.strategy
+        commands = check_deviation(commands, strategy, self._plant, self._limits)
         if self._options.clamp:
             commands = self._clamp.limit(commands, strategy)
         return self.times.timed("guard", self._guard.check(commands, strategy))
@@ -237,17 +246,27 @@ class Stages:
             commands = prefetch(commands) if threads else commands
         if self._meter is not None:
             commands = self.times.timed("measure", self._meter.samples(commands))
-        return self._clock.samples(self._walls.samples(commands))
+        return self._notes.samples(commands)
 
     @property
-    def summary(self) -> MotionSummary:
-        """Return the summary of all samples that were taken so far."""
-        return MotionSummary(
-            self._clock.end, self._clock.fed, self._clock.resting, self._guard.peaks,
-            self._clamp.clamped, self._errors.contour, self._errors.width, self.times.seconds,
-            self._errors.picture, self._advancing.summary, self._walls.time,
-            self._meter.sums if self._meter is not None else None, self._errors.judged,
+    def ledger(self) -> Ledger:
+        """Return what was noted of all samples that were taken so far."""
+        notes, errors = self._notes, self._errors
+        return Ledger(
+            samples=notes.end, resting=notes.resting, judged=errors.judged, fed=notes.fed,
+            filament_out=notes.filament, peaks=self._guard.peaks, clamped=self._clamp.clamped,
+            advancing=self._advancing.summary, in_bands=notes.in_bands, contour=errors.contour,
+            width=errors.width, picture=errors.picture, seconds=self.times.seconds,
+            metered=self._meter.sums if self._meter is not None else None,
         )  # fmt: skip
+
+
+def stop_solvers(
+    chain: Chain, compensator: Compensator, strategies: tuple[str, ...] = ()
+) -> StopSolvers:
+    """Return solvers of stops for these strategies; the options' by default."""
+    printer, names = chain.printer, strategies or chain.options.strategies
+    return StopSolvers(compensator, names, printer.travel, printer.motors, printer.kinematics)
 
 
 def _picture(printing: Place) -> Picture:
@@ -256,24 +275,16 @@ def _picture(printing: Place) -> Picture:
     return Picture(Labels(printing))
 
 
-def continued(
-    spans: Spans, commands: Callable[[Iterable[Planned]], Iterator[Samples]], printer: Printer
-) -> Iterator[Samples]:
-    """Yield the commands for the planned items of all spans as one stream."""
-    streams = (commands(span.items) for span in spans)
-    return successive(streams if printer.plant.bed is None else map(ended, streams))
-
-
 class PlannedFile:
-    """A file as spans of planned motion, and a summary of what it asks for."""
+    """A file as spans of planned motion, and a ledger of what it asks for."""
 
-    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
-        self._lines, self._printer, self._options = lines, printer, options
-        self._input = InputMeter(firmware(printer).dialect.label)
-        self._path = PathMeter(printer.limits, options.paces is not None)
-        self._firmware, self._sliced = firmware(printer), SlicedFile(printer)
-        self._times, self._following, self._ramps = StageTimes(), following(printer), 0.0
-        self._within = WithinMotors(printer)
+    def __init__(self, lines: Iterable[bytes], chain: Chain) -> None:
+        printer = chain.printer
+        self._lines, self._chain, self._options = lines, chain, chain.options
+        self._notes = FileNotes(chain.firmware.dialect.label, printer.limits)
+        self._sliced = SlicedFile(printer, chain.firmware, chain.bands)
+        self._times, self._following = StageTimes(), chain.following()
+        self._within = chain.within_motors()
 
     @property
     def sliced_seconds(self) -> float:
@@ -282,90 +293,91 @@ class PlannedFile:
 
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
-        items = _read(self._input.lines(self._lines), self._printer, self._options)
-        items = read_ahead(self._times.timed("read", self._input.items(items)))
-        items = paced(self._sliced.items(items), self._options)
-        items = self._path.items(items)
-        plans = scheduled(items, self._printer, followed=self._following, within=self._within)
-        plans = self._timed(plans)
-        return Spans(self._times.timed("plan", plans), self._firmware.advance())
+        notes, chain = self._notes, self._chain
+        items = notes.items(chain.read(notes.lines(self._lines), notes.note))
+        items = read_ahead(self._times.timed("read", items))
+        items = notes.paced(chain.paced(self._sliced.items(items)))
+        plans = chain.scheduled(items, followed=self._following, within=self._within)
+        plans = self._times.timed("plan", notes.plans(plans))
+        return Spans(plans, chain.firmware.advance())
 
-    def report(self, motion: MotionSummary) -> Report:
-        """Return the report of a conversion that saw this motion.
+    @property
+    def ledger(self) -> Ledger:
+        """Return what was noted of the file so far."""
+        notes, own, slowed = self._notes, self._sliced.own, self._following
+        return Ledger(
+            read=notes.read, path=notes.path, ramps=own.standing + notes.ramps,
+            slowed=self._within.share, sliced_s=own.seconds, elsewhere=own.elsewhere,
+            seconds=self._times.seconds,
+            following=None if slowed is None else (slowed.share, slowed.least),
+            sliced_bands=own.in_bands,
+        )  # fmt: skip
+
+    def report(self, rest: Ledger) -> Report:
+        """Return the report of a conversion whose later stages noted the rest.
 
         Raises HframeError if the model predicts an error that no working printer has.
         """
-        contour, width, shaping, share = motion.contour, motion.width, None, 1.0
-        if "none" in (self._options.predict or ()) and self._options.strategy != "none":
-            today = self._sliced.today(live=self._options.picture)
+        printer, options, ledger = self._chain.printer, self._options, joined(self.ledger, rest)
+        contour, width, shaping, share = ledger.contour, ledger.width, None, 1.0
+        if self._judges_today:
+            today = self._sliced.today(live=options.picture)
             contour, width = {**contour, **today.contour}, {**width, **today.width}
             shaping, share = today.shaping, today.share
         if "none" in contour:
             check_prediction(contour["none"].rms)
+        noted = {each.name: getattr(ledger, each.name) for each in fields(Ledger)}
         return Report(
-            self._options.strategy, self._input.summary, self._path.summary,
-            self._print_time(motion), motion.peaks, motion.clamped,
-            contour, width, shaping=shaping, couples=bool(self._printer.plant.couplings),
-            notices=tuple(self._printer.warnings()) if self._options.strategy != "none" else (),
-            seconds=joined(self._times.seconds, motion.seconds), picture=motion.picture,
-            plastic=self._plastic(motion.fed), other_tools=self._printer.firmware.other_tools,
-            bands=self._bands(motion.in_bands), metered=motion.metered,
-            predicted=(motion.judged or motion.samples) / max(motion.samples, 1),
-            predicted_sliced=share,
+            **noted | {"contour": contour, "width": width}, strategy=options.strategy,
+            shaping=shaping, couples=bool(printer.plant.couplings), predicted_sliced=share,
+            notices=tuple(printer.warnings()) if options.strategy != "none" else (),
+            plastic=self._plastic(ledger), other_tools=printer.firmware.other_tools,
+            bands=_bands(ledger, printer.speed.avoid),
         )  # fmt: skip
+
+    @property
+    def _judges_today(self) -> bool:
+        return "none" in (self._options.predict or ()) and self._options.strategy != "none"
 
     def sliced_off(self) -> float:
         """Return by how much (mm RMS) whole steps put the sliced file off its path."""
-        steps = self._printer.steps
-        asked = "none" in (self._options.predict or ()) and self._options.strategy != "none"
-        return self._sliced.off_in_steps(steps) if steps is not None and asked else 0.0
+        steps = self._chain.printer.steps
+        return self._sliced.off_in_steps(steps) if steps and self._judges_today else 0.0
 
-    def _timed(self, plans: Iterable[Planned]) -> Iterator[Planned]:
-        """Add up the time of plans if nothing limited their jerk."""
-        for item in plans:
-            if isinstance(item, Plan):
-                self._ramps += float(item.seconds.sum())
-            yield item
-
-    def _print_time(self, motion: MotionSummary) -> PrintTime:
-        own = self._sliced.own
-        return PrintTime(
-            own.seconds + own.elsewhere,
-            motion.duration + own.elsewhere,
-            own.standing + self._ramps + own.elsewhere,
-            TS * motion.resting,
-            self._within.share,
-        )
-
-    def advance(self, found: AdvanceSummary) -> AdvanceReport | None:
+    def advance(self, ledger: Ledger) -> AdvanceReport | None:
         """Return what was done about pressure advance, if there is any."""
+        found, limits = ledger.advancing, self._chain.printer.limits
         if not found.most:
             return None
-        limit, slowed = self._printer.limits.extruder_acceleration, self._following
-        computed = slowed is not None
-        share, least = (slowed.share, slowed.least) if slowed is not None else (0.0, math.inf)
-        return AdvanceReport(found.least, found.most, computed, found.hardest, limit, share, least)
+        computed = self._following is not None
+        share, least = self.ledger.following or (0.0, math.inf)
+        return AdvanceReport(
+            found.least, found.most, computed, found.hardest, limits.extruder_acceleration, share,
+            least,
+        )  # fmt: skip
 
-    def _bands(self, after: TimeInBands) -> BandReport | None:
-        bands = self._printer.speed.avoid
-        return BandReport(bands, self._sliced.own.in_bands, after) if bands else None
-
-    def _plastic(self, fed: float) -> Plastic | None:
-        bed, limits = self._printer.plant.bed, self._printer.limits
+    def _plastic(self, ledger: Ledger) -> Plastic | None:
+        bed, limits = self._chain.printer.plant.bed, self._chain.printer.limits
         if bed is None or self._options.strategy == "none":
             return None
         filament = limits.filament_diameter, limits.filament_density
-        printed = self._input.summary.filament
-        return Plastic(bed.mass, printed * bed.filament, fed * bed.filament, *filament)
+        printed, step = ledger.read.filament * bed.filament, ledger.fed * bed.filament
+        return Plastic(bed.mass, printed, step, *filament)
 
     def check_filament(self, written: float, late: float = 0.0) -> None:
         """Raise HframeError unless all filament read was written, both in mm.
 
         late: mm of filament that may still be missing or too much.
         """
-        lost = self._input.summary.filament - written
+        lost = self._notes.read.filament - written
         if abs(lost) > 1e-3 + late:
             raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")
+
+
+def _bands(ledger: Ledger, bands: tuple[tuple[float, float], ...]) -> BandReport | None:
+    if not bands or ledger.sliced_bands is None:
+        return None
+    return BandReport(bands, ledger.sliced_bands, ledger.in_bands)
 
 
 class SampleStream:
@@ -380,9 +392,9 @@ class SampleStream:
         strategies: tuple[str, ...] = (), compensator: Compensator | None = None,
     ) -> None:  # fmt: skip
         lines, printer = with_motors(lines, printer, options.limits)
-        self._printer = printer
-        self._source = PlannedFile(lines, printer, options)
-        self._stages = Stages(printer, options, compensator or prepared(printer), strategies)
+        chain = Chain(printer, options)
+        self._source = PlannedFile(lines, chain)
+        self._stages = Stages(chain, compensator or chain.compensator, strategies)
         self.check_filament = self._source.check_filament
 
     def __iter__(self) -> Iterator[Samples]:
@@ -393,41 +405,23 @@ class SampleStream:
         """Yield the commands alone: no threads, no prediction, no print time."""
         return self._stages.whole(self._source.spans())
 
+    @property
+    def ledger(self) -> Ledger:
+        """Return what was noted of the commands taken so far."""
+        return self._stages.ledger
+
     def report(self) -> Report:
         """Return what is known of the commands taken so far."""
-        return self._source.report(self._stages.summary)
-
-
-# ---------------------------------------------------------------------- what identifies a result
+        return self._source.report(self.ledger)
 
 
 def prepared(printer: Printer) -> Compensator:
     """Return the compensator for a printer, its windows certified. Raises PrinterError."""
-    check_model(printer)
+    plant, windows = printer.plant, printer.compensation.windows
     try:
-        return Compensator(printer.plant, printer.compensation.windows)
+        check_model(plant, windows, printer.travel, printer.limits)
+        return Compensator(plant, windows)
+    except PrinterError as error:
+        raise PrinterError(error.cause, error.key, printer.name) from None
     except ValueError as error:
         raise PrinterError(str(error), "compensation", printer.name) from None
-
-
-def stamp(printer: Printer, options: Options) -> str:
-    """Return what made an output: version, printer and a hash of all settings."""
-    return f"{__version__}, printer {printer.name}, settings {settings_hash(printer, options)}"
-
-
-def first_line(printer: Printer, options: Options) -> bytes:
-    """Return the first line in G-code of a conversion with these options, ``resolved``.
-
-    A file that has it was converted by this version with the same profile and settings. Only the
-    comments with which the sliced file begins precede it.
-    """
-    return b"%s %s\n" % (STAMP, stamp(printer, options).encode())
-
-
-def settings_hash(printer: Printer, options: Options) -> str:
-    """Return a hash of all that decides the output in addition to the input.
-
-    Predictions do not change the output, and paces follow from the input and the speed asked for.
-    """
-    deciding = (printer.digest, replace(options, predict=(), paces=None))
-    return hashlib.sha256(repr(deciding).encode()).hexdigest()[:12]

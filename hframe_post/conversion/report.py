@@ -5,21 +5,20 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from hframe_post.compensation.clamp import Clamped
-from hframe_post.compensation.guard import Peaks
+from hframe_post.arrays import TS
 from hframe_post.compensation.shape import SHAPER
-from hframe_post.conversion.meters import InputSummary, PrintTime
-from hframe_post.conversion.path_meter import PathSummary, percent
+from hframe_post.conversion.ledger import Ledger, PathTally, Uncompensated
 from hframe_post.gcode.reader import CHANGE_OF_OBJECT, START_OF_FILE
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.bands import TimeInBands
 from hframe_post.prediction.line_width import PIECE
-from hframe_post.prediction.statistics import DECIMALS, ContourErrors, ErrorStatistics
+from hframe_post.prediction.statistics import DECIMALS, ContourErrors
+from hframe_post.writers.print_time import duration
 
 TOOL = re.compile(r"T[1-9]\d*")
 # Share of the lines' distance from the command by which the nozzle is off its path: only what is
@@ -29,9 +28,12 @@ VISIBLE = 0.012  # mm RMS; ringing below it shows on no wall, whatever the light
 NO_GAIN = 0.9  # share of the best shaper's error from which on compensation is not worth its stream
 OUTRUN = 1.05  # times its limit, the acceleration of an extruder is worth a line
 
-if TYPE_CHECKING:
-    from hframe_post.prediction.picture import Picture
-
+COSTS = {  # causes of a longer print, for people
+    "limits": "lower limits in the profile",
+    "jerk": "smoother acceleration",
+    "stops": "rests at stops",
+}
+WORTH_SAYING = 2e-3  # of the print's time
 REMEDIES = {  # of extrusion that is not compensated, by causes that are no commands
     START_OF_FILE: "because its place is not known: begin with a move to X, Y and Z",
     CHANGE_OF_OBJECT: "because an object begins without a travel to it",
@@ -39,13 +41,49 @@ REMEDIES = {  # of extrusion that is not compensated, by causes that are no comm
 
 
 @dataclass(frozen=True, slots=True)
-class StepReport:
-    """What a step file holds: rows, ticks of its clock, steps by motor."""
+class PrintTime:
+    """Duration of the print, s: as the firmware plays the sliced file, and as converted.
 
-    rows: int
-    ticks: int
-    clock_hz: float
-    motors: dict[str, int]
+    ramps: of the converted path if nothing limited its jerk; resting: added at stops. slowed: share
+    of the path that is slower so that the motors can follow.
+    """
+
+    before: float = 0.0
+    after: float = 0.0
+    ramps: float = 0.0
+    resting: float = 0.0
+    slowed: float = 0.0
+
+    @property
+    def costs(self) -> dict[str, float]:
+        """Return the seconds that the print takes longer than as sliced, by cause."""
+        return {
+            "limits": self.ramps - self.before,
+            "jerk": self.after - self.resting - self.ramps,
+            "stops": self.resting,
+        }
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "print_time_s": {"before": round(self.before, 3), "after": round(self.after, 3)},
+            "slowed_for_motors_percent": round(100.0 * self.slowed, 2),
+            "time_costs_s": {cause: round(s, 3) for cause, s in self.costs.items()},
+        }
+
+    @property
+    def _motors(self) -> str:
+        return f" ([motors]: {percent(self.slowed)} of the path)" if self.slowed else ""
+
+    def as_text(self) -> str:
+        """Return both times, and what costs the difference."""
+        change = 100.0 * (self.after / self.before - 1.0) if self.before else 0.0
+        text = f"{duration(self.before)} → {duration(self.after)} ({change:+.1f} %)"
+        causes = [
+            f"{s:.0f} s for {COSTS[cause]}{self._motors if cause == 'limits' else ''}"
+            for cause, s in sorted(self.costs.items(), key=lambda each: -each[1])
+            if s >= max(0.5, WORTH_SAYING * self.before)
+        ]
+        return f"{text}: {', '.join(causes)}" if causes and change > 0.0 else text
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +98,14 @@ class Plastic:
     step: float
     diameter: float
     density: float
+
+    def as_text(self) -> str:
+        """Return a line for the summary."""
+        return (
+            f"bed              y's model followed {1e3 * self.printed:.0f} g of plastic on "
+            f"{self.bed:g} kg, in steps of at most {1e3 * self.step:.2g} g (filament of "
+            f"{self.diameter:g} mm, {self.density:g} g/cm³)"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,52 +197,61 @@ class BandReport:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
-    """What one conversion did: the summaries of its stages. Lengths in mm.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report(Ledger):
+    """What one conversion did: its ledger, and what must be known of the printer to read it.
 
-    lines_written, filament_after: None if nothing is written. busiest_second: the most lines of
-    motion in a second, compared with the firmware's lines_per_second; approximation: what the lines
-    are off the command (RMS) where that bounds them. seconds: processor time by stage, not
-    compared. speed, speed_text: how accuracy was traded for speed. picture: the path with its
-    errors, if one was asked for. metered: sums of the options' meters. notices: warnings of the
-    printer's profile. plastic: of a bed that moves. other_tools: commands after which the plant is
-    not that of the tool that prints; None if the profile does not say. advance: pressure advance,
-    if there is any. bands: of motor speed, if the profile avoids any. couples: whether a coupling,
-    such as racking, is compensated. shaping: the best input shaper, whose errors stand among
-    the others. when_stopped: what to send after the print was stopped midway.
+    speed, speed_text: how accuracy was traded for speed. notices: warnings of the printer's
+    profile. plastic: of a bed that moves. other_tools: commands after which the plant is not that
+    of the tool that prints; None if the profile does not say. advance: pressure advance, if there
+    is any. bands: of motor speed, if the profile avoids any. couples: whether a coupling, such as
+    racking, is compensated. shaping: the best input shaper, whose errors stand among the others.
+    predicted_sliced: share of the print whose errors as sliced are predicted. sliced_off: mm RMS
+    across the path by which whole steps put the sliced file off. lines_per_second: that the
+    firmware takes. with_summary: the output ends with this report. when_stopped: what to send after
+    the print was stopped midway.
     """
 
     strategy: str
-    read: InputSummary
-    path: PathSummary
-    time: PrintTime
-    peaks: Peaks
-    clamped: Clamped
-    contour: dict[str, ContourErrors]
-    width: dict[str, ErrorStatistics]
-    lines_written: int | None = None
-    filament_after: float | None = None
-    busiest_second: int = 0
-    lines_per_second: float = math.inf
-    approximation: float = 0.0
-    steps: StepReport | None = None
-    seconds: dict[str, float] = field(default_factory=dict, compare=False)
     speed: dict[str, Any] | None = None
     speed_text: str = ""
-    picture: Picture | None = field(default=None, compare=False, repr=False)
-    metered: Any = field(default=None, compare=False, repr=False)
     notices: tuple[str, ...] = ()
     plastic: Plastic | None = None
     other_tools: tuple[str, ...] | None = None
     shaping: Shaping | None = None
     couples: bool = True
-    when_stopped: str = ""
     advance: AdvanceReport | None = None
     bands: BandReport | None = None
-    predicted: float = 1.0  # share of the print whose errors are predicted; they stand for all
-    predicted_sliced: float = 1.0  # the same of the errors as sliced, and with a shaper
-    sliced_off: float = 0.0  # mm RMS across the path by which whole steps put the sliced file off
+    predicted_sliced: float = 1.0
+    sliced_off: float = 0.0
+    lines_per_second: float = math.inf
+    with_summary: bool = False
+    when_stopped: str = ""
+
+    @property
+    def time(self) -> PrintTime:
+        """Return the duration of the print."""
+        before, after = self.sliced_s + self.elsewhere, self.duration + self.elsewhere
+        ramps = self.ramps + self.elsewhere
+        return PrintTime(before, after, ramps, TS * self.resting, self.slowed)
+
+    @property
+    def predicted(self) -> float:
+        """Return the share of the print whose errors are predicted; they stand for all."""
+        return (self.judged or self.samples) / max(self.samples, 1)
+
+    @property
+    def lines_written(self) -> int | None:
+        """Return the number of lines of the output; None if nothing is written."""
+        return self._count(self._lines()) if self.written.lines else None
+
+    def _count(self, summary: list[str]) -> int:
+        return self.written.lines + (1 + len(summary) if self.with_summary else 0)  # 1: the stamp
+
+    @property
+    def filament_after(self) -> float | None:
+        """Return the filament (mm) of the output; None if nothing is written."""
+        return self.written.filament if self.written.lines else None
 
     def lines_error(self, name: str) -> float:
         """Return by how much (mm RMS) whole steps of the lines add to a strategy's error.
@@ -204,7 +259,7 @@ class Report:
         The error and this one are independent, so that their squares add up.
         """
         if name == self.strategy:
-            return ACROSS * self.approximation
+            return ACROSS * self.written.off
         return self.sliced_off if name in ("none", SHAPER) else 0.0
 
     def printed(self, name: str) -> float:
@@ -213,46 +268,55 @@ class Report:
 
     def as_json(self) -> dict[str, Any]:
         """Return all figures, ready for ``json.dumps``."""
-        x, y = self.peaks.axis_acceleration
         filament = {"before": self.read.filament, "after": self.filament_after}
-        written: dict[str, Any] = {
+        return {
+            "warnings": self.warnings(),
+            "compensation": self.strategy,
+            "moves": self.read.moves,
+            "lines_read": self.read.lines,
+            **self.time.as_json(),
+            "filament_mm": {k: round(mm, 5) for k, mm in filament.items() if mm is not None},
+            **self._errors_by_strategy(),
+            **self._belts_as_json(),
+            "firmware_retractions": self.read.firmware_retractions,
+            "uncompensated": _uncompensated_as_json(self.path),
+            "limited_by": _limits_as_json(self.path),
+            "clamped_samples": self.clamped.samples,
+            "clamped_mm": round(self.clamped.most, 6),
+            **{k: value for k, value in self._optional_as_json().items() if value is not None},
+        }
+
+    def _errors_by_strategy(self) -> dict[str, Any]:
+        names = sorted(self.strategies)
+        return {
+            "contour_error_um": {name: self._errors_as_json(name) for name in names},
+            "predicted_percent": round(100.0 * self.predicted, 1),
+            "predicted_as_sliced_percent": round(100.0 * self.predicted_sliced, 1),
+            "line_width_error_percent": {
+                name: self.width[name].percents() for name in names if name in self.width
+            },
+        }
+
+    def _belts_as_json(self) -> dict[str, Any]:
+        x, y = self.peaks.axis_acceleration
+        return {
+            "peak_belt_speed": round(self.peaks.belt_velocity, 3),
+            "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
+            "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
+        }
+
+    def _optional_as_json(self) -> dict[str, Any]:
+        """Return what not every conversion has; None stands for nothing."""
+        return {
             "lines_written": self.lines_written,
-            "busiest_second_lines": self.busiest_second or None,
-            "approximation_um": round(1e3 * self.approximation, 2) or None,
+            "busiest_second_lines": self.written.busiest_second or None,
+            "approximation_um": round(1e3 * self.written.off, 2) or None,
             "steps": asdict(self.steps) if self.steps else None,
             "speed": self.speed,
             "plastic_on_bed": asdict(self.plastic) if self.plastic else None,
             "pressure_advance_s": self.advance.as_json() if self.advance else None,
             "motor_bands": self.bands.as_json() if self.bands else None,
             "against": self._against() or None,
-        }
-        return {
-            "warnings": self.warnings(),
-            "compensation": self.strategy,
-            "moves": self.read.moves,
-            "lines_read": self.read.lines,
-            "print_time_s": {
-                "before": round(self.time.before, 3),
-                "after": round(self.time.after, 3),
-            },
-            "slowed_for_motors_percent": round(100.0 * self.time.slowed, 2),
-            "time_costs_s": {cause: round(s, 3) for cause, s in self.time.costs.items()},
-            "filament_mm": {k: round(mm, 5) for k, mm in filament.items() if mm is not None},
-            "contour_error_um": {n: self._errors_as_json(n) for n in sorted(self.strategies)},
-            "predicted_percent": round(100.0 * self.predicted, 1),
-            "predicted_as_sliced_percent": round(100.0 * self.predicted_sliced, 1),
-            "line_width_error_percent": {
-                n: self.width[n].percents() for n in sorted(self.strategies) if n in self.width
-            },
-            "peak_belt_speed": round(self.peaks.belt_velocity, 3),
-            "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
-            "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
-            "firmware_retractions": self.read.firmware_retractions,
-            "uncompensated": self.path.uncompensated_as_json(),
-            "limited_by": self.path.limits_as_json(),
-            "clamped_samples": self.clamped.samples,
-            "clamped_mm": round(self.clamped.most, 6),
-            **{name: value for name, value in written.items() if value is not None},
         }
 
     @property
@@ -289,16 +353,26 @@ class Report:
 
     def summary(self, head: Iterable[str]) -> str:
         """Return notices and what an owner asks first, then the head, then all figures."""
-        lines = [
+        return "\n".join(self._lines(head))
+
+    def _lines(self, head: Iterable[str] = ()) -> list[str]:
+        own, first = self._figures(), self._first()
+        head, written = [*head], self._count([*first, "", *own]) if self.written.lines else None
+        moves = f"{self.read.moves} in {self.read.lines} lines; {written} lines written"
+        return [*first, *head, f"moves            {moves}", *own]
+
+    def _first(self) -> list[str]:
+        return [
             *(f"WARNING          {text}" for text in self.notices),
             *self._result(),
             f"print time       {self.time.as_text()}",
-            f"not compensated  {self.path.uncompensated_as_text()}",
+            f"not compensated  {_uncompensated_as_text(self.path)}",
             *(f"WARNING          {text}" for text in self.warnings()[len(self.notices) :]),
             *self._advice(),
-            *head,
-            f"moves            {self.read.moves} in {self.read.lines} lines; "
-            f"{self.lines_written} lines written",
+        ]
+
+    def _figures(self) -> list[str]:
+        lines = [
             f"filament         {self.filament_after:.2f} mm, unchanged",
             *self._predicted(),
             *self._width_as_text(),
@@ -306,17 +380,12 @@ class Report:
             f"belts            at most {self.peaks.belt_velocity:.0f} mm/s, "
             f"{self.peaks.belt_acceleration:.0f} mm/s²",
         ]
-        if self.approximation:
+        if off := self.written.off:
             lines.append(
-                f"lines            at most {self.busiest_second} in a second, "
-                f"{1e3 * self.approximation:.1f} µm RMS off the exact command"
+                f"lines            at most {self.written.busiest_second} in a second, "
+                f"{1e3 * off:.1f} µm RMS off the exact command"
             )
-        if (on := self.plastic) is not None:
-            lines.append(
-                f"bed              y's model followed {1e3 * on.printed:.0f} g of plastic on "
-                f"{on.bed:g} kg, in steps of at most {1e3 * on.step:.2g} g (filament of "
-                f"{on.diameter:g} mm, {on.density:g} g/cm³)"
-            )
+        lines += [self.plastic.as_text()] if self.plastic else []
         lines += [self.bands.as_text()] if self.bands else []
         if self.steps:
             motors = ", ".join(f"{motor} {n}" for motor, n in self.steps.motors.items())
@@ -327,7 +396,7 @@ class Report:
         lines += self.speed_text.splitlines()
         if self.when_stopped:
             lines.append(f"if you stop it   send {self.when_stopped} before you print again")
-        return "\n".join(lines)
+        return lines
 
     def _result(self) -> list[str]:
         """Return what the print gains: its error as sliced, compensated, and with a shaper."""
@@ -405,9 +474,9 @@ class Report:
                     "in [firmware] of the profile; if the head comes back, add it to returns",
                 )
             )
-        if self.busiest_second > self.lines_per_second:
+        if self.written.busiest_second > self.lines_per_second:
             found.append(
-                f"up to {self.busiest_second} lines in a second; the printer takes "
+                f"up to {self.written.busiest_second} lines in a second; the printer takes "
                 f"{self.lines_per_second:.0f} (lines_per_second in the profile), so it may stutter"
             )
         if (count := self.read.firmware_retractions) > 9:  # more than a few in macros
@@ -457,3 +526,56 @@ def range_as_text(contour: ContourErrors, lines: float = 0.0) -> str:
         return text
     low, high = (1e3 * math.hypot(end, lines) for end in (known.low, known.high))
     return f"{text} ({low:.1f} to {high:.1f} as the printer changes)"
+
+
+def _uncompensated_as_text(path: PathTally) -> str:
+    """Return how much is not compensated, and after which commands."""
+    if not path.uncompensated:
+        return "nothing: the whole path is"
+    causes = [cause for cause, _ in _largest(path)]
+    more = f" and {len(causes) - 4} more" if len(causes) > 4 else ""
+    return (
+        f"{percent(path.path_share)} of the path, {percent(path.extrusion_share)} of the "
+        f"extrusion (after {', '.join(causes[:4])}{more})"
+    )
+
+
+def _limits_as_json(path: PathTally) -> dict[str, Any]:
+    """Return where limits apply, and their ranges."""
+    limits = {"acceleration": path.acceleration, "corner": path.corner, "speed": path.speed}
+    return {
+        name: {
+            "path_percent": round(100.0 * limit.path / path.path, 2),
+            "least": round(limit.least, 3),
+            "greatest": round(limit.greatest, 3),
+        }
+        for name, limit in limits.items()
+        if limit.path
+    }
+
+
+def _uncompensated_as_json(path: PathTally) -> dict[str, Any]:
+    """Return what is not compensated, by cause, the longest path first."""
+    return {
+        "path_percent": round(100.0 * path.path_share, 3),
+        "extrusion_percent": round(100.0 * path.extrusion_share, 3),
+        "by_cause": {
+            cause: {
+                "moves": part.moves,
+                "path_mm": round(part.path, 3),
+                "filament_mm": round(part.filament, 5),
+            }
+            for cause, part in _largest(path)
+        },
+    }
+
+
+def _largest(path: PathTally) -> list[tuple[str, Uncompensated]]:
+    """Return causes of uncompensated motion, the longest path first."""
+    return sorted(path.uncompensated.items(), key=lambda item: -item[1].path)
+
+
+def percent(share: float) -> str:
+    """Return a share as text: whole from 10 % on, below with two digits."""
+    value = 100.0 * share
+    return f"{value:.0f} %" if value >= 10.0 else f"{value:.2g} %"

@@ -15,7 +15,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, E
 from hframe_post.compensation.shape import LIVE, SHAPER, Shapes, shape
-from hframe_post.conversion.meters import ErrorMeter
+from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.klipper.live import by_itself
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
@@ -23,6 +23,7 @@ from hframe_post.model.shapers import Shaping
 from hframe_post.planner.bands import MotorBands
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.best_shaper import Paths, paths, ranked
+from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.predict import contour_error, stepped
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer, Steps
@@ -30,9 +31,9 @@ from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Planned, Samples, frozen
 
 PIECE_S = 3.0  # of motion in a piece; more only if a single run lasts longer, 4 times at most
-SETTLED = 300  # samples after which it does not matter how a piece began
-LEAST_S = 120.0  # to keep of a print; at most twice as much is kept
-SHAPED = 4  # pieces on which the shaper is chosen: its error is within 5 % of that on all
+SETTLING_SAMPLES = 300  # samples after which it does not matter how a piece began
+KEPT_S = 120.0  # to keep of a print; at most twice as much is kept
+SHAPED_PIECES = 4  # pieces on which the shaper is chosen: its error is within 5 % of that on all
 
 Piece = tuple[float, tuple[Planned, ...]]  # its seconds, and what it consists of
 
@@ -54,9 +55,11 @@ class Today:
 class SlicedFile:
     """The firmware's own motion of the items that pass: their time, and pieces of the motion."""
 
-    def __init__(self, printer: Printer) -> None:
-        rules = firmware(printer).limits()
-        self._printer, self.own = printer, AsSliced(rules, MotorBands.from_printer(printer))
+    def __init__(
+        self, printer: Printer, own: Firmware | None = None, bands: MotorBands | None = None
+    ) -> None:
+        self._firmware = own or firmware(printer)
+        self._printer, self.own = printer, AsSliced(self._firmware.limits(), bands)
         self._pieces, self._every, self._count = list[Piece](), 1, 0
         self._piece, self._seconds = list[Planned](), 0.0  # of motion
         self._total, self._extrudes = 0.0, False  # seconds of all pieces that count
@@ -79,7 +82,7 @@ class SlicedFile:
     @cached_property
     def paths(self) -> Paths:
         """Return the motion of a few pieces, once all items have passed."""
-        return paths(self._samples(self._pieces[:: max(len(self._pieces) // SHAPED, 1)]))
+        return paths(self._samples(self._pieces[:: max(len(self._pieces) // SHAPED_PIECES, 1)]))
 
     def today(self, live: bool = False) -> Today:
         """Return the errors of the pieces, once all items have passed.
@@ -108,7 +111,7 @@ class SlicedFile:
         """Return about the best input shaper of the firmware; None if nothing is extruded."""
         if not self.paths:
             return None
-        return ranked(plant, self.paths, firmware(self._printer).shapers)[0]
+        return ranked(plant, self.paths, self._firmware.shapers)[0]
 
     def _samples(self, pieces: Iterable[Piece]) -> Iterator[Samples]:
         return successive(ended(self._motion(piece)) for _, piece in pieces)
@@ -119,7 +122,7 @@ class SlicedFile:
         Of a piece that begins in motion the first samples do not count: they extrude nothing.
         """
         first, most = piece[0], round(4.0 * PIECE_S / TS)
-        lead = SETTLED if isinstance(first, Plan) and first.speed[0] else 0
+        lead = SETTLING_SAMPLES if isinstance(first, Plan) and first.speed[0] else 0
         for chunk in self.own.sampled(piece, most // 4):
             if lead and len(chunk):
                 xyze = chunk.xyze.copy()
@@ -157,7 +160,7 @@ class SlicedFile:
             self._pieces.append((seconds, piece))
         self._count += 1
         self._total += seconds
-        while self._kept > 2.0 * LEAST_S and len(self._pieces) > 1:
+        while self._kept > 2.0 * KEPT_S and len(self._pieces) > 1:
             self._pieces, self._every = self._pieces[::2], 2 * self._every
 
     @property

@@ -1,7 +1,7 @@
 """A print cut into spans that are computed separately, by a rule that depends on the input alone.
 
 A span ends before a retraction or lift, where the machine dwells and its command has come to rest,
-once its plan has lasted SECONDS. The output therefore does not depend on who computes a span. A
+once its plan has lasted SPAN_S. The output therefore does not depend on who computes a span. A
 print that never stops is one span.
 """
 
@@ -27,7 +27,7 @@ from hframe_post.stream.types import (
     SpanEnd,
 )
 
-SECONDS = 240.0  # each cut costs some 0.1 s of print time
+SPAN_S = 240.0  # each cut costs some 0.1 s of print time
 ARRAYS = ("line", "points", "s", "ends", "speed", "cruise", "acceleration")  # of a plan
 MAX_ITEMS = 20_000  # of a span that is handed to a worker; bounds the memory
 
@@ -109,7 +109,7 @@ class Spans:
         beginning, items = self._beginning, list[Planned]()
         for item in self._rest():
             items.append(item)
-            if self._seconds > 4.0 * SECONDS or len(items) > MAX_ITEMS:
+            if self._seconds > 4.0 * SPAN_S or len(items) > MAX_ITEMS:
                 return Span(beginning, self._streamed(items))
         if not items:
             return None
@@ -128,7 +128,7 @@ class Spans:
             yield self._noted(self._first)
             self._first = None
         for item in self._source:
-            if isinstance(item, MoveAtRest) and self._moved and self._seconds >= SECONDS:
+            if isinstance(item, MoveAtRest) and self._moved and self._seconds >= SPAN_S:
                 self._first, self._seconds = item, 0.0
                 offset, printing = self._beginning.offset, replace(self._printing)
                 self._beginning = Beginning(item.start, offset, printing, self._advance)

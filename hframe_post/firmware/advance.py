@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 from hframe_post.arrays import TS
 from hframe_post.printer.settings import (
-    LONGEST_ADVANCE,
-    LONGEST_SMOOTHING,
-    SMOOTH_TIME,
+    MAX_ADVANCE_S,
+    MAX_SMOOTHING_S,
+    SMOOTH_TIME_S,
     Extruder,
 )
 
@@ -45,7 +45,7 @@ class Advance:
     """The advance in force. smooth_time: s over which it is averaged; reads: what a line sets."""
 
     seconds: float = 0.0
-    smooth_time: float = SMOOTH_TIME
+    smooth_time: float = SMOOTH_TIME_S
     reads: Callable[[bytes], AdvanceChange] = no_advance
 
     @classmethod
@@ -90,8 +90,8 @@ def klipper_advance(text: bytes) -> AdvanceChange:
     if found.get(b"EXTRUDER", b"extruder") != b"extruder":
         return NOTHING
     return AdvanceChange(
-        _within(found.get(b"ADVANCE"), LONGEST_ADVANCE),
-        _within(found.get(b"SMOOTH_TIME"), LONGEST_SMOOTHING),
+        _within(found.get(b"ADVANCE"), MAX_ADVANCE_S),
+        _within(found.get(b"SMOOTH_TIME"), MAX_SMOOTHING_S),
     )
 
 
@@ -107,7 +107,7 @@ def marlin_advance(text: bytes) -> AdvanceChange:
     found = {name.upper(): value for name, value in _WORD.findall(match[1])}
     if _within(found.get(b"T"), 99.0):
         return NOTHING
-    return AdvanceChange(_within(found.get(b"K"), LONGEST_ADVANCE))
+    return AdvanceChange(_within(found.get(b"K"), MAX_ADVANCE_S))
 
 
 def _within(text: bytes | None, most: float) -> float | None:

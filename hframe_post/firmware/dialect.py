@@ -38,8 +38,9 @@ class Dialect:
     the file is in G91.
     saves_factor: M220 B saves the speed factor, M220 R restores it, and neither M220 alone changes
     it. Elsewhere M220 without S means 100 %.
-    ignores_zero_feed: F0 means nothing; elsewhere it is an error.
+    ignores_zero_feed: F of 0 or less means nothing; elsewhere it is an error.
     splines: G5 is supported. cr_ends_lines: a carriage return ends a line, even in a comment.
+    soft_endstops: ranges of x, y and z, mm, at whose ends moves of homed axes stop; none: an error.
     retraction_settings: the commands that set what G10 and G11 do.
     may_set_modes: whether a command that the reader does not know may change modes: a macro may.
     g92_resets: G92 without words sets all coordinates to 0; elsewhere it does nothing.
@@ -57,6 +58,7 @@ class Dialect:
     ignores_zero_feed: bool = False
     splines: bool = False
     cr_ends_lines: bool = False
+    soft_endstops: tuple[tuple[float, float], ...] = ()
     g92_resets: bool = False
     may_set_modes: Callable[[str], bool] = no_macros
     label: Callable[[bytes], bytes | None] = object_label

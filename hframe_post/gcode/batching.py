@@ -44,7 +44,10 @@ class PlainMoves:
 
     def __init__(self, source: Lines, state: State, bed: Extent) -> None:
         self._source, self._state = source, state
-        self._edges = (*bed.smallest, *bed.largest)
+        low, high = (np.array(each) for each in (bed.smallest, bed.largest))
+        for axis, edge in enumerate(state.endstops):
+            low[axis], high[axis] = max(low[axis], edge[0]), min(high[axis], edge[1])
+        self._edges = *low.tolist(), *high.tolist()
         self._values, self._rules = np.empty(10), np.empty(16)
         self._rows, self._taken = np.empty((MOVES_PER_ITEM, 8)), np.empty(2, dtype=np.int64)
 

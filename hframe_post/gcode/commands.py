@@ -18,8 +18,8 @@ OFF = b"; hframe-post: off"  # a file with this line is not to be converted
 MOTION_WORDS = {
     "G0": "XYZEF",
     "G1": "XYZEF",
-    "G2": "XYZEFIJRP",
-    "G3": "XYZEFIJRP",
+    "G2": "XYZEFIJKR",
+    "G3": "XYZEFIJKR",
     "G5": "XYZEFIJPQ",
     "G92": "XYZE",
 }

@@ -22,27 +22,16 @@ TOLERANCE = 0.005  # mm between a curve and its chords
 RADIUS_MISMATCH = 0.1  # mm by which rounded numbers may miss the end point
 SAME = 1e-6  # mm; ends closer than this are one point, and the arc a full circle
 MAX_ANGLE = math.pi / 8.0  # rad of a chord, also of the smallest arcs
-MAX_TURNS = 100
 FARTHEST = 1e6  # mm; a coordinate beyond this is a corrupted number
 
 Point = tuple[float, float]
 
 
-def check_curve(line: Line, name: str, words: Words, state: State) -> None:
-    """Raise GcodeError if G2 or G3 has a plane or number of turns that is not supported."""
-    turns = words.get("P", 1.0)
-    if name == "G5":
-        return
-    if not state.xy_plane:
-        raise line.error("arcs outside the x-y plane are not supported")
-    if turns != int(turns) or not 0 <= turns <= MAX_TURNS:
-        raise line.error(f"P must be a number of turns from 1 to {MAX_TURNS}")
-
-
 def curve(line: Line, name: str, words: Words, state: State, end: Position) -> Array:
     """Return the ends (k, 4) of the chords of G2, G3 or G5; the last one is ``end``.
 
-    z and e grow in proportion to the length along the curve. Raises GcodeError.
+    An arc makes at most a turn: firmwares ignore P (Marlin unless built with ARC_P_CIRCLES). z and
+    e grow in proportion to the length along the curve. Raises GcodeError.
     """
     start = state.position
     i, j, p, q = (words.get(letter, 0.0) * state.scale for letter in "IJPQ")
@@ -52,12 +41,13 @@ def curve(line: Line, name: str, words: Words, state: State, end: Position) -> A
         if max(map(abs, (*first, *second))) > FARTHEST:
             raise line.error("a coordinate is too large")
         points, share = spline(start[:2], first, second, end[:2])
+    elif not state.xy_plane:
+        raise line.error("arcs outside the x-y plane are not supported")
     else:
         ccw, centre = name == "G3", first if {"I", "J"} & words.keys() else None
         if centre is None and "R" in words:
             centre = centre_of_radius(start[:2], end[:2], words["R"] * state.scale, ccw)
-        turns = int(words.get("P", 1.0)) or 1
-        found = arc(start[:2], end[:2], centre, ccw, turns) if centre else None
+        found = arc(start[:2], end[:2], centre, ccw) if centre else None
         if found is None:
             raise line.error("the arc's centre or radius does not fit its ends")
         if not found.length < FARTHEST:
@@ -101,10 +91,10 @@ class Arc:
         return np.array(self.centre) + radius[:, None] * directions, share
 
 
-def arc(start: Point, end: Point, centre: Point, ccw: bool, turns: int = 1) -> Arc | None:
+def arc(start: Point, end: Point, centre: Point, ccw: bool) -> Arc | None:
     """Return the arc between two points round a centre, or None if the radii do not match.
 
-    turns: the number of turns begun; 2 adds one full turn. Equal ends make a full circle.
+    Equal ends make a full circle.
     """
     radii = math.dist(start, centre), math.dist(end, centre)
     if min(radii) == 0.0 or abs(radii[1] - radii[0]) > RADIUS_MISMATCH:
@@ -114,7 +104,6 @@ def arc(start: Point, end: Point, centre: Point, ccw: bool, turns: int = 1) -> A
     sweep = (sweep if ccw else -sweep) % math.tau
     if math.dist(start, end) < SAME:
         sweep = math.tau
-    sweep += math.tau * (turns - 1)
     return Arc(centre, begin, sweep if ccw else -sweep, radii)
 
 

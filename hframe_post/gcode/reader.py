@@ -31,7 +31,7 @@ from hframe_post.gcode.batching import (
     ItemBuilder,
     PlainMoves,
 )
-from hframe_post.gcode.curves import FARTHEST, check_curve, curve
+from hframe_post.gcode.curves import FARTHEST, curve
 from hframe_post.gcode.extrusion import FirmwareRetraction, is_absolute
 from hframe_post.gcode.lexer import (
     Line,
@@ -157,9 +157,8 @@ class _Reader:
         straight = name in ("G0", "G1")
         if straight and not words:
             return
-        if not straight:
-            check_curve(line, name, words, state)
-        start, end = state.position, self._end(line, words)
+        start, asked = state.position, self._end(line, words)
+        end = self._within_endstops(line, asked)
         elsewhere = self._objects.left and state.scale == 1.0  # the output is in mm
         lifts = end[2] != start[2]
         if not state.starts_known(words):
@@ -167,8 +166,8 @@ class _Reader:
         elif end[:2] != start[:2] and elsewhere and (name != "G5" or self._dialect.splines):
             self._pass_move_through(line, name, words, end, CHANGE_OF_OBJECT)
         elif not straight and not (elsewhere and lifts and end[3] == start[3]):
-            for x, y, z, e in curve(line, name, words, state, end).tolist():
-                self._travel(line, (x, y, z, e))
+            for x, y, z, e in curve(line, name, words, state, asked).tolist():
+                self._travel(line, self._within_endstops(line, (x, y, z, e)))
         elif end[:2] != start[:2]:
             self._travel(line, end)
         elif end != start:  # a lift in turns as well, whose first chord could be far away
@@ -187,6 +186,15 @@ class _Reader:
             raise line.error("a coordinate is too large")
         if abs(end[3] - state.position[3]) > MAX_FILAMENT:
             raise line.error(f"more than {MAX_FILAMENT:g} mm of filament in one move")
+        return end
+
+    def _within_endstops(self, line: Line, asked: Position) -> Position:
+        """Return where the firmware ends a move, and note where that is not as asked."""
+        if (end := self._state.within_endstops(asked)) != asked:
+            self._options.note(
+                "endstops", f"line {line.number} leads {math.dist(end[:3], asked[:3]):.3g} mm off "
+                "the bed: the firmware's soft endstops stop it at the edge, as sliced"
+            )  # fmt: skip
         return end
 
     def _travel(self, line: Line, end: Position) -> None:
@@ -284,6 +292,8 @@ class _Reader:
             self._state.advance = seconds
         if smooth_time is not None:
             self._state.smooth_time = smooth_time
+        if name == "M211":
+            self._state.set_endstops(numbers_among(line, arguments, "S"))
         self._retraction.apply(line, name, arguments)
         retracts = name in ("G10", "G11") and not arguments.strip()
         if retracts and self._apply_retraction(line, name):

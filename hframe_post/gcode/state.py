@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -39,6 +39,7 @@ class ReadOptions:
     travel: where the path may go; None: anywhere.
     retraction: what G10 and G11 do; None: only the firmware knows.
     start: the firmware's limits until the file sets others; None: it has none.
+    note: takes what is strange in the file, by its kind.
     """
 
     dialect: Dialect
@@ -48,6 +49,7 @@ class ReadOptions:
     vocabulary: Vocabulary = field(default_factory=Vocabulary.with_names)
     retraction: Retraction | None = None
     start: FirmwareLimits | None = None
+    note: Callable[[str, str], object] = lambda *_: None
 
     @classmethod
     def from_printer(
@@ -104,7 +106,7 @@ class State:
         self, dialect: Dialect, extrusion: Extrusion | None = None,
         start: FirmwareLimits | None = None,
     ) -> None:  # fmt: skip
-        self._dialect = dialect
+        self._dialect, self.endstops = dialect, dialect.soft_endstops
         self.absolute = self.xy_plane = True
         self.absolute_e = extrusion != "relative"
         self.e_mode_known = extrusion is not None
@@ -112,6 +114,8 @@ class State:
         self.position: Position = (0.0, 0.0, 0.0, 0.0)
         self.offset: Position = (0.0, 0.0, 0.0, 0.0)
         self.known = [False, False, False]
+        self._homed = [False, False, False]
+        self._stops = True  # at soft endstops, as M211 S1 sets
         self.feed = DEFAULT_FEED
         self.factor = self._saved_factor = 1.0
         self.acceleration = self.travel_acceleration = self.corner = math.inf
@@ -144,6 +148,17 @@ class State:
             pe if (e := words.get("E")) is None else oe + e * scale,
         )
 
+    def within_endstops(self, end: Position) -> Position:
+        """Return where soft endstops let a move of homed axes end."""
+        for axis, (low, high) in enumerate(self.endstops if self._stops else ()):
+            if self._homed[axis] and not low <= end[axis] <= high:
+                end = _replaced(end, axis, min(max(end[axis], low), high))
+        return end
+
+    def set_endstops(self, words: Words) -> None:
+        """Apply M211."""
+        self._stops = bool(words.get("S", self._stops))
+
     def starts_known(self, words: Words) -> bool:
         """Return whether a move starts at a known place.
 
@@ -174,7 +189,7 @@ class State:
         """Drop the offsets of the axes that G28 homes, and return them."""
         named = [k for k in range(3) if AXES[k].encode() in arguments.upper()]
         for axis in named or range(3):
-            self.offset = _replaced(self.offset, axis, 0.0)
+            self.offset, self._homed[axis] = _replaced(self.offset, axis, 0.0), True
         return named or [0, 1, 2]
 
     def rename_position(self, line: Line, words: Words) -> None:
@@ -211,7 +226,7 @@ class State:
 
     def set_feed(self, line: Line, value: float) -> None:
         """Apply F, in the file's units per minute. Raises GcodeError unless it is positive."""
-        if value == 0.0 and self._dialect.ignores_zero_feed:
+        if value <= 0.0 and self._dialect.ignores_zero_feed:
             return
         feed = value * self.scale / 60.0
         if not 0.0 < feed < math.inf:

@@ -25,13 +25,13 @@ from hframe_post.prediction.statistics import DECIMALS, TRAVEL
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 
-LEVEL = 4  # of compression of text: a third of the time of 6, for 3 to 20 % more bytes
+TEXT_LEVEL = 4  # of compression of text: a third of the time of 6, for 3 to 20 % more bytes
 PACKED_LEVEL = 2  # of pieces: two thirds of the time of 4, for 5 % more bytes
-LARGEST_TEXT = 1_650_000  # bytes of compressed G-code that a page carries
+MAX_TEXT_BYTES = 1_650_000  # bytes of compressed G-code that a page carries
 TRIED_LINES = 10_000  # after which a text that will take a tenth more than that is given up
 LINES_TOGETHER = 1000
-WORST = 10  # places
-APART = 2.0  # mm between two of them, seen from above
+WORST_PLACES = 10  # places
+APART_MM = 2.0  # mm between two of them, seen from above
 PER_MM = 100.0  # places are written in 10 µm
 PER_MM_OF_ERROR = 1e4  # errors in 0.1 µm
 PER_MM_OFF = 1e3  # the way from the path to the nozzle in 1 µm
@@ -85,13 +85,13 @@ def _coded(content: bytes) -> str:
 
 def _compressed(lines: Iterable[bytes], count: int) -> bytes:
     """Return the text compressed, or nothing if it is too long. count: of its lines."""
-    squeeze, parts, left = zlib.compressobj(LEVEL), list[bytes](), iter(lines)
+    squeeze, parts, left = zlib.compressobj(TEXT_LEVEL), list[bytes](), iter(lines)
     read = size = 0
     while some := [line.rstrip(b"\r\n") for line in islice(left, LINES_TOGETHER)]:
         parts.append(squeeze.compress(b"\n".join([*some, b""])))
         read, size = read + len(some), size + len(parts[-1])
-        hopeless = read >= TRIED_LINES and size * count > 1.1 * LARGEST_TEXT * read
-        if hopeless or size > LARGEST_TEXT:
+        hopeless = read >= TRIED_LINES and size * count > 1.1 * MAX_TEXT_BYTES * read
+        if hopeless or size > MAX_TEXT_BYTES:
             return b""
     return b"".join([*parts, squeeze.flush()])
 
@@ -184,10 +184,10 @@ def _worst(pieces: Pieces, column: int) -> list[int]:
     errors = np.where(pieces.feature > 0, pieces.error[:, column], 0.0)
     x, y = pieces.xy.T
     found = list[int]()
-    while len(found) < WORST and errors.max(initial=0.0) > 0.0:
+    while len(found) < WORST_PLACES and errors.max(initial=0.0) > 0.0:
         k = int(errors.argmax())
         found.append(k)
-        errors[np.square(x - x[k]) + np.square(y - y[k]) < APART * APART] = 0.0
+        errors[np.square(x - x[k]) + np.square(y - y[k]) < APART_MM * APART_MM] = 0.0
     return found
 
 

@@ -9,14 +9,16 @@ from itertools import pairwise
 import numpy as np
 
 from hframe_post.hosts.moonraker.conversion import page_of
-from hframe_post.hosts.moonraker.disk import LONGEST_TEXT, Event
+from hframe_post.hosts.moonraker.disk import MAX_TEXT_CHARACTERS, Event
 from hframe_post.page.charts import WARNING, Card, Chart, Curve, Section, page
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.print_time import duration
 
-DAY = 24 * 3600.0  # s
-OLD = 90  # days, from which a model is to be checked
-NOTABLE = 5.0  # %, by which a frequency drifts if a belt has lost a tenth of its tension
+DAY_S = 24 * 3600.0  # s
+STALE_DAYS = 90  # days, from which a model is to be checked
+NOTABLE_DRIFT_PERCENT = (
+    5.0  # %, by which a frequency drifts if a belt has lost a tenth of its tension
+)
 AXIS = "days (today is 0)"
 MOST_CHECKS, MOST_PRINTS = 20, 50  # that are listed
 Points = Sequence[tuple[float, float]]
@@ -59,7 +61,7 @@ def _state(profile: Printer, now: datetime) -> Iterator[Card]:
         yield Card("Model measured", "unknown", more="the profile does not say when")
     else:
         age = (now.date() - day).days
-        yield Card("Model measured", *_ago(age), f"on {day}", "bad" if age > OLD else "")
+        yield Card("Model measured", *_ago(age), f"on {day}", "bad" if age > STALE_DAYS else "")
     uncertain = 100.0 * profile.uncertainty_on(now.date())
     value, unit = (f"±{uncertain:.1f}", "%") if uncertain else ("unknown", "")
     yield Card("Uncertainty today", value, unit, "of the resonances")
@@ -75,7 +77,7 @@ def _last(checks: Sequence[Event], now: datetime) -> Card:
     if not checks:
         return Card("Last check", "none", more="HFRAME_CHECK makes one")
     last = checks[-1]
-    days = int((now.timestamp() - last.at) / DAY)
+    days = int((now.timestamp() - last.at) / DAY_S)
     return Card("Last check", *_ago(days), last.reason or last.kind, "bad" if last.reason else "")
 
 
@@ -91,7 +93,13 @@ def _drifts(courses: dict[str, Points]) -> Iterator[Card]:
             _, moved = _changes(course)[-1]
             more = f"{first:.1f} → {last:.1f} Hz since {_day(since)}"
             value = f"{moved:+.1f}".replace("-", "−")
-            yield Card(f"Drift of {axis}", value, "%", more, "bad" if abs(moved) > NOTABLE else "")
+            yield Card(
+                f"Drift of {axis}",
+                value,
+                "%",
+                more,
+                "bad" if abs(moved) > NOTABLE_DRIFT_PERCENT else "",
+            )
 
 
 def _changes(course: Points) -> Points:
@@ -123,7 +131,7 @@ def _print(event: Event) -> tuple[str, str] | tuple[str, str, str]:
     known = (event.name, f"{errors} µm RMS" if errors else "no motion", times)
     row = _day(event.at), ", ".join(part for part in known if part)
     # a longer name was cut
-    return (*row, page_of(event.name)) if len(event.name) < LONGEST_TEXT else row
+    return (*row, page_of(event.name)) if len(event.name) < MAX_TEXT_CHARACTERS else row
 
 
 def _course(checks: Sequence[Event], axis: str) -> Points:
@@ -156,7 +164,7 @@ def _errors(prints: Sequence[Event], now: datetime) -> list[Chart]:
 
 def _curve(label: str, points: Points, now: datetime, colour: str | None = None) -> Curve:
     at, values = np.array(points).T
-    return Curve(label, (at - now.timestamp()) / DAY, values, colour, strong=True)
+    return Curve(label, (at - now.timestamp()) / DAY_S, values, colour, strong=True)
 
 
 def _day(at: float) -> str:

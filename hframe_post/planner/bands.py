@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Z, lengths
-from hframe_post.firmware.registry import firmware
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.planner.pacing import NAMES, Labeller, PieceStart
-from hframe_post.printer.settings import Limits, Printer
+from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import Handling, Item, Moves, Passthrough, frozen
 
 OUTER_WALL = "outer-wall"
@@ -36,10 +35,11 @@ class MotorBands:
     kinematics: Kinematics
 
     @classmethod
-    def from_printer(cls, printer: Printer) -> MotorBands | None:
+    def from_profile(
+        cls, bands: tuple[tuple[float, float], ...], kinematics: Kinematics
+    ) -> MotorBands | None:
         """Return the bands of a profile; None if it has none."""
-        bands = printer.speed.avoid
-        return cls(bands, printer.kinematics) if bands else None
+        return cls(bands, kinematics) if bands else None
 
     def intervals(self, direction: Array, margin: float = 0.0) -> tuple[Array, Array]:
         """Return the forbidden path speeds (n, k), least and greatest, by falling greatest ones.
@@ -126,17 +126,16 @@ class OuterWalls:
 
 
 def avoid_bands(
-    items: Iterable[Item], printer: Printer, start: PieceStart | None = None
+    items: Iterable[Item], bands: MotorBands | None, caps: Limits, start: PieceStart | None = None
 ) -> Iterator[Item]:
     """Yield the items with outer walls at the nearest speeds outside the bands that motors avoid.
 
-    start: place of the first item.
+    caps: limits that no file may raise. start: place of the first item.
     """
-    bands = MotorBands.from_printer(printer)
     if bands is None:
         yield from items
         return
-    walls, caps = OuterWalls(start), firmware(printer).caps()
+    walls = OuterWalls(start)
     waiting, choices, count = list[Item](), list[_Choice](), 0
     for item in items:
         waiting.append(item)

@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from hframe_post.arrays import E, lengths
-from hframe_post.printer.settings import CORNER, Printer
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.printer.settings import CORNER_S, Motors
 from hframe_post.stream.types import FileLimits, Item, Moves, frozen
 
 SHARE = 0.6  # of the belts' acceleration: with 0.75, slices had to be clamped a fifth of the time
@@ -22,14 +23,13 @@ SHARE = 0.6  # of the belts' acceleration: with 0.75, slices had to be clamped a
 class WithinMotors:
     """Slows moves down. path, slowed: mm of all moves, and of those that became slower."""
 
-    def __init__(self, printer: Printer) -> None:
-        motors, kinematics = printer.motors.stated, printer.kinematics
+    def __init__(self, motors: Motors, kinematics: Kinematics) -> None:
         v, a = motors.belt_velocity, SHARE * motors.belt_acceleration
         (ax, ay), (bx, by) = kinematics.matrix.tolist()
         none = (math.inf, math.inf)
         self._limits = FileLimits((v, v, *none), (a, a, *none), belts=((ax, ay), (bx, by)))
         # in a right angle the speed changes by √2 times itself
-        self._corner = kinematics.min_speed_ratio * CORNER * a / math.sqrt(2.0)
+        self._corner = kinematics.min_speed_ratio * CORNER_S * a / math.sqrt(2.0)
         self.path = self.slowed = 0.0
 
     @property

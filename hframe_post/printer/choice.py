@@ -30,7 +30,7 @@ DEMONSTRATIONS = ("paper", "paper-marlin", "paper-strong")
 OPTION = "option -p"
 PROGRAMS = ("PrusaSlicer", "SuperSlicer", "OrcaSlicer")
 PRESETS = ("*/*.ini", "user/*/*/*.json")  # of PrusaSlicer and SuperSlicer; of OrcaSlicer
-MAX_SIZE = 1 << 20  # bytes
+MAX_PRESET_BYTES = 1 << 20  # bytes
 QUOTED = r'(?:\\*"(?P<quoted>[^"]+?)\\*"|(?P<plain>[^\s"\\;]+))'
 NOTE = re.compile(rf'{VARIABLE}\s*=\s*(?:\\+")?(?P<plain>(?:[^"\\\n]|\\+(?![nr"]))+)')
 HOOK = re.compile(rf"hframe-post.*?\s(?:-p|--printer)[ =]{QUOTED}")
@@ -150,7 +150,7 @@ def presets() -> Iterator[Preset]:
 
 def _in_file(path: Path) -> Iterator[Preset]:
     try:
-        if path.stat().st_size > MAX_SIZE:
+        if path.stat().st_size > MAX_PRESET_BYTES:
             return
         lines = path.read_text("utf-8", "replace").splitlines()
     except OSError:  # another user's, or gone meanwhile

@@ -79,6 +79,7 @@ class MarlinTable(FirmwareTable):
     latency: s in which the sender takes up an ok. fixed_time_trajectory and
     fixed_time_smoothing (s): those of M494, of builds of 2026.
     bed_levelling: a mesh is stored, which M420 S1 turns on after G28.
+    soft_endstops: ranges of x, y and z, mm, at whose ends M211 S1 stops moves; none: not known.
     """
 
     holds: ClassVar[str] = "Marlin's own settings"
@@ -115,6 +116,9 @@ class MarlinTable(FirmwareTable):
     adaptive_step_smoothing: float = not_negative(0.0, most=1e7)
     s_curve_acceleration: bool = False
     bed_levelling: bool = False
+    soft_endstops: tuple[tuple[float, float], ...] = field(
+        default=(), metadata={"count": 3, "ascending": True}
+    )
 
     def __post_init__(self) -> None:
         jerks = (*self.jerk, self.jerk_e)

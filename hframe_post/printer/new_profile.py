@@ -13,7 +13,7 @@ from hframe_post.printer.firmware_tables import TABLES
 
 SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
 
-Value = float | tuple[float, ...] | tuple[str] | str | bool
+Value = float | tuple[float, ...] | tuple[tuple[float, float], ...] | tuple[str] | str | bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,12 +24,15 @@ class Known:
     origin: str
 
     def as_toml(self) -> str:
-        if isinstance(self.value, str | bool):
-            return json.dumps(self.value, ensure_ascii=False)
-        if isinstance(self.value, tuple):
-            items = (json.dumps(v) if isinstance(v, str) else f"{v:.9g}" for v in self.value)
-            return f"[{', '.join(items)}]"
-        return f"{self.value:.9g}"
+        return _toml(self.value)
+
+
+def _toml(value: Value) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    return (
+        json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool) else f"{value:.9g}"
+    )
 
 
 Tables = dict[str, dict[str, Known]]  # settings by table; a table without any does not exist

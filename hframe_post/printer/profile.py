@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import tomllib
 from dataclasses import replace
 from datetime import date
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +24,15 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Bed, Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.firmware_tables import check_needs, load_firmware
-from hframe_post.printer.schema import checked, checked_value, file_text, known_keys, numbers, roots
+from hframe_post.printer.schema import (
+    checked,
+    checked_value,
+    digest_of,
+    file_text,
+    known_keys,
+    numbers,
+    roots,
+)
 from hframe_post.printer.settings import (
     PLACES,
     SHARE,
@@ -42,7 +49,12 @@ from hframe_post.printer.settings import (
     Verified,
 )
 
-T = TypeVar("T")
+# tables of a profile and what they become; without one of the latter, its default is None
+USUAL: dict[str, type[Any]] = {
+    "travel": Travel, "limits": Limits, "kinematics": Kinematics, "compensation": Compensation,
+    "sweep": Sweep, "speed": Speed,
+}  # fmt: skip
+IF_GIVEN: dict[str, type[Any]] = {"steps": Steps, "retraction": Retraction, "extruder": Extruder}
 MEASURED = ("plant", "compensation", "speed", "verified")  # tables of a model
 PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured", "cross", "moving_mass")
 # a profile without a plant: the nozzle follows the motors exactly
@@ -57,8 +69,8 @@ MICRORAD = 1e-3  # rad per mm/sample² in which 1000 mm/s² during 1 ms cause 1 
 DEVIATIONS = {"least": -1e6, "most": 1e6}  # µm or µrad
 LAGS = {"least": -1e3, "most": 1e3}  # ms, or µrad at 1 mm/s
 AXES = {"x": X, "y": Y}
-MOST_CROSS = 16
-LARGEST_FILE = 1 << 20  # bytes of a profile
+MAX_COUPLINGS = 16
+MAX_PROFILE_BYTES = 1 << 20  # bytes of a profile
 # a value, and the comment in which `setup` repeated it: jerk and deceleration, limits of the motors
 GUESSED = re.compile(
     r"^\w+ = (\S+) +# \1 \((?:low, for small errors|as M201 does|[^()\n]*the velocity above|"
@@ -88,7 +100,7 @@ def text_of(path: str) -> str:
         known = ", ".join(shipped())
         raise PrinterError(f"no such profile or file; shipped are: {known}", source=path)
     try:
-        return file_text(Path(path), LARGEST_FILE, "no profile is")
+        return file_text(Path(path), MAX_PROFILE_BYTES, "no profile is")
     except OSError as error:
         raise PrinterError(f"cannot be read: {error}", source=path) from None
 
@@ -102,7 +114,7 @@ def parse(text: str, name: str, source: str = "", model: str | None = None) -> P
     try:
         document = _document(_loaded(text), source, model)
         known = {key: value for key, value in document.items() if key != "verified"}
-        return _printer(document, name, _digest(known))
+        return _printer(document, name, digest_of(known))
     except RecursionError:
         raise PrinterError("nested too deeply", source=source or name) from None
     except PrinterError as error:
@@ -164,10 +176,6 @@ def _model(name: Any, source: str, text: str | None) -> dict[str, Any]:
     return measured
 
 
-def _digest(tables: object) -> str:
-    return hashlib.sha256(repr(tables).encode()).hexdigest()[:12]
-
-
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     """Return ``base`` with the keys of ``changes``; transfer functions are replaced as a whole."""
     merged = dict(base)
@@ -179,14 +187,13 @@ def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_tables(document: dict[str, Any]) -> None:
-    needed = "travel", "limits", "firmware", "plant"
-    optional = (
-        "kinematics", "motors", "steps", "compensation", "sweep", "speed", "retraction", "extruder",
-        "verified",
-    )  # fmt: skip
-    known_keys(document, ("description", *optional, *needed), "")
-    for section in (*needed, *(name for name in optional if name in document)):
-        if not isinstance(document.get(section), dict):
+    """Raise PrinterError unless the tables are known ones and those that a profile needs."""
+    needed = ("travel", "limits", "firmware", "plant")
+    known = (*USUAL, *IF_GIVEN, "motors", "firmware", "plant", "verified")
+    known_keys(document, ("description", *known), "")
+    for section in known:
+        wanted = section in needed or section in document
+        if wanted and not isinstance(document.get(section), dict):
             raise PrinterError("the table is missing", section)
     if not isinstance(document.get("description", ""), str):
         raise PrinterError("must be text", "description")
@@ -195,51 +202,38 @@ def _check_tables(document: dict[str, Any]) -> None:
 def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     document = {"plant": NOT_MEASURED, **document}
     _check_tables(document)
-    model = _model_digest(document)
-    kinematics = checked(Kinematics, document.get("kinematics", {}), "kinematics")
-    limits = checked(Limits, document["limits"], "limits")
-    plant = replace(
-        _plant(document["plant"]),
-        bed=_bed(document["plant"].get("moving_mass"), limits, kinematics),
-    )
-    if plant.Gxtheta is not None and not kinematics.racks:
-        cause = f"a {kinematics.type} printer does not rack: extend a profile without this table"
-        raise PrinterError(cause, "plant.Gxtheta")
-
-    def optional_table(kind: type[T]) -> T | None:
-        name = kind.__name__.lower()
-        return checked(kind, document[name], name) if name in document else None
-
+    usual = {key: checked(kind, document.get(key, {}), key) for key, kind in USUAL.items()}
+    given = {k: checked(kind, document[k], k) for k, kind in IF_GIVEN.items() if k in document}
+    limits, kinematics = usual["limits"], usual["kinematics"]
     motors = checked(Motors, document.get("motors", {}), "motors").completed(
         kinematics, limits.velocity, limits.acceleration, limits.square_corner_velocity
     )
-    uncertainty = document["plant"].get("uncertainty")
-    if uncertainty is not None:
-        uncertainty = checked_value(float, uncertainty, SHARE, "plant.uncertainty")
+    model = _model_digest(document)
     printer = Printer(
-        name,
-        document.get("description", ""),
-        checked(Travel, document["travel"], "travel"),
-        limits,
-        kinematics,
-        motors,
-        optional_table(Steps),
-        checked(Compensation, document.get("compensation", {}), "compensation"),
-        load_firmware(document["firmware"]),
-        plant,
-        checked(Sweep, document.get("sweep", {}), "sweep"),
-        digest,
-        _verified(document, model),
-        checked_value(bool, document["plant"].get("invented", True), {}, "plant.invented"),
-        checked(Speed, document.get("speed", {}), "speed"),
-        optional_table(Retraction),
-        optional_table(Extruder),
-        uncertainty,
-        _day(document["plant"].get("measured"), "plant.measured"),
-        model,
-    )
+        **usual, **given, **_measured(document["plant"], limits, kinematics), name=name,
+        description=document.get("description", ""), motors=motors, digest=digest, model=model,
+        firmware=load_firmware(document["firmware"]), verified=_verified(document, model),
+    )  # fmt: skip
     check_needs(printer.firmware, printer.steps is not None)
     return printer
+
+
+def _measured(table: dict[str, Any], limits: Limits, kinematics: Kinematics) -> dict[str, Any]:
+    """Return what [plant] says: the plant, and how it is known."""
+    bed = _bed(table.get("moving_mass"), limits, kinematics)
+    plant = replace(_plant(table), bed=bed)
+    if plant.Gxtheta is not None and not kinematics.racks:
+        cause = f"a {kinematics.type} printer does not rack: extend a profile without this table"
+        raise PrinterError(cause, "plant.Gxtheta")
+    uncertainty = table.get("uncertainty")
+    if uncertainty is not None:
+        uncertainty = checked_value(float, uncertainty, SHARE, "plant.uncertainty")
+    return {
+        "plant": plant,
+        "invented": checked_value(bool, table.get("invented", True), {}, "plant.invented"),
+        "uncertainty": uncertainty,
+        "measured": _day(table.get("measured"), "plant.measured"),
+    }
 
 
 def _day(value: Any, key: str) -> date | None:
@@ -261,7 +255,7 @@ def _model_digest(document: dict[str, Any]) -> str:
     """Return a digest of plant and window."""
     others = ("measured", "moving_mass")
     plant = {key: value for key, value in document["plant"].items() if key not in others}
-    return _digest((plant, document.get("compensation")))
+    return digest_of({"plant": plant, "compensation": document.get("compensation")})
 
 
 def played_by(printer: Printer, dialect: str) -> Printer:
@@ -322,8 +316,10 @@ def _bed(mass: Any, limits: Limits, kinematics: Kinematics) -> Bed | None:
 def _cross(tables: Any) -> tuple[Coupling, ...]:
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise PrinterError("must be tables, each below [[plant.cross]]", "plant.cross")
-    if len(tables) > MOST_CROSS:
-        raise PrinterError(f"must be at most {MOST_CROSS}, they are {len(tables)}", "plant.cross")
+    if len(tables) > MAX_COUPLINGS:
+        raise PrinterError(
+            f"must be at most {MAX_COUPLINGS}, they are {len(tables)}", "plant.cross"
+        )
     return tuple(
         _coupling(table, f"plant.cross[{number}]") for number, table in enumerate(tables, 1)
     )

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import codecs
+import hashlib
+import json
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, Field, field, fields
+from dataclasses import MISSING, Field, asdict, field, fields, is_dataclass
 from difflib import get_close_matches
 from operator import ge, gt, le, lt
 from pathlib import Path
@@ -18,8 +20,8 @@ from hframe_post.errors import PrinterError
 T = TypeVar("T")
 Rules: TypeAlias = Mapping[str, Any]  # a field's bounds, choices, ascending, names, count
 
-LARGEST = 1e15  # a larger number is a mistake
-MOST_ROOTS = 50  # of a transfer function; the product of 50 roots within ROOTS is finite
+MAX_NUMBER = 1e15  # a larger number is a mistake
+MAX_ROOTS = 50  # of a transfer function; the product of 50 roots within ROOTS is finite
 ROOTS = {"least": -1e5, "most": 1e5}
 KINDS = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}
 BOUNDS: dict[str, tuple[Callable[[Any, Any], bool], str]] = {
@@ -48,8 +50,8 @@ def roots(pairs: Any, key: str) -> Complex:
     """Return complex roots from pairs [real, imaginary]. Raises PrinterError."""
     if not isinstance(pairs, list):
         raise PrinterError("must be a list of pairs [real, imaginary]", key)
-    if len(pairs) > MOST_ROOTS:
-        raise PrinterError(f"must be at most {MOST_ROOTS} roots, they are {len(pairs)}", key)
+    if len(pairs) > MAX_ROOTS:
+        raise PrinterError(f"must be at most {MAX_ROOTS} roots, they are {len(pairs)}", key)
     for pair in pairs:
         if not isinstance(pair, list) or len(pair) != 2:
             raise PrinterError("roots are pairs [real, imaginary] of numbers", key)
@@ -131,7 +133,7 @@ def _by_name(value: Any, rules: Rules, key: str) -> dict[str, float]:
 
 def _number(hint: type[float], value: Any, rules: Rules, key: str) -> float:
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not abs(value) < LARGEST or (hint is int and value != int(value)):
+    if not number or not abs(value) < MAX_NUMBER or (hint is int and value != int(value)):
         raise PrinterError(f"must be {KINDS[hint]}", key)
     for rule, (holds, words) in BOUNDS.items():
         if rule in rules and not holds(value, rules[rule]):
@@ -140,6 +142,18 @@ def _number(hint: type[float], value: Any, rules: Rules, key: str) -> float:
 
 
 STROKES = "Klipper is measured by strokes within [limits] ('hframe-post measure')"
+
+
+def digest_of(settings: Mapping[str, Any]) -> str:
+    """Return a hash of settings by their names, in whatever order they stand."""
+
+    def plain(value: Any) -> Any:
+        return asdict(value) if is_dataclass(value) and not isinstance(value, type) else str(value)
+
+    text = json.dumps(settings, sort_keys=True, default=plain)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
 OLD_KEYS = {f"sweep.{key}": STROKES for key in ("start_hz", "stroke", "sway", "quiet")}
 
 

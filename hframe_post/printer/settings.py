@@ -20,29 +20,29 @@ PLACES = {"least": -1e4, "most": 1e4, "ascending": True}  # mm of travel
 SHARE = {"least": 0.0, "most": 0.99}
 BANDS = {"least": 0.1, "most": 1e4, "ascending": True, "count": 16}  # mm/s of the motors
 STOPS = {"fast": 2, "exact": 8}  # samples for which the path rests before and after a stop
-LONGEST_RAMP = 60.0  # s
+MAX_RAMP_S = 60.0  # s
 # mm/s³ of the path: real slices take the time that the firmware needs (docs/reliability.md)
 JERK = 1e7
-LONGEST_PREVIEW = 2000  # samples; the matrix of a window has as many rows and columns
-HIGHEST_HZ = 200.0  # of a sweep: five samples per period, joined by straight lines
-LEAST_END_HZ = 30.0  # Hz, above which printers resonate
-SHORTEST, LONGEST = 1.0, 900.0  # s of a sweep
+MAX_PREVIEW_SAMPLES = 2000  # samples; the matrix of a window has as many rows and columns
+MAX_END_HZ = 200.0  # of a sweep: five samples per period, joined by straight lines
+MIN_END_HZ = 30.0  # Hz, above which printers resonate
+MIN_SWEEP_S, MAX_SWEEP_S = 1.0, 900.0  # s of a sweep
 CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")  # of an accelerometer in Klipper's commands
 # share by which printers differ from their model a day after it was measured, and the exponent of
 # its growth with the days: the figures are in docs/identify.md
 DRIFT_IN_A_DAY, DRIFT_GROWTH = 0.03, 0.2
-MOST_DRIFT = 0.2
-LONGEST_ADVANCE, LONGEST_SMOOTHING = 10.0, 0.2  # s
+MAX_DRIFT_SHARE = 0.2
+MAX_ADVANCE_S, MAX_SMOOTHING_S = 10.0, 0.2  # s
 # Compensation moves harder than the path: a cube at max_accel and a higher jerk, on simulated
 # printers with modes from 18 to 55 Hz, needs up to 2.5 times max_accel. The acceleration that a
 # slow printer's owner allows is no limit of its motors: at every corner they change their speed at
-# once. A command that takes CORNER for it, with an effort of 1 to 10, leaves the least error.
+# once. A command that takes CORNER_S for it, with an effort of 1 to 10, leaves the least error.
 MORE_ACCELERATION = 1.5  # times the path's, as far as HARD
 HARD = 8000.0  # mm/s²
-CORNER = 0.002  # s
+CORNER_S = 0.002  # s
 VELOCITY_HEADROOM = 1.1
-SMOOTH_TIME = 0.04  # s, Klipper's default
-STREAM_SMOOTH_TIME = 0.02  # s; below it, lines get no more even
+SMOOTH_TIME_S = 0.04  # s, Klipper's default
+STREAM_SMOOTH_TIME_S = 0.02  # s; below it, lines get no more even
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Limits:
     only what is printed faster than in the file; no layer is slowed below min_print_speed for that.
     filament_density (g/cm³) makes a moving bed heavier.
     travel_velocity and travel_acceleration, unless 0, replace those of the file for travel.
-    Raises ArgumentError if reaching full speed would take more than LONGEST_RAMP.
+    Raises ArgumentError if reaching full speed would take more than MAX_RAMP_S.
     """
 
     velocity: float = within(1.0, 1e4)
@@ -119,10 +119,10 @@ class Limits:
             "extruder_acceleration": self.extruder_velocity / self.extruder_acceleration,
         }
         for name, seconds in ramps.items():
-            if LONGEST_RAMP < seconds < math.inf:  # a limit may be left out of a plan
+            if MAX_RAMP_S < seconds < math.inf:  # a limit may be left out of a plan
                 raise ArgumentError(
                     f"with this {name} full speed takes {seconds:g} s; "
-                    f"at most {LONGEST_RAMP:g} s are possible"
+                    f"at most {MAX_RAMP_S:g} s are possible"
                 )
 
 
@@ -151,7 +151,7 @@ class Motors:
         """
         belts = 1.0 / kinematics.min_speed_ratio
         harder = acceleration + MORE_ACCELERATION * min(acceleration, HARD)
-        turned = acceleration + corner / CORNER
+        turned = acceleration + corner / CORNER_S
         guess = round(belts * VELOCITY_HEADROOM * velocity, 1), round(belts * max(harder, turned))
         stated = self.belt_velocity, self.belt_acceleration
         limits = [s if s < math.inf else g for s, g in zip(stated, guess, strict=True)]
@@ -188,7 +188,7 @@ class Steps:
 class Compensation:
     """Strategy, window of the limited-preview filtered B-splines, and method for stops.
 
-    Raises ArgumentError if the window is impossible or longer than LONGEST_PREVIEW.
+    Raises ArgumentError if the window is impossible or longer than MAX_PREVIEW_SAMPLES.
     """
 
     L: int = positive(5, most=500)
@@ -201,10 +201,10 @@ class Compensation:
 
     def __post_init__(self) -> None:
         for window in self.windows:
-            if window.L_C > LONGEST_PREVIEW:
+            if window.L_C > MAX_PREVIEW_SAMPLES:
                 raise ArgumentError(
                     f"L = {self.L} and n_C = {self.n_C} are a window of {window.L_C} samples; "
-                    f"at most {LONGEST_PREVIEW} are possible"
+                    f"at most {MAX_PREVIEW_SAMPLES} are possible"
                 )
 
     @property
@@ -236,13 +236,13 @@ class Sweep:
                 )
         if not 0.0 < self.amplitude < math.inf:
             raise ArgumentError("amplitude must be above 0")
-        if not LEAST_END_HZ <= self.end_hz <= HIGHEST_HZ:
-            raise ArgumentError(f"end_hz must be {LEAST_END_HZ:g} to {HIGHEST_HZ:g}")
+        if not MIN_END_HZ <= self.end_hz <= MAX_END_HZ:
+            raise ArgumentError(f"end_hz must be {MIN_END_HZ:g} to {MAX_END_HZ:g}")
         seconds = self.end_hz / self.rate_hz_per_s if self.rate_hz_per_s > 0.0 else 0.0
-        if not SHORTEST <= seconds <= LONGEST:
+        if not MIN_SWEEP_S <= seconds <= MAX_SWEEP_S:
             raise ArgumentError(
-                f"at {self.rate_hz_per_s:g} Hz/s a sweep takes {seconds:.0f} s; {SHORTEST:g} to "
-                f"{LONGEST:g} s are possible"
+                f"at {self.rate_hz_per_s:g} Hz/s a sweep takes {seconds:.0f} s; {MIN_SWEEP_S:g} to "
+                f"{MAX_SWEEP_S:g} s are possible"
             )
 
 
@@ -264,9 +264,9 @@ class Extruder:
     time while the stream runs, if it is shorter.
     """
 
-    advance: float = not_negative(0.0, most=LONGEST_ADVANCE)
-    smooth_time: float = within(1e-3, LONGEST_SMOOTHING, default=SMOOTH_TIME)
-    stream_smooth_time: float = within(1e-3, LONGEST_SMOOTHING, default=STREAM_SMOOTH_TIME)
+    advance: float = not_negative(0.0, most=MAX_ADVANCE_S)
+    smooth_time: float = within(1e-3, MAX_SMOOTHING_S, default=SMOOTH_TIME_S)
+    stream_smooth_time: float = within(1e-3, MAX_SMOOTHING_S, default=STREAM_SMOOTH_TIME_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,12 +323,12 @@ class Printer:
     limits: Limits
     kinematics: Kinematics
     motors: Motors
-    steps: Steps | None
     compensation: Compensation
     firmware: FirmwareSettings
     plant: Plant
     sweep: Sweep
     digest: str
+    steps: Steps | None = None
     verified: Verified | None = None
     invented: bool = False
     speed: Speed = Speed()
@@ -341,7 +341,7 @@ class Printer:
     def uncertainty_on(self, day: date) -> float:
         """Return the uncertainty of the plant on a later day, at least the one it has."""
         days = max((day - self.measured).days, 0) if self.measured else 0
-        drifted: float = min(DRIFT_IN_A_DAY * days**DRIFT_GROWTH, MOST_DRIFT)
+        drifted: float = min(DRIFT_IN_A_DAY * days**DRIFT_GROWTH, MAX_DRIFT_SHARE)
         return max(self.uncertainty or 0.0, drifted)
 
     def warnings(self) -> list[str]:

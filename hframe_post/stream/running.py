@@ -16,12 +16,12 @@ from typing import TypeVar
 T = TypeVar("T")
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # of glibc's malloc.h
-COLLECTED = 50_000  # new objects after which circles among them are sought; 700 by default
-DEPTH = 2  # items that are computed, or being computed, before they are asked for
+COLLECTED_OBJECTS = 50_000  # new objects after which circles among them are sought; 700 by default
+PREFETCHED_ITEMS = 2  # items that are computed, or being computed, before they are asked for
 
 
 def prefetch(items: Iterable[T]) -> Iterator[T]:
-    """Yield the same items; a thread computes up to DEPTH of them before they are asked for.
+    """Yield the same items; a thread computes PREFETCHED_ITEMS of them, before they are asked for.
 
     An exception of the source is raised here, after the items before it. When the consumer stops,
     no further item is begun. numpy releases the interpreter, so both threads make progress.
@@ -29,7 +29,7 @@ def prefetch(items: Iterable[T]) -> Iterator[T]:
     source, end = iter(items), object()
     worker = ThreadPoolExecutor(1, "prefetch")
     try:
-        waiting = deque(worker.submit(next, source, end) for _ in range(DEPTH))
+        waiting = deque(worker.submit(next, source, end) for _ in range(PREFETCHED_ITEMS))
         while (item := waiting.popleft().result()) is not end:
             waiting.append(worker.submit(next, source, end))
             yield item  # type: ignore[misc]  # only the end is not a T
@@ -68,11 +68,6 @@ class StageTimes:
                 stack[-1] += spent
 
 
-def joined(one: dict[str, float], other: dict[str, float]) -> dict[str, float]:
-    stages = {**one, **other}
-    return {stage: one.get(stage, 0.0) + other.get(stage, 0.0) for stage in stages}
-
-
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread in the whole process; also works as a decorator.
@@ -94,7 +89,7 @@ def keep_memory() -> None:
     collected less often: few of the many objects of a conversion refer to each other in a circle.
     """
     gc.freeze()
-    gc.set_threshold(COLLECTED)
+    gc.set_threshold(COLLECTED_OBJECTS)
     allocate = _c_function("mallopt")
     if allocate is not None:
         allocate(M_MMAP_THRESHOLD, 1 << 25)

@@ -26,6 +26,7 @@ from hframe_post.errors import HframeError
 from hframe_post.firmware.code import Code, plain
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.native.digits import TOO_LONG, least_too_long, motion_lines
+from hframe_post.stream.tally import tallied
 from hframe_post.stream.types import Position, Samples
 from hframe_post.writers.decimation import Units
 from hframe_post.writers.machine import LimitChange, Machine, PlacedMove, Text
@@ -43,20 +44,10 @@ class GcodeSummary:
     """
 
     lines: int = 0
-    busiest_second: int = 0
+    busiest_second: int = tallied(0, max)
     filament: float = 0.0
     samples: int = 0
     missed: float = 0.0
-
-    def joined(self, later: GcodeSummary) -> GcodeSummary:
-        """Return the numbers of both streams together."""
-        return GcodeSummary(
-            self.lines + later.lines,
-            max(self.busiest_second, later.busiest_second),
-            self.filament + later.filament,
-            self.samples + later.samples,
-            self.missed + later.missed,
-        )
 
     @property
     def off(self) -> float:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import IO
 
-SUMMARY_ROOM = 4096  # bytes: the summary's length is not known when the body is written after it
-ROOM = 4  # bytes beyond a deferred line's present length, for numbers with more digits
+SUMMARY_BYTES = 4096  # bytes: the summary's length is not known when the body is written after it
+ROOM_BYTES = 4  # bytes beyond a deferred line's present length, for numbers with more digits
 
 # comments that say a time, in slicers' words: how much has passed, is left, or all of it
 _COMMENT = re.compile(
@@ -107,7 +107,7 @@ def write_output(
     place = file.tell()  # counted from here on: asking the file each time would be slow
     for piece in output:
         if isinstance(piece, DeferredLine):
-            size = SUMMARY_ROOM if piece.summary else len(piece.line) + ROOM
+            size = SUMMARY_BYTES if piece.summary else len(piece.line) + ROOM_BYTES
             places.extend((place, size, piece.summary))
             elapsed.append(piece.elapsed)
             piece = piece.line.ljust(size) + b"\n"
@@ -120,7 +120,7 @@ def write_output(
         if is_summary:
             text = commented(summary(), size)
         else:
-            text = with_times(DeferredLine(file.read(size - ROOM), passed), *before_and_after)
+            text = with_times(DeferredLine(file.read(size - ROOM_BYTES), passed), *before_and_after)
         file.seek(place)
         file.write(text.ljust(size)[:size])
 

@@ -41,9 +41,9 @@ from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Dwell, Handling, Mark, Passthrough, Samples
 from hframe_post.writers.tables import KEY_BITS, MOTORS, End, Item, Note, Start, Stepped
 
-GRAIN = 9  # decimals of a mm; finer differences are noise, on which no motor must tremble
+GRAIN_DECIMALS = 9  # decimals of a mm; finer differences are noise, on which no motor must tremble
 SAMPLES_AT_ONCE = 1 << 14
-LATEST = 1e-3  # s that a step may be late beyond direction_setup
+MAX_LATE_S = 1e-3  # s that a step may be late beyond direction_setup
 
 HANDLINGS = {Handling.CARRY: "carried", Handling.REST: "rest", Handling.RELEASE: "yielded"}
 
@@ -97,7 +97,7 @@ class StepGenerator:
     def _chunk(self, chunk: Samples) -> Iterator[Item]:
         x, y = chunk.commands[self._strategy].T
         mm = np.column_stack([*self._kinematics.belts(x, y), chunk.xyze[:, Z:]])
-        u = np.round(mm, GRAIN) / self._lengths + 0.5
+        u = np.round(mm, GRAIN_DECIMALS) / self._lengths + 0.5
         done = 0
         for event in chunk.events:
             if isinstance(event, Mark):
@@ -201,7 +201,7 @@ class _Motor:
     def __init__(self, letter: str, table: Steps) -> None:
         self._letter, self._clock = letter, table.clock_hz
         self._gap = max(1, math.ceil(table.direction_setup * table.clock_hz - 1e-9))
-        self._latest = self._gap + math.ceil(LATEST * table.clock_hz)
+        self._latest = self._gap + math.ceil(MAX_LATE_S * table.clock_hz)
         self._last, self._heading = -self._gap, 0
 
     def place(self, due: Integers, direction: Integers, line: Integers) -> Integers:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hframe_post.arrays import TS, Array
+from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import SETTLED, compensate, settling_samples
 from hframe_post.model.nozzle import Response
 from hframe_post.model.strategies import Compensator
@@ -15,14 +15,7 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Travel
 from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
-
-
-def stroke(length: float, speed: float, rest: int, acceleration: float = 5000.0) -> Array:
-    """Return positions (n,) of one trapezoidal move with rest around it."""
-    ramp = np.arange(0.0, speed + 1e-9, acceleration * TS)
-    cruise = np.full(int(length / speed / TS), speed)
-    moving = np.cumsum(np.concatenate([ramp, cruise, ramp[::-1]])) * TS
-    return np.concatenate([np.zeros(rest), moving, np.full(rest, moving[-1])])
+from tests.paths import stroke
 
 
 def block(x: Array, y: Array, first: int = 0) -> Samples:

@@ -16,20 +16,10 @@ from hframe_post.model.plant import Coupling, Plant
 from hframe_post.model.rounds import order, rounds_needed
 from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.printer.profile import load
-from tests.compensation.test_compensate import stroke
 from tests.coupled import coupled_plant
+from tests.paths import ORIGIN, strokes
 
 WINDOW = Window(5, 88, 44, 30.0)
-ORIGIN = np.array([100.0, 120.0])
-
-
-def strokes() -> Array:
-    """Return diagonal strokes of 30 mm and back, one of them in x alone, (n, 2)."""
-    x, y = (stroke(30.0, speed, 600) for speed in (100.0, 150.0))
-    n = max(len(x), len(y))
-    x, y = (np.pad(each, (0, n - len(each)), mode="edge") for each in (x, y))
-    back = np.column_stack([np.concatenate([x, x[::-1]]), np.concatenate([y, np.full(n, y[-1])])])
-    return np.asarray(ORIGIN + back)
 
 
 def commanded(plant: Plant, strategy: str = "racking", cuts: tuple[int, ...] = ()) -> Array:
@@ -99,13 +89,14 @@ def test_stronger_couplings_take_more_rounds_and_no_command_cancels_too_strong_o
     weak, strong = (coupled_plant(seed) for seed in (1, 0))
     assert rounds_needed(weak, windows) == 2
     assert rounds_needed(strong, windows) == 4
-    check_model(replace(paper, plant=strong))
+    check_model(strong, windows, paper.travel, paper.limits)
     stronger = [
         replace(c, G=replace(c.G, deviation=3.0 * c.G.deviation, lag=3.0 * c.G.lag))
         for c in strong.cross
     ]
+    too_strong = replace(strong, cross=tuple(stronger))
     with pytest.raises(PrinterError, match="couplings of this model are so strong"):
-        check_model(replace(paper, plant=replace(strong, cross=tuple(stronger))))
+        check_model(too_strong, windows, paper.travel, paper.limits)
 
 
 def test_equal_bits_however_the_stream_is_cut() -> None:

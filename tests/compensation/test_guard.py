@@ -27,9 +27,9 @@ from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Motors, Printer, Travel
 from hframe_post.stream.chunks import batches, join
 from hframe_post.stream.types import Dwell, Handling, ModalState, Passthrough, Samples
+from tests.paths import walk
 from tests.plants import as_response
 from tests.quantities import below
-from tests.random_paths import walk
 
 TRAVEL, MOTORS = Travel((0.0, 200.0), (0.0, 150.0)), Motors(100.0, 2000.0)
 LIMITS = (TRAVEL, MOTORS, Kinematics("cartesian"))
@@ -118,6 +118,20 @@ def test_bed_is_not_left(axis: int, place: float, message: str) -> None:
     command[30, axis] = place
     with pytest.raises(LimitError, match=rf"line 1030: {message}"):
         checked([chunk(standing(50), command)], FAR)
+
+
+def test_z_may_be_anywhere_from_its_lower_bound_to_its_upper() -> None:
+    travel = replace(TRAVEL, z=(0.0, 180.0))
+    at = chunk(standing(50), standing(50))
+    for z in (0.0, 180.0):
+        at.xyze.setflags(write=True)
+        at.xyze[30, 2] = z
+        checked([at], (travel, *FAR[1:]))
+    for z, bound in ((-0.01, 0.0), (180.01, 180.0)):
+        at.xyze[30, 2] = z
+        with pytest.raises(LimitError, match=r"line 1030: z \(mm\)") as caught:
+            checked([at], (travel, *FAR[1:]))
+        assert caught.value.bound == bound
 
 
 def test_motors_are_driven_up_to_their_limits_and_no_further() -> None:
@@ -220,6 +234,14 @@ def test_a_clamp_moves_a_command_smoothly_onto_the_bed(height: float) -> None:
     assert changed[-1] <= beyond[-1] + REACH
     assert np.abs(np.diff(result - command, axis=0)).max() < 4.0 * height / REACH
     np.testing.assert_array_equal(result[:, 1], 50.0)
+
+
+def test_a_clamp_is_the_same_where_a_stretch_begins() -> None:
+    path = standing(800, x=0.1)
+    command = path.copy()
+    command[:, 0] -= bump(800, 400, 1.0, 150)
+    whole, later = (clamped(chunk(path[k:], command[k:]), FAR)[0] for k in (0, 300))
+    np.testing.assert_array_equal(later, whole[300:])
 
 
 @pytest.mark.parametrize("width", [10, 20, 30])

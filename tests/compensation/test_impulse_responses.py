@@ -26,14 +26,13 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join, smaller
 from hframe_post.stream.types import Samples
 from hframe_post.studies.simulation.uncertainty import draws, perturbed
-from tests.compensation.test_coupled import ORIGIN, WINDOW, strokes
-from tests.compensation.test_stops import planned
+from tests.gcode_tools import planned
 from tests.gcode_tools import strokes as printed_strokes
 from tests.modes import axis_mode, coupling_mode, damped_by_the_frame, deviation_of_mode
+from tests.paths import ORIGIN, strokes
 from tests.plants import as_response
 
 LONG = 1900  # samples in which all modes here settle to 1e-11
-SAME = 1e-9  # mm
 
 
 def measured() -> Plant:
@@ -121,7 +120,7 @@ def test_a_filter_is_the_definition_wherever_its_input_is_cut(
 )
 def test_a_settled_filter_stands_still(G: ImpulseResponse, late: int) -> None:
     f = stream_filter(G, late)
-    f.settle(12.5)
+    f.state[:] = 12.5
     standing = f.run(np.full(50, 12.5))
     assert np.abs(standing - 12.5).max() < 1e-12  # mm
     assert np.array_equal(standing, np.full(50, 12.5))  # gain 1 at rest, exactly
@@ -155,6 +154,7 @@ def test_a_response_that_cannot_be_inverted_is_refused() -> None:
 
 # ---------------------------------------------------------------------- what is not known
 
+WINDOW = Window(5, 88, 44, 30.0)
 EASY = replace(WINDOW, effort=1e-3)  # enough to make it regular
 
 
@@ -288,7 +288,14 @@ def held(chunks: Sequence[Samples], printer: Printer) -> Samples:
     compensator = prepared(printer)
     names = ("fbs", "racking")
     commands = compensate(chunks, compensator, names)
-    return join(list(dwell_at_stops(commands, StopSolvers(compensator, names, printer))))
+    return join(
+        list(
+            dwell_at_stops(
+                commands,
+                StopSolvers(compensator, names, printer.travel, printer.motors, printer.kinematics),
+            )
+        )
+    )
 
 
 @pytest.mark.parametrize("n", [13, 700])

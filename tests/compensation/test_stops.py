@@ -23,7 +23,7 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.types import Dwell, Samples
-from tests.gcode_tools import HEAD, strokes
+from tests.gcode_tools import HEAD, planned, strokes
 
 NAMES = ("fbs", "racking")
 
@@ -33,17 +33,15 @@ def paper() -> Printer:
     return load("paper")
 
 
-def planned(lines: Iterable[str], printer: Printer, strategy: str = "racking") -> list[Samples]:
-    raw = (line.encode() + b"\n" for line in lines)
-    items = read(raw, ReadOptions.from_printer(printer, "printer"))
-    waits = stop_rules(printer.compensation.stops, strategy)
-    return list(sample(plan(items, printer.limits), printer.limits, waits))
-
-
 def compensated(chunks: Iterable[Samples], printer: Printer) -> list[Samples]:
     compensator = prepared(printer)
     commands = compensate(chunks, compensator, NAMES)
-    return list(dwell_at_stops(commands, StopSolvers(compensator, NAMES, printer)))
+    return list(
+        dwell_at_stops(
+            commands,
+            StopSolvers(compensator, NAMES, printer.travel, printer.motors, printer.kinematics),
+        )
+    )
 
 
 def whole_stretches(chunks: Iterable[Samples]) -> list[Samples]:
@@ -187,7 +185,7 @@ def test_equal_bits_however_the_stream_is_cut(paper: Printer, n: int) -> None:
     lines = [*strokes(2, 3, 0.4), "G4 P1200", *strokes(3, 2)[2:], "M600", *strokes(4, 2)[2:]]
     compensator = prepared(paper)
     commanded = list(compensate(planned(lines, paper), compensator, NAMES))
-    at_stops = StopSolvers(compensator, NAMES, paper)
+    at_stops = StopSolvers(compensator, NAMES, paper.travel, paper.motors, paper.kinematics)
     whole = whole_stretches(dwell_at_stops(commanded, at_stops))
     pieces = list(dwell_at_stops(cut(commanded, n), at_stops))
     assert sum(map(len, pieces)) == sum(map(len, commanded))
@@ -214,7 +212,7 @@ def test_a_wait_of_hours_is_not_kept_in_memory(paper: Printer) -> None:
     returned = 0
     for chunk in dwell_at_stops(
         compensate(counted(), compensator, ("racking",)),
-        StopSolvers(compensator, NAMES[1:], paper),
+        StopSolvers(compensator, NAMES[1:], paper.travel, paper.motors, paper.kinematics),
     ):
         returned += len(chunk)
         buffered = max(buffered, taken - returned)

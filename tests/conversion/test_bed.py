@@ -55,7 +55,7 @@ def fixed() -> Printer:
 @pytest.fixture
 def slinger(fixed: Printer, monkeypatch: pytest.MonkeyPatch) -> Printer:
     """Return a printer whose bed of 1 kg gets heavier by 0.3 kg, a little at each of many spans."""
-    monkeypatch.setattr(spans, "SECONDS", 4.0)
+    monkeypatch.setattr(spans, "SPAN_S", 4.0)
     return replace(fixed, plant=replace(fixed.plant, bed=Bed(1.0, 0.3 / (LAPS * LAP))))
 
 

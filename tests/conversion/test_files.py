@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hframe_post.conversion.conversions import SampleConversion, StepConversion
 from hframe_post.conversion.files import Target, convert, with_format
 from hframe_post.conversion.options import Kind, Options
-from hframe_post.conversion.tables import SampleConversion, StepConversion
 from hframe_post.errors import LimitError
 from hframe_post.gcode import batching
 from hframe_post.planner import sampling

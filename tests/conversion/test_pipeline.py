@@ -11,7 +11,7 @@ import pytest
 
 from hframe_post.conversion import pipeline
 from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.meters import InputMeter
+from hframe_post.conversion.ledger import FileNotes
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError, LimitError
@@ -165,12 +165,12 @@ def test_clamp_compensates_less_where_the_belts_cannot_follow(paper: Printer) ->
 
 
 def test_lost_filament_is_an_error(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Forgetful(InputMeter):
+    class Forgetful(FileNotes):
         def items(self, items: Iterable[Item]) -> Iterator[Item]:
-            self.summary.filament += 1.0
+            self.read.filament += 1.0
             return super().items(items)
 
-    monkeypatch.setattr(pipeline, "InputMeter", Forgetful)
+    monkeypatch.setattr(pipeline, "FileNotes", Forgetful)
     with pytest.raises(HframeError, match="filament"):
         converted(sample("rectangle.gcode"), paper)
 
@@ -246,6 +246,6 @@ def test_a_fault_at_the_end_comes_before_the_work(paper: Printer) -> None:
     """A move of the end code off the bed was refused after minutes of computing."""
     walls = [b"G1 X%d Y100 E1 F6000\n" % (120 + 20 * (k % 2)) for k in range(20_000)]
     lines = [b"G28\n", b"M83\n", b"G1 X100 Y100 Z1 F6000\n", *walls, b"G1 X0 Y999\n"]
-    spans = pipeline.PlannedFile(lines, paper, Options("racking")).spans()
+    spans = pipeline.PlannedFile(lines, pipeline.Chain(paper, Options("racking"))).spans()
     with pytest.raises(LimitError, match="line 20004"):
         next(iter(next(iter(spans)).items))

@@ -9,7 +9,7 @@ import pytest
 
 from hframe_post.conversion import sliced_errors
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import parsed
+from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SlicedFile, Today
 from hframe_post.printer.settings import Printer
 from tests.conftest import SAMPLES
@@ -29,15 +29,15 @@ def vase(layers: int) -> list[bytes]:
 
 
 def today(lines: Iterable[bytes], printer: Printer) -> Today:
-    return SlicedFile.from_items(parsed(lines, printer, Options("none")), printer).today()
+    return SlicedFile.from_items(Chain(printer, Options("none")).parsed(lines), printer).today()
 
 
 def test_a_share_of_a_print_without_stops_stands_for_all(
     paper: Printer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sliced_errors, "LEAST_S", 1e9)
+    monkeypatch.setattr(sliced_errors, "KEPT_S", 1e9)
     all_of_it = today(vase(60), paper)
-    monkeypatch.setattr(sliced_errors, "LEAST_S", 30.0)
+    monkeypatch.setattr(sliced_errors, "KEPT_S", 30.0)
     some = today(vase(60), paper)
     assert some.share < 0.4 < all_of_it.share == 1.0
     for name in ("none", "shaper"):
@@ -64,7 +64,7 @@ def test_a_move_of_days_takes_no_memory(paper: Printer) -> None:
         b"G1 X270 E1 F12\n",
         b"G1 X10 E1 F600\n",
     ]
-    found = SlicedFile.from_items(parsed(lines * 3, paper, Options("none")), paper)
+    found = SlicedFile.from_items(Chain(paper, Options("none")).parsed(lines * 3), paper)
     assert sum(len(path) for path, _ in found.paths) < 200_000, "samples"
 
 

@@ -45,7 +45,7 @@ def converted(lines: list[bytes], printer: Printer, jobs: int) -> tuple[bytes, G
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spans of a few seconds: many in a short file."""
-    monkeypatch.setattr(spans, "SECONDS", 4.0)
+    monkeypatch.setattr(spans, "SPAN_S", 4.0)
 
 
 def planned(lines: list[bytes], printer: Printer) -> list[Planned]:
@@ -101,7 +101,7 @@ def test_a_print_takes_hardly_longer_for_being_cut(
 ) -> None:
     lines, cuts = cube(), len(list(Spans(planned(cube(), paper)))) - 1
     cut = converted(lines, paper, 1)[1].times[1]
-    monkeypatch.setattr(spans, "SECONDS", 1e9)
+    monkeypatch.setattr(spans, "SPAN_S", 1e9)
     assert 0.0 <= cut - converted(lines, paper, 1)[1].times[1] <= 0.17 * cuts
 
 

@@ -17,8 +17,8 @@ from hframe_post.model.nozzle import Response
 from hframe_post.native.decimate import E_WEIGHT, SHORT, breakpoints, fitted
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
+from tests.paths import wander
 from tests.quantities import below
-from tests.random_paths import wander
 
 MM = 0.002  # tolerance of most tests
 

@@ -138,6 +138,20 @@ def test_strokes_last_as_long_as_they_were_planned_to(marlin: Printer, planner: 
         assert mine.stroke(stroked, speed, planned, 0.0, *corners).speed == speed
 
 
+def test_turning_back_is_a_stop_and_going_on_is_none(marlin: Printer) -> None:
+    there, mine = from_there((0.0, 0.0, 0.4, 0.0)), motion(marlin)
+    on = there[1], (*there[1][:2], there[1][2] + 0.4, there[1][3])
+    assert mine.corners(there[::-1], 10.0, (0.0, 0.0), there)[0] == 0.0
+    assert mine.corners(on, 10.0, (0.0, 0.0), there)[0] > 0.0
+
+
+def test_limits_are_set_in_whole_numbers_and_corners_to_a_hundredth(marlin: Printer) -> None:
+    assert code(with_own(marlin, **JERKS)).set_limits(150.4, 1234.6, 3.14159)[4:] == [
+        "M201 X1235 Y1235", "M203 X150 Y150", "M204 P1235 T1235", "M205 X3.14 Y3.14",
+    ]  # fmt: skip
+    assert code(marlin).set_limits(150.0, 1000.0, 5.0)[-1] == "M205 J0.0104"
+
+
 @pytest.mark.parametrize("planner", ["2.1-dev", "ft-motion"])
 def test_s_curves_are_refused_where_they_are_not_known(planner: str) -> None:
     own = f'[firmware.marlin]\nplanner = "{planner}"\ns_curve_acceleration = true\n'
@@ -293,7 +307,7 @@ def test_filament_is_counted_anew_before_floats_forget(marlin: Printer) -> None:
 def test_bound_on_lines_is_kept_or_told(marlin: Printer) -> None:
     for bound in (60.0, 125.0, 500.0):
         report = converted(sample("rectangle.gcode"), with_own(marlin, lines_per_second=bound))[1]
-        assert report.busiest_second <= bound
+        assert report.written.busiest_second <= bound
         assert "lines in a second" not in report.as_text()
     hops = [b"G1 X100 Y100 Z1 F6000\n"]
     hops += [b"G1 X%d Z%d\n" % (100 + k % 2, 1 + k % 2) for k in range(4)]
@@ -306,7 +320,7 @@ def test_short_segments_do_not_cut_turns_off() -> None:
     """Settling at stops turns x and y back at different moments, a few steps apart."""
     ender = load("example-ender")
     report = converted(layers("cube.gcode", 1), ender)[1]
-    below(report.approximation, 0.012, "RMS distance of the lines to the command, mm")  # was 0.026
+    below(report.written.off, 0.012, "RMS distance of the lines to the command, mm")  # was 0.026
     error = report.lines_error("racking")
     below(error, 0.004, "contour error that whole steps leave, mm RMS")  # was 0.0055
 

@@ -50,6 +50,16 @@ def test_file_stays_on_the_bed_and_restores_the_settings(found: Calibration) -> 
     assert counts == [b"G92 E0\n"]  # x, y and z are where homing has put them
 
 
+def test_no_uneven_block_reaches_its_fast_speed(found: Calibration) -> None:
+    printer, part = load("paper-marlin"), b"".join(found.lines).split(b"M118 uneven")[1]
+    rows = [[float(word[1:]) for word in row.split()[1:]]
+            for row in part.split(b"M75\n")[1].splitlines() if row.startswith(b"G1")]  # fmt: skip
+    x, f = np.array(rows).T
+    way, fast = abs(x[1] - x[0]), f.max() / 60.0
+    assert fast < printer.limits.velocity
+    assert fast == pytest.approx(np.sqrt(printer.limits.acceleration * way), rel=0.01), "mm/s"
+
+
 def test_no_limit_of_the_file_slows_it_down() -> None:
     """Speeds and limits are rounded, each in its own way."""
     printer = load("paper-marlin")

@@ -74,10 +74,11 @@ def test_nearly_full_and_full_circles_keep_their_centre(
     assert turned(points, start, centre) == pytest.approx(1.0, abs=0.01)
 
 
-@pytest.mark.parametrize(("p", "turns"), [("", 0.5), ("P0", 0.5), ("P1", 0.5), ("P3", 2.5)])
-def test_p_counts_the_turns_that_an_arc_begins(p: str, turns: float) -> None:
-    rows = np.array(ends(f"G3 X20 Y0 Z5 I10 J0 E8 {p}"))
-    assert turned(rows[:, :2], (0.0, 0.0), (10.0, 0.0)) == pytest.approx(turns)
+@pytest.mark.parametrize("ignored", ["", "P1", "P3", "P1.5", "K7"])
+def test_an_arc_makes_at_most_a_turn(ignored: str) -> None:
+    """As Klipper's gcode_arcs plays it, and Marlin without ARC_P_CIRCLES."""
+    rows = np.array(ends(f"G3 X20 Y0 Z5 I10 J0 E8 {ignored}"))
+    assert turned(rows[:, :2], (0.0, 0.0), (10.0, 0.0)) == pytest.approx(0.5)
     assert rows[-1].tolist() == [20, 0, 5, 8]
     np.testing.assert_allclose(rows[:, 3] / 8, rows[:, 2] / 5)
 

@@ -2,53 +2,163 @@
 
 from __future__ import annotations
 
+import importlib
+import re
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
 import pytest
 
+from hframe_post.errors import GcodeError
+from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.firmware.dialect import Dialect
 from hframe_post.firmware.klipper.firmware import Klipper
 from hframe_post.firmware.marlin.firmware import Marlin
+from hframe_post.gcode.commands import Effect, Vocabulary
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
+from hframe_post.printer.profile import load
 from hframe_post.stream.types import Moves, Passthrough
-from tests.klipper.head import head
+from tests.klipper.head import head, parsed, speed
 
 START = ["G90", "M83", "G1 X10 Y10 Z.2 F6000"]
+# what both firmwares know and read differently, or without a word: x and feed rate of the last move
+MOVES: dict[str, tuple[list[str], tuple[float, float], tuple[float, float]]] = {
+    "M220": (["M220 S50", "M220", "G1 X20"], (20.0, 100.0), (20.0, 50.0)),
+    "M220 R": (["M220 S50", "M220 R", "G1 X20"], (20.0, 100.0), (20.0, 100.0)),
+    "M220 B": (["M220 B", "M220 S50", "M220 R", "G1 X20"], (20.0, 100.0), (20.0, 100.0)),
+    "M220 B, S": (["M220 S50 B", "M220 S200", "M220 R", "G1 X20"], (20.0, 100.0), (20.0, 100.0)),
+    "M220 B alone": (["M220 S50", "M220 B", "G1 X20"], (20.0, 100.0), (20.0, 50.0)),
+    "G92": (["G1 X20", "G92", "G1 X10 Y10 Z.2", "G1 X30"], (50.0, 100.0), (30.0, 100.0)),
+    "G92 X": (["G1 X20", "G92 X5", "G1 X10"], (25.0, 100.0), (25.0, 100.0)),
+    "G91": (["G1 X20", "G91", "G1 X5"], (25.0, 100.0), (25.0, 100.0)),
+    "G1": (["G1 X20", "G1"], (20.0, 100.0), (20.0, 100.0)),
+    "G1 F": (["G1 F3000", "G1 X20"], (20.0, 50.0), (20.0, 50.0)),
+    "G2 P": (["G2 X20 I5 P3"], (20.0, 100.0), (20.0, 100.0)),
+    "G2 without an end": (["G2 I5"], (10.0, 100.0), (10.0, 100.0)),
+    "G2 K": (["G2 X20 I5 K3"], (20.0, 100.0), (20.0, 100.0)),
+}  # fmt: skip
+# E at the end, mm, which begins absolute at 0
+FILAMENT: dict[str, tuple[list[str], float, float]] = {
+    "G91": (["G91", "G1 X5 E1", "G1 X5 E1"], 2.0, 2.0),
+    "G91, M82": (["G91", "M82", "G1 X5 E1", "G1 X5 E1.5"], 2.5, 1.5),
+    "M83, G90": (["M83", "G90", "G1 X20 E1", "G1 X30 E1.5"], 2.5, 1.5),
+    "G91, G90": (["G91", "G90", "G1 X20 E1", "G1 X30 E1.5"], 1.5, 1.5),
+    "G92 E": (["G1 X20 E1", "G92 E0", "G1 X30 E1"], 2.0, 2.0),
+    "G92": (["G1 X20 E1", "G92", "G1 X30 E1"], 2.0, 1.0),
+}
+# accelerations of the next extrusion and travel, from 1000 and 1000 mm/s²
+ACCELERATIONS = {
+    "M204": ((1000.0, 1000.0), (1000.0, 1000.0)), "M204 S500": ((500.0, 500.0), (500.0, 500.0)),
+    "M204 P500": ((1000.0, 1000.0), (500.0, 1000.0)),
+    "M204 T500": ((1000.0, 1000.0), (1000.0, 500.0)),
+    "M204 P500 T700": ((500.0, 500.0), (500.0, 700.0)),
+    "M204 S400 P500 T700": ((400.0, 400.0), (400.0, 400.0)),
+    "M204 R500": ((1000.0, 1000.0), (1000.0, 1000.0)),
+    "M201 X500": ((1000.0, 1000.0), (1000.0, 1000.0)),
+}  # fmt: skip
+DWELLS = {
+    "G4": (0.0, 0.0), "G4 S2": (0.0, 2.0), "G4 P500": (0.5, 0.5), "G4 P500 S2": (0.5, 2.0),
+}  # fmt: skip
+KLIPPY: Any = importlib.import_module("klippy")
+TOOL: Any = importlib.import_module("klippy.toolhead").ToolHead
+DIALECTS = Klipper.dialect, Marlin.dialect
 
 
-def last(lines: list[str], dialect: Dialect) -> tuple[float, float]:
-    """Return x and the speed of the last move, mm and mm/s."""
-    text = [line.encode() for line in [*START, *lines]]
-    moves = [item for item in read(text, ReadOptions(dialect)) if isinstance(item, Moves)]
-    return float(moves[-1].points[-1, 0]), float(moves[-1].speed[-1])
+def moves(lines: list[str], dialect: Dialect, absolute: bool = False) -> list[Moves]:
+    start = [line for line in START if line != "M83" or not absolute]
+    text = [line.encode() for line in [*start, *lines]]
+    options = ReadOptions(dialect, extrusion="absolute")
+    return [item for item in read(text, options) if isinstance(item, Moves)]
 
 
-@pytest.mark.parametrize(
-    ("lines", "klipper", "marlin"),
-    [
-        (["M220 S50", "M220", "G1 X20"], (20.0, 100.0), (20.0, 50.0)),
-        (["M220 S50", "M220 R", "G1 X20"], (20.0, 100.0), (20.0, 100.0)),
-        (["M220 B", "M220 S50", "M220 R", "G1 X20"], (20.0, 100.0), (20.0, 100.0)),
-        (["M220 S50 B", "M220 S200", "M220 R", "G1 X20"], (20.0, 100.0), (20.0, 100.0)),
-        (["G1 X20", "G92", "G1 X10 Y10 Z.2", "G1 X30"], (50.0, 100.0), (30.0, 100.0)),
-        (["G1 X20", "G92 X5", "G1 X10"], (25.0, 100.0), (25.0, 100.0)),
-        (["G1 X20", "G91", "G1 X5"], (25.0, 100.0), (25.0, 100.0)),
-    ],
-)
-def test_what_words_left_out_mean(
-    lines: list[str], klipper: tuple[float, float], marlin: tuple[float, float]
-) -> None:
-    assert last(lines, Klipper.dialect) == pytest.approx(klipper)
-    assert last(lines, Marlin.dialect) == pytest.approx(marlin)
+@pytest.mark.parametrize("name", MOVES)
+def test_what_words_left_out_mean(name: str) -> None:
+    lines, *expected = MOVES[name]
+    for dialect, (x, v) in zip(DIALECTS, expected, strict=True):
+        last = moves(lines, dialect)[-1]
+        assert (last.points[-1, 0], last.speed[-1]) == pytest.approx((x, v))
     places, _ = head([*START, *lines])  # Klipper's own
-    assert places[-1, 0] == pytest.approx(klipper[0])
+    assert (places[-1, 0], speed([*START, *lines])) == pytest.approx(expected[0])
 
 
-@pytest.mark.parametrize(
-    ("line", "klipper", "marlin"),
-    [("G4", 0.0, 0.0), ("G4 S2", 0.0, 2.0), ("G4 P500", 0.5, 0.5), ("G4 P500 S2", 0.5, 2.0)],
-)
-def test_how_long_a_dwell_is(line: str, klipper: float, marlin: float) -> None:
-    for dialect, expected in ((Klipper.dialect, klipper), (Marlin.dialect, marlin)):
+@pytest.mark.parametrize("name", FILAMENT)
+def test_what_is_fed(name: str) -> None:
+    lines, *expected = FILAMENT[name]
+    for dialect, e in zip(DIALECTS, expected, strict=True):
+        assert moves(lines, dialect, absolute=True)[-1].points[-1, 3] == pytest.approx(e)
+    assert head([START[0], START[2], *lines])[0][-1, 3] == pytest.approx(expected[0])
+
+
+def test_an_arc_goes_as_far_as_klipper_goes() -> None:
+    """P, which Marlin's usual build ignores as well, adds no turn."""
+    for line in ("G2 X20 I5 P3", "G2 I5", "G2 I5 P2", "G3 X15 Y5 I5 J0 P1"):
+        ours = moves([line], Klipper.dialect)[-1].points[:, :2]
+        theirs = np.vstack([[10.0, 10.0], head([*START, line])[0][1:, :2]])
+        length = [np.hypot(*np.diff(each, axis=0).T).sum() for each in (ours, theirs)]
+        assert length[0] == pytest.approx(length[1], rel=0.02)
+
+
+@pytest.mark.parametrize("line", ACCELERATIONS)
+def test_accelerations(line: str) -> None:
+    start = FirmwareLimits(load("paper").limits, 1000.0, 1000.0, 5.0)
+    for dialect, expected in zip(DIALECTS, ACCELERATIONS[line], strict=True):
+        text = [each.encode() for each in [*START, line, "G1 X20 E1", "G1 X30"]]
+        options = ReadOptions(dialect, start=start)
+        (found,) = (item for item in read(text, options) if isinstance(item, Moves))
+        assert found.acceleration.tolist() == list(expected)
+    asked = of_toolhead(line)
+    assert asked == ACCELERATIONS[line][0][0]
+
+
+def of_toolhead(line: str) -> float:
+    """Return the acceleration that Klipper's own toolhead has after a line, from 1000 mm/s²."""
+    tool = SimpleNamespace(max_accel=1000.0, _calc_junction_deviation=lambda: None)
+    name = line.partition(" ")[0]
+    if handler := getattr(TOOL, f"cmd_{name}", None):
+        handler(tool, parsed(line))
+    return float(tool.max_accel)
+
+
+@pytest.mark.parametrize("line", DWELLS)
+def test_how_long_a_dwell_is(line: str) -> None:
+    waited: list[float] = []
+    TOOL.cmd_G4(SimpleNamespace(dwell=waited.append), parsed(line))
+    assert waited == [DWELLS[line][0]]
+    for dialect, expected in zip(DIALECTS, DWELLS[line], strict=True):
         items = list(read([each.encode() for each in [*START, line]], ReadOptions(dialect)))
         (dwell,) = (i for i in items if isinstance(i, Passthrough) and i.text[:2] == b"G4")
         assert dwell.seconds == expected
+
+
+@pytest.mark.parametrize("feed", ["F0", "F-600"])
+def test_no_feed_rate(feed: str) -> None:
+    """Marlin keeps the last one; Klipper stops the print."""
+    (found,) = moves([f"G1 X20 {feed}"], Marlin.dialect)
+    assert found.speed.tolist() == [100.0]
+    with pytest.raises(GcodeError, match="feed rate"):
+        moves([f"G1 X20 {feed}"], Klipper.dialect)
+    with pytest.raises(ValueError, match="Unable to parse"):
+        head([*START, f"G1 X20 {feed}"])
+
+
+ANY_MODE = {  # restore modes or run what an owner writes; a dialogue's own; another tool's
+    "CANCEL_PRINT", "NOZZLE_CLEANUP", "PAUSE", "RESTORE_GCODE_STATE", "RESUME",
+    "RUN_SHELL_COMMAND", "SDCARD_PRINT_FILE", "SELECT_TOOL", "SET_VELOCITY_LIMIT",
+    "ABORT", "ACCEPT", "ADJUSTED", "CALIBRATE", "TARE", "TESTZ",
+}  # fmt: skip
+OF_TOOLS = "TR_", "TOOL_", "INDX_"
+
+
+def test_klippers_own_commands_are_no_macros() -> None:
+    """After one that may set modes the reader must find out anew what E is."""
+    (folder,) = KLIPPY.__path__
+    text = "\n".join(path.read_text() for path in Path(folder).rglob("*.py"))
+    names = set(re.findall(r"\bcmd_([A-Z][A-Z0-9_]{3,})_help\b", text))
+    known = Vocabulary.with_names()
+    unknown = {name for name in names if known.effect(name) is Effect.UNKNOWN}
+    macros = {n for n in unknown if Klipper.dialect.may_set_modes(n) and not n.startswith(OF_TOOLS)}
+    assert macros <= ANY_MODE
+    assert len(names) > 100

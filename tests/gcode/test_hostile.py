@@ -31,8 +31,8 @@ def on_bed(*text: str) -> list[Item]:
     [
         "G1 X900 F0.1", "G1 X9 F0.01", "M203 Y0.001", "M204 S0.0000001", "G1 E219414", "M220 S0.01",
         "SET_VELOCITY_LIMIT VELOCITY=1e-3", "G4 P-5000", "G4 P" + "9" * 400,
-        "G3 X0 Y0 I1 J0 P1000000", "G3 X0 Y0 I900000 J0", "G5 I2 J3 P-2 Q4294967297 X90 Y60",
-        "G3 X0 Y0 I1 J0 P1.5", "G1 X" + "9" * 5000,
+        "G3 X0 Y0 I900000 J0", "G5 I2 J3 P-2 Q4294967297 X90 Y60",
+        "G1 X" + "9" * 5000,
         "G1 X" + "5" * 2_000_000,
     ],
     ids=lambda line: line[:24],

@@ -1,5 +1,5 @@
 ;FLAVOR:Marlin
-; processed by hframe-post 0.1.dev1000, printer paper, settings d9bf7795767b
+; processed by hframe-post 0.1.dev1000, printer paper, settings a7d405e06ff1
 ; hframe-post:
 G28
 G90

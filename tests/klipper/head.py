@@ -1,15 +1,19 @@
-"""Where the head goes by Klipper's own gcode_move, exclude_object and gcode_arcs, without a host.
+"""Where the head goes by Klipper's own modules, without a host.
 
-These modules run as they are; only what they ask of the printer is a stand-in. A file of some
-hundred thousand lines takes seconds, so that it can be interrupted at many places.
+gcode_move, exclude_object, gcode_arcs and, for files that are printed from a card, virtual_sdcard,
+sdcard_loop, pause_resume and print_stats run as they are; only what they ask of the printer is a
+stand-in. A file of some hundred thousand lines takes seconds, so that it can be interrupted at many
+places.
 """
 
 from __future__ import annotations
 
 import importlib
 import re
-from collections import namedtuple
-from collections.abc import Callable, Iterable
+from collections import deque, namedtuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +21,10 @@ import numpy as np
 from hframe_post.arrays import Array
 
 EXTRAS = "gcode_move", "exclude_object", "gcode_arcs"
+OF_CARDS = "print_stats", "virtual_sdcard", "sdcard_loop", "pause_resume"
 WORD = re.compile(r"([A-Z])\s*([-+]?[\d.]+)")
+FILE = "a.gcode"
+GREENLET: Any = importlib.import_module("greenlet")
 
 
 class _Printer:
@@ -26,11 +33,14 @@ class _Printer:
     error = ValueError
     Coord = namedtuple("Coord", "x y z e")
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path = Path()) -> None:
+        self.folder = folder
+        self.reactor, self.handlers = _Reactor(), dict[str, list[Callable[[], object]]]()
         self.commands: dict[str, Callable[[Any], object]] = {}
         self.at = [0.0, 0.0, 0.0, 0.0]
         self.moves: list[tuple[float, ...]] = []
-        self.respond_info = lambda *_: None
+        self.speed = 0.0  # of the last move, mm/s
+        self.respond_info = self.respond_raw = self.register_endpoint = lambda *_: None
 
     def register_command(
         self, name: str, handler: Callable[[Any], object], *_: object, **__: object
@@ -43,15 +53,55 @@ class _Printer:
         return command
 
     def lookup_object(self, name: str, default: object = None) -> Any:
-        return {"gcode_move": getattr(self, "gcode_move", None)}.get(name) or self
+        return getattr(self, name) if name in (*EXTRAS, *OF_CARDS) else self
 
     def load_object(self, _: object, name: str) -> Any:
         return getattr(self, name)
 
+    @property
+    def gcode_macro(self) -> Any:
+        return SimpleNamespace(load_template=lambda *_: SimpleNamespace(render=lambda: ""))
+
     def get_printer(self) -> _Printer:
         return self
 
-    def register_event_handler(self, *_: object) -> None: ...
+    def register_event_handler(self, event: str, handler: Callable[[], object]) -> None:
+        self.handlers.setdefault(event, []).append(handler)
+
+    def send_event(self, event: str) -> None:
+        for handler in self.handlers.get(event, ()):
+            handler()
+
+    def get_reactor(self) -> _Reactor:
+        return self.reactor
+
+    def get(self, _: str) -> str:
+        return str(self.folder)
+
+    # ------------------------------------------------------------------ G-code
+
+    def load(self, names: Iterable[str]) -> None:
+        for name in names:
+            module = importlib.import_module(f"klippy.extras.{name}")
+            setattr(self, name, module.load_config(self))
+        self.send_event("klippy:ready")
+        self.send_event("klippy:connect")
+
+    def run_script(self, script: str) -> None:
+        for line in script.splitlines():
+            command = parsed(line, self)
+            if handler := self.commands.get(command.name):
+                handler(command)
+
+    run_script_from_command = run_script
+
+    def get_mutex(self) -> _Printer:
+        return self
+
+    def test(self) -> bool:  # whether the console is busy, before each line of a card
+        return False
+
+    # ------------------------------------------------------------------ the rest
 
     def is_active(self) -> bool:  # the tuning tower
         return False
@@ -73,8 +123,9 @@ class _Printer:
     def get_position(self) -> list[float]:
         return list(self.at)
 
-    def move(self, place: list[float], _: float) -> None:
+    def move(self, place: list[float], speed: float) -> None:
         if place != self.at:
+            self.speed = speed
             self.at = list(place)
             self.moves.append(tuple(place))
 
@@ -83,6 +134,7 @@ class _Command:
     """A line as Klipper's parser gives it to its commands."""
 
     def __init__(self, printer: _Printer, name: str, text: str) -> None:
+        self.name, self.respond_raw = name, printer.respond_raw
         self._printer, self._text, self.respond_info = printer, text, printer.respond_info
         self.error = ValueError
         if re.fullmatch(r"[GM]\d+", name):
@@ -107,17 +159,90 @@ class _Command:
 
 def head(lines: Iterable[str]) -> tuple[Array, list[int]]:
     """Return where the head goes (n, 4), mm, and how many places it had seen before each line."""
+    printer, before = _played(lines)
+    return np.array(printer.moves), before
+
+
+def speed(lines: Iterable[str]) -> float:
+    """Return the feed rate, mm/s, of the last move."""
+    return _played(lines)[0].speed
+
+
+def parsed(line: str, printer: _Printer | None = None) -> Any:
+    """Return a line as a command, for a handler of Klipper's."""
+    name, _, rest = line.partition(";")[0].strip().partition(" ")
+    return _Command(printer or _Printer(), name.upper(), rest)
+
+
+def _played(lines: Iterable[str]) -> tuple[_Printer, list[int]]:
     printer = _Printer()
-    for name in EXTRAS:
-        module = importlib.import_module(f"klippy.extras.{name}")
-        setattr(printer, name, module.load_config(printer))
-    move = printer.gcode_move  # type: ignore[attr-defined]
-    move._handle_ready()  # its events
-    printer.exclude_object._handle_connect()  # type: ignore[attr-defined]
+    printer.load(EXTRAS)
     before = list[int]()
     for line in lines:
         before.append(len(printer.moves))
-        name, _, rest = line.partition(";")[0].strip().partition(" ")
-        if handler := printer.commands.get(name.upper()):
-            handler(_Command(printer, name.upper(), rest))
-    return np.array(printer.moves), before
+        printer.run_script(line)
+    return printer, before
+
+
+class _Reactor:
+    """Klipper's reactor without a clock: who waits takes turns."""
+
+    NOW, NEVER = 0.0, 1e18
+
+    def __init__(self) -> None:
+        self._main, self._waiting, self._now = GREENLET.getcurrent(), deque[Any](), 0.0
+
+    def monotonic(self) -> float:
+        self._now += 1e-3
+        return self._now
+
+    def register_timer(self, callback: Callable[[float], object], _: float) -> object:
+        self.spawn(lambda: callback(self._now))
+        return callback
+
+    def spawn(self, run: Callable[[], object]) -> None:
+        self._waiting.append(GREENLET.greenlet(run, parent=self._main))
+
+    def unregister_timer(self, _: object) -> None: ...
+
+    def pause(self, _: float) -> None:
+        self._waiting.append(GREENLET.getcurrent())
+        self._main.switch()
+
+    def run(self) -> None:
+        while self._waiting:
+            self._waiting.popleft().switch()
+
+
+class _WithConsole(_Printer):
+    """A printer that prints from a card, and takes commands before some of its lines."""
+
+    def __init__(self, folder: Path, between: Mapping[int, Sequence[str]]) -> None:
+        super().__init__(folder)
+        self._between, self._busy, self._line = dict(between), False, 0
+
+    def test(self) -> bool:
+        if commands := self._between.pop(self._line, ()):
+            self._busy = True
+            self.reactor.spawn(lambda: self._type(commands))
+        self._line += not self._busy
+        return self._busy
+
+    def _type(self, commands: Sequence[str]) -> None:
+        for command in commands:
+            self.run_script(command)
+        self._busy = False
+
+
+def from_card(text: str, folder: Path, between: Mapping[int, Sequence[str]] = {}) -> Array:
+    """Return where the head goes (n, 4), mm, when Klipper prints a file from its card.
+
+    between: what is typed on the console before some of the file's lines, counted from 0.
+    """
+    (folder / FILE).write_text(text)
+    printer = _WithConsole(folder, between)
+    printer.load((*EXTRAS, *OF_CARDS))
+    printer.run_script(f"SDCARD_PRINT_FILE FILENAME={FILE}")
+    printer.reactor.run()
+    assert printer.print_stats.state == "complete"  # type: ignore[attr-defined]
+    return np.array(printer.moves)

@@ -8,8 +8,6 @@ of the motors' steps. Times are Klipper's print time in seconds, lengths are mil
 import json
 import os
 import re
-import subprocess
-import sys
 from collections.abc import Mapping
 from configparser import RawConfigParser
 from dataclasses import dataclass, field
@@ -18,6 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tests.command_server import call
+
 from .batch import CLOCK_FREQ, COMMANDS, KLIPPER, dictionary
 
 Floats = NDArray[np.float64]
@@ -25,7 +25,7 @@ Ints = NDArray[np.int64]
 
 ROOT = Path(__file__).parents[2]
 TEMPLATE = Path(__file__).with_name("printer.cfg")
-BATCH = Path(__file__).with_name("batch.py")
+BATCH = "tests.klipper.batch"
 BEFORE_2024 = bool(KLIPPER) and "minimum_cruise_ratio" not in (
     Path(KLIPPER, "klippy", "toolhead.py").read_text()
 )
@@ -163,7 +163,7 @@ def play(
     if BEFORE_2024:
         gcode = _translated(gcode, workdir / "translated.gcode")
     klippy = [config, "-i", gcode.resolve(), "-o", stream, "-d", messages, "-l", log]
-    body, print_time = run_klippy([str(BATCH)], workdir, [str(each) for each in klippy], log)
+    body, print_time = run_klippy(BATCH, workdir, [str(each) for each in klippy], log)
     return Playback(
         moves=np.fromfile(workdir / "toolhead.moves", MOVE),
         extruder=np.fromfile(workdir / "extruder.moves", MOVE),
@@ -203,32 +203,23 @@ def _without_cruise_ratio(text: str) -> str:
     )
 
 
-def run_klippy(
-    program: list[str], workdir: Path, arguments: list[str], log: Path
-) -> tuple[str, float]:
-    """Run a program that starts klippy, such as ``batch``, with a folder and klippy's arguments.
+def run_klippy(program: str, workdir: Path, arguments: list[str], log: Path) -> tuple[str, float]:
+    """Run a module that starts klippy, such as ``batch``, with a folder and klippy's arguments.
 
     Returns klippy's log after the configuration and its last print time in s.
     """
-    # -P keeps this folder's modules out of klippy's way.
-    command = [sys.executable, "-P", *program, str(workdir), *arguments]
     try:
-        result = subprocess.run(
-            command,
-            cwd=workdir,
-            capture_output=True,
-            text=True,
-            timeout=TIMEOUT_S,
-            check=False,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-        )
-    except subprocess.TimeoutExpired as error:
+        result = call(
+            program, [program, str(workdir), *arguments], os.environ,
+            folder=workdir, prepared=BATCH, timeout=TIMEOUT_S,
+        )  # fmt: skip
+    except TimeoutError as error:
         raise _failure(f"still busy after {TIMEOUT_S:.0f} s", _messages(log)) from error
     body = _messages(log)
     finished = re.search(r"^Exiting \(print time ([\d.]+)s\)$", body, re.MULTILINE)
     # A traceback alone does not stop klippy: it plays unreadable input as an empty file.
     if result.returncode or not finished or "Traceback" in body:
-        raise _failure(f"exit status {result.returncode}", body + result.stderr)
+        raise _failure(f"exit status {result.returncode}", body + result.stderr.decode())
     return body, float(finished[1])
 
 

@@ -91,10 +91,14 @@ INSIDE = [name for name in SLICES if name not in ("Cura's meshes", "ideaMaker")]
 
 @cache
 def converted(name: str) -> str:
-    lines = [line.encode() + b"\n" for line in SLICES[name].splitlines()]
+    return converted_text(SLICES[name])
+
+
+def converted_text(text: str) -> str:
+    lines = [line.encode() + b"\n" for line in text.splitlines()]
     conversion = GcodeConversion(lines, load("paper"), Options("racking"))
-    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
-    return text.decode()
+    out = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    return out.decode()
 
 
 @cache

@@ -245,7 +245,7 @@ def test_every_sample_is_played_as_intended(tmp_path: Path) -> None:
 
 @pytest.mark.klipper
 def test_spans_are_played_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(spans, "SECONDS", 4.0)
+    monkeypatch.setattr(spans, "SPAN_S", 4.0)
     check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 6))
 
 

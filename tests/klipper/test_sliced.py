@@ -9,7 +9,7 @@ import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import parsed
+from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.firmware.klipper.code import table_of
 from hframe_post.prediction.best_shaper import error
@@ -37,7 +37,7 @@ def test_errors_as_sliced_are_those_of_the_motion_that_klipper_makes(
     path = np.ascontiguousarray(host.position(t)[:, :2])
     fed = np.diff(host.extruded(t), prepend=0.0) > 0.0
     moving = np.abs(np.diff(path, axis=0, prepend=path[:1])).max(axis=1) > 0.0
-    sliced = SlicedFile.from_items(parsed(lines, paper, Options("none")), paper)
+    sliced = SlicedFile.from_items(Chain(paper, Options("none")).parsed(lines), paper)
     today = sliced.today()
     assert today.shaping is not None
     near(sliced.own.seconds, host.duration, 0.01 * host.duration, "print time, s")

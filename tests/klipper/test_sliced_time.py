@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import parsed
+from hframe_post.conversion.pipeline import Chain
 from hframe_post.firmware.registry import firmware
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.printer.profile import load
@@ -37,7 +37,7 @@ def test_it_has_klippers_cruise_ratio_and_corners_of_lifts(
 ) -> None:
     printer, lines = load("paper"), [*lines[:1], b"G92 X0 Y0 Z0\n", *lines[1:]]
     own = AsSliced(firmware(printer).limits())
-    for item in [*parsed(lines, printer, Options("racking").resolved(printer)), None]:
+    for item in [*Chain(printer, Options("racking").resolved(printer)).parsed(lines), None]:
         list(own.planned(item))
     path = tmp_path / "sliced.gcode"
     path.write_bytes(b"".join(lines))

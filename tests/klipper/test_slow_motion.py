@@ -9,7 +9,7 @@ import hframe_post as hp
 from hframe_post.arrays import Array
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Stages, parsed, prepared
+from hframe_post.conversion.pipeline import Chain, Stages
 from hframe_post.planner import sampling
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer import profile
@@ -78,9 +78,10 @@ def test_samples_do_not_grow_with_the_time_that_slow_lines_take(feed: int) -> No
     lines += [b"G1 X%d E1 F%d\n" % (100 - 40 * (k % 2), feed) for k in range(10)]
     lines += [b"G4 P%d\n" % (1_000_000 / feed), b"G1 E-9 F%d\n" % feed, b"G1 Z9.3 F%d\n" % feed]
     printer, options = profile.load("paper"), Options("racking")
-    stages = Stages(printer, options, prepared(printer), skip_slow=True)
-    planned = plan(parsed(lines, printer, options), printer.limits)
+    chain = Chain(printer, options)
+    stages = Stages(chain, chain.compensator, skip_slow=True)
+    planned = plan(chain.parsed(lines), printer.limits)
     chunks = list(stages.predicted(stages.commands(planned), threads=False))
     seconds = (10 * 40 + 9 + 9) * 60 / feed + 1000 / feed
-    assert stages.summary.duration == pytest.approx(seconds, abs=2.0), "s"
+    assert stages.ledger.duration == pytest.approx(seconds, abs=2.0), "s"
     assert sum(map(len, chunks)) < 60_000

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
+from hframe_post.conversion.conversions import StepConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
-from hframe_post.conversion.tables import StepConversion
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.model.kinematics import TYPES, Differences, Kinematics

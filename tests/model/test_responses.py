@@ -10,7 +10,7 @@ from hframe_post.model.responses import Plants
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.simulation.uncertainty import draws
 from tests.coupled import coupled_plant
-from tests.random_paths import walk
+from tests.paths import walk
 
 
 @pytest.mark.parametrize("coupled", [True, False])

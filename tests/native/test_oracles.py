@@ -10,7 +10,7 @@ from hframe_post.native import contour, digits, ramps, sampling
 from hframe_post.native.lookahead import find_runs
 from hframe_post.printer.settings import Printer
 from tests.native import oracles
-from tests.random_paths import walk
+from tests.paths import walk
 
 SEEDS = range(30)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import FileLimits, Item, Mark, Moves
 from tests.gcode_tools import converted
+from tests.klipper.host import play
 from tests.planner.planning import FREE, cut, moves
 
 COREXY = load("example-corexy")
@@ -41,8 +43,18 @@ def circle(radius: float, speed: float = 30.0, step: float = 0.5) -> Moves:
     return wall(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1), speed)
 
 
+def bands_of(printer: Printer) -> MotorBands:
+    bands = MotorBands.from_profile(printer.speed.avoid, printer.kinematics)
+    assert bands is not None
+    return bands
+
+
 def avoided(block: Moves, printer: Printer = PRINTER) -> Array:
-    (one,) = avoid_bands([block], printer)
+    (one,) = avoid_bands(
+        [block],
+        MotorBands.from_profile(printer.speed.avoid, printer.kinematics),
+        firmware(printer).caps(),
+    )
     assert isinstance(one, Moves)
     return one.speed
 
@@ -87,9 +99,8 @@ def test_no_speed_rises_above_the_files_limits_nor_in_the_first_layer() -> None:
 def test_no_motor_stays_in_a_band_on_a_curve() -> None:
     for bands in [((38.0, 46.0),), ((20.0, 25.0), (38.0, 46.0)), ((35.0, 40.0), (38.0, 44.0))]:
         printer = replace(PRINTER, speed=replace(PRINTER.speed, avoid=bands))
-        known, block = MotorBands.from_printer(printer), circle(20.0)
+        known, block = bands_of(printer), circle(20.0)
         speed = avoided(block, printer)
-        assert known is not None
         assert known.contains(belts(block, block.speed)).mean() > 0.3
         assert not known.contains(belts(block, speed)).any()
         assert speed.max() <= FASTEST * 30.0
@@ -99,7 +110,9 @@ def test_no_motor_stays_in_a_band_on_a_curve() -> None:
 @pytest.mark.parametrize("size", [1, 7, 50])
 def test_speeds_do_not_depend_on_cuts(size: int) -> None:
     block = circle(20.0, step=1.0)
-    parts: list[Item] = [*avoid_bands(cut(block, size), PRINTER)]
+    parts: list[Item] = [
+        *avoid_bands(cut(block, size), bands_of(PRINTER), firmware(PRINTER).caps())
+    ]
     speed = np.concatenate([part.speed for part in parts if isinstance(part, Moves)])
     np.testing.assert_array_equal(speed, avoided(block))
 
@@ -107,7 +120,7 @@ def test_speeds_do_not_depend_on_cuts(size: int) -> None:
 def test_time_in_bands_as_sliced_is_that_of_the_motion() -> None:
     """Against the samples of a conversion that changes nothing, on a path with corners and arcs."""
     lines = gcode(circle(12.0, 42.0), wall([(0, 0), (30, 3), (30, 40), (0, 0)], 50.0))
-    bands = MotorBands.from_printer(PRINTER)
+    bands = bands_of(PRINTER)
     report = converted(lines, PRINTER, Options("none", clamp=False))[1].bands
     assert report is not None
     assert report.before.total == pytest.approx(
@@ -118,7 +131,7 @@ def test_time_in_bands_as_sliced_is_that_of_the_motion() -> None:
     time = AsSliced(firmware(PRINTER).limits(), bands)
     block = circle(12.0, 42.0)
     assert sum(map(len, time.samples([block])))
-    steady = bands and bands.contains(belts(block, block.speed)).mean()
+    steady = bands.contains(belts(block, block.speed)).mean()
     assert time.in_bands.share == pytest.approx(steady, abs=0.02)
     assert report.after.share < 0.3 * report.before.share
     assert report.after.total > TS
@@ -141,3 +154,33 @@ def gcode(*blocks: Moves) -> list[bytes]:
 def test_bands_are_checked(value: str) -> None:
     with pytest.raises(PrinterError, match=r"speed\.avoid"):
         parse(f'extends = "example-corexy"\n[speed]\navoid = {value}\n', "name")
+
+
+# ---------------------------------------------------------------------- on Klipper's host
+
+
+def motor_speeds(file: Path, folder: Path) -> Array:
+    """Return the speeds of A and B (2, n) on the host, every 2 ms while the circle is printed."""
+    playback = play(file, workdir=folder)
+    assert playback.warnings == ()
+    time = np.arange(playback.start, playback.end, 2e-3)
+    extrudes = np.diff(playback.extruded(time)) > 0.0
+    return PRINTER.kinematics.belts(*np.diff(playback.position(time)[:, :2].T) / 2e-3)[:, extrudes]
+
+
+@pytest.mark.slow
+@pytest.mark.klipper
+def test_motors_leave_the_bands_in_as_much_time(tmp_path: Path) -> None:
+    lines = gcode(circle(20.0))
+    text, report = converted(lines, PRINTER, Options("racking"))
+    (sliced := tmp_path / "sliced.gcode").write_bytes(b"".join(lines))
+    (changed := tmp_path / "changed.gcode").write_bytes(text)
+    before, after = motor_speeds(sliced, tmp_path / "a"), motor_speeds(changed, tmp_path / "b")
+    bands = bands_of(PRINTER)
+    assert bands is not None
+    assert report.bands is not None
+    assert bands.contains(before).mean() == pytest.approx(report.bands.before.share, abs=0.03)
+    assert bands.contains(before).mean() > 0.4
+    assert bands.contains(after).mean() == pytest.approx(report.bands.after.share, abs=0.03)
+    assert bands.contains(after).mean() < 0.1
+    assert after.shape[1] < 1.04 * before.shape[1]

@@ -13,8 +13,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
+from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.native.lookahead import greatest_speeds
 from hframe_post.planner.lookahead import Z_SHARE, plan
+from hframe_post.planner.sliced import AsSliced
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     FileLimits,
@@ -354,6 +356,25 @@ def run_ends(planned: list[Plan]) -> dict[int, float]:
         found |= dict(zip((first + p.ends).tolist(), p.speed.tolist(), strict=True))
         first += len(p.line)
     return found
+
+
+def test_batches_give_the_speeds_of_one_plan() -> None:
+    whole = random_moves(3, 3000)
+    at_once, in_parts = run_ends(plans([whole])), run_ends(plans([whole], batch=50))
+    common = at_once.keys() & in_parts.keys()
+    assert len(common) > 0.99 * len(in_parts)
+    for vertex in common:
+        assert in_parts[vertex] == pytest.approx(at_once[vertex], rel=1e-6, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("length", "seconds"), [(100.0, 100.0 / 100.0 + 100.0 / 1e3), (5.0, 2.0 * math.sqrt(5e-3))]
+)
+def test_the_firmwares_own_time_is_that_of_its_ramps(length: float, seconds: float) -> None:
+    own = AsSliced(FirmwareLimits(replace(LIMITS, acceleration=1e3), 1e3, 1e3, 5.0))
+    for item in (moves(line((length, 0, 0, 1))), None):
+        list(own.planned(item))
+    assert own.seconds == pytest.approx(seconds)
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])

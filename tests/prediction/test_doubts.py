@@ -24,8 +24,8 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import smaller
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import rectangle
-from tests.compensation.test_coupled import ORIGIN, strokes
 from tests.modes import coupling_mode, deviation_of_mode
+from tests.paths import ORIGIN, strokes
 from tests.plants import as_response
 
 AXES = ((X, 0.02), (Y, 0.03))  # and their drift

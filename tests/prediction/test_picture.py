@@ -104,7 +104,7 @@ def test_spans_of_a_print_know_their_layers(
     text = [line.encode() + b"\n" for line in lines]
     options = Options("racking", STRATEGIES, picture=True)
     whole = convert(text, None, paper, options).picture
-    monkeypatch.setattr(spans, "SECONDS", 0.5)
+    monkeypatch.setattr(spans, "SPAN_S", 0.5)
     parts = convert(text, None, paper, replace(options, jobs=2)).picture
     assert whole is not None
     assert parts is not None

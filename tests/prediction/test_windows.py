@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_post.conversion.meters import ErrorMeter
+from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.windows import EVERY, WINDOW, Windows
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import smaller
 from hframe_post.stream.types import Samples
-from tests.random_paths import walk
+from tests.paths import walk
 
 WHOLE = 2 * WINDOW
 

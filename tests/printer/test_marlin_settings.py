@@ -196,6 +196,28 @@ READ = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("answer", "edges"),
+    [
+        ("  M211 S1 ; ON\n  Min:  X-5.00 Y0.00 Z0.00   Max:  X235.00 Y232.00 Z283.00",
+         ((-5.0, 235.0), (0.0, 232.0), (0.0, 283.0))),
+        ("echo:Soft endstops: On   Min: X0.00 Y0.00 Z0.00  Max: X220.00 Y210.50 Z250.00",
+         ((0.0, 220.0), (0.0, 210.5), (0.0, 250.0))),
+        ("  M211 S0 ; OFF\n  Min:  X-5.00 Y-5.00 Z0.00   Max:  X300.00 Y300.00 Z400.00", ()),
+        ("echo:Soft endstops: Off  Min: X0.00 Y0.00 Z0.00  Max: X220.00 Y210.50 Z250.00", ()),
+    ],
+)  # fmt: skip
+def test_soft_endstops_are_the_range_of_travel(
+    answers: Path, answer: str, edges: tuple[tuple[float, float], ...]
+) -> None:
+    table = (
+        own := profile(changed(answers, "ok\n>>> M503", f"{answer}\nok\n>>> M503"))
+    ).firmware.marlin
+    assert table is not None
+    assert table.soft_endstops == edges
+    assert (own.travel.x, own.travel.y) == (edges[:2] or ((0.0, 235.0), (0.0, 230.0)))
+
+
 @pytest.mark.parametrize("board", BOARDS)
 def test_answers_of_real_boards(answers: Path, board: str) -> None:
     answers.write_text(BOARDS[board])

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 
 import pytest
 
-from hframe_post.stream.running import DEPTH, StageTimes, prefetch
+from hframe_post.stream.running import PREFETCHED_ITEMS, StageTimes, prefetch
 
 
 @pytest.fixture(autouse=True)
@@ -18,7 +18,7 @@ def no_thread_is_left() -> Iterator[None]:
     assert set(threading.enumerate()) <= before
 
 
-@pytest.mark.parametrize("n", [0, 1, DEPTH, 1000])
+@pytest.mark.parametrize("n", [0, 1, PREFETCHED_ITEMS, 1000])
 def test_items_come_in_order(n: int) -> None:
     assert list(prefetch(range(n))) == list(range(n))
 
@@ -29,14 +29,14 @@ def test_work_is_done_before_it_is_asked_for() -> None:
     def source() -> Iterator[int]:
         for k in range(10):
             made.append(k)
-            if k == DEPTH:
+            if k == PREFETCHED_ITEMS:
                 enough.set()
             yield k
 
     items = prefetch(source())
     assert next(items) == 0
     assert enough.wait(5.0)
-    assert len(made) <= DEPTH + 2
+    assert len(made) <= PREFETCHED_ITEMS + 2
     assert list(items) == list(range(1, 10))
 
 
@@ -49,7 +49,7 @@ def failing(n: int) -> Iterator[int]:
     raise FaultError("after the items")
 
 
-@pytest.mark.parametrize("n", [0, 1, DEPTH, 7])
+@pytest.mark.parametrize("n", [0, 1, PREFETCHED_ITEMS, 7])
 def test_exception_follows_the_items_before_it(n: int) -> None:
     found: list[int] = []
     with pytest.raises(FaultError, match="after the items"):

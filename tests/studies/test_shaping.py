@@ -13,8 +13,8 @@ import pytest
 
 from hframe_post.compensation.shape import shape
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import parsed
-from hframe_post.conversion.sliced_errors import SHAPED, SlicedFile
+from hframe_post.conversion.pipeline import Chain
+from hframe_post.conversion.sliced_errors import SHAPED_PIECES, SlicedFile
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.model.shapers import AxisShaping, Shaping, most_damping, shaper
@@ -33,7 +33,7 @@ from tests.conftest import SAMPLES
 
 def paths(lines: Iterable[bytes], printer: Printer) -> Paths:
     """Pieces of the firmware's own motion."""
-    return SlicedFile.from_items(parsed(lines, printer, Options("none")), printer).paths
+    return SlicedFile.from_items(Chain(printer, Options("none")).parsed(lines), printer).paths
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_pieces_of_a_slice_are_from_all_over_it(paper: Printer) -> None:
     none = Shaping(AxisShaping("zv", 1e5, 0.0), AxisShaping("zv", 1e5, 0.0))
     with (SAMPLES / "cube.gcode").open("rb") as cube:
         pieces = paths(cube, paper)
-    assert SHAPED <= len(pieces) < 2 * SHAPED
+    assert SHAPED_PIECES <= len(pieces) < 2 * SHAPED_PIECES
     assert error(paper.plant, none, pieces).rms > 0.05
 
 

@@ -160,6 +160,7 @@ def test_waiting_passes_as_time_and_lines_at_rest_part_the_steps() -> None:
     assert (ways[ticks <= note.tick] == 1).all()
     assert (ways[ticks > note.tick] == -1).all()
     assert not ((ticks > note.tick) & (ticks <= note.tick + 20 * PER_SAMPLE)).any()
+    assert done.counts.ticks == len(path) * PER_SAMPLE
 
 
 def test_step_that_is_late_still_comes_before_a_line_at_rest() -> None:

@@ -16,7 +16,7 @@ from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import extruder
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
 from hframe_post.printer.new_profile import Known, as_float
-from hframe_post.printer.settings import SMOOTH_TIME, Printer
+from hframe_post.printer.settings import SMOOTH_TIME_S, Printer
 
 CLOSE = 1e-3  # tolerated difference of two numbers
 SHAPES = re.compile(r"^\s*SET_INPUT_SHAPER\b[^\n]*SHAPER_FREQ", re.MULTILINE | re.IGNORECASE)
@@ -107,7 +107,7 @@ def _repeated(config: KlipperConfig, printer: Printer) -> list[tuple[str, float,
         pairs += [
             ("extruder.advance", extrudes.advance, "extruder", "pressure_advance", 0.0),
             ("extruder.smooth_time", extrudes.smooth_time,
-             "extruder", "pressure_advance_smooth_time", SMOOTH_TIME),
+             "extruder", "pressure_advance_smooth_time", SMOOTH_TIME_S),
         ]  # fmt: skip
     return pairs
 

@@ -178,7 +178,8 @@ gcode:
 _CALLS = {
     "PAUSE": ("_HFRAME_LEAVE", "_HFRAME_PAUSE {rawparams}"),
     "RESUME": ("_HFRAME_RESUME {rawparams}", "_HFRAME_RETURN"),
-    "CANCEL_PRINT": ("_HFRAME_LEAVE", _FORGET, "_HFRAME_CANCEL_PRINT {rawparams}"),
+    # the stream's E is relative: the next file may expect what holds after a restart
+    "CANCEL_PRINT": ("_HFRAME_LEAVE", _FORGET, "M82", "_HFRAME_CANCEL_PRINT {rawparams}"),
 }
 
 

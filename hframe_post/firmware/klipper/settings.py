@@ -15,7 +15,7 @@ from hframe_post.printer.new_profile import (
     profile_text,
     sweep,
 )
-from hframe_post.printer.settings import CHIP_NAME, SMOOTH_TIME
+from hframe_post.printer.settings import CHIP_NAME, SMOOTH_TIME_S
 
 KINEMATICS = {  # ours, the safest first, by Klipper's name
     "corexy": ("corexy", "hbot"),
@@ -182,7 +182,7 @@ def _advance(config: KlipperConfig) -> dict[str, Known]:
         return {}
     return {  # also where slicers set the advance: the stream restores the averaging
         "advance": _or(config, "extruder", "pressure_advance", 0.0),
-        "smooth_time": _or(config, "extruder", "pressure_advance_smooth_time", SMOOTH_TIME),
+        "smooth_time": _or(config, "extruder", "pressure_advance_smooth_time", SMOOTH_TIME_S),
     }
 
 

@@ -79,7 +79,8 @@ class Marlin(Firmware):
         """Return what its build reads: one with junction deviation ignores M205 X and Y."""
         table = self.printer.firmware.marlin
         known = table is not None and not table.classic_jerk
-        return replace(self.dialect, has_deviation=known)
+        endstops = table.soft_endstops if table is not None else ()
+        return replace(self.dialect, has_deviation=known, soft_endstops=endstops)
 
     def moves(self) -> MarlinMoves:
         from hframe_post.firmware.marlin.written_moves import MarlinMoves

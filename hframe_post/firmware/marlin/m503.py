@@ -1,4 +1,4 @@
-"""Marlin's settings: saved answers to M503 and M115, and headers of its build.
+"""Marlin's settings: saved answers to M503, M115 and M211, and headers of its build.
 
 A log of any program that talks to the printer will do: what stands before the commands is
 skipped, and a later line replaces an earlier one. Headers are Configuration.h and
@@ -27,6 +27,9 @@ ANSWER = re.compile(r"\bM(92|20[1345]) +[A-Z]-?\d|FIRMWARE_NAME:")
 VERSION = re.compile(
     r"FIRMWARE_NAME:(Marlin (?:bugfix-)?(\d+)\.(\d+)\.(\d+|x)\S*)(?: \((\w+ +\d+ \d+))?"
 )
+XYZ = r" *X *(-?\d+\.?\d*) +Y *(-?\d+\.?\d*) +Z *(-?\d+\.?\d*)"
+ENDSTOPS = re.compile(rf"Min:{XYZ} +Max:{XYZ}")  # the answer to M211
+ENDSTOPS_ON = re.compile(r"\bM211 S1\b|Soft endstops: *On\b", re.IGNORECASE)
 CORNER = r"\{x:(-?\d+\.?\d*),y:(-?\d+\.?\d*)[^}]*\}"
 BY_TOOL = ("M92", "M201", "M203")  # T in these is an extruder
 MONTHS = "JanFebMarAprMayJunJulAugSepOctNovDec"
@@ -142,6 +145,11 @@ class MarlinSettings:
 
     def travel(self) -> dict[str, Known]:
         """Return the ranges of x and y; nothing if no file tells them."""
+        if edges := self.soft_endstops():
+            return {
+                axis: Known(edge, "the answer to M211")
+                for axis, edge in zip("xy", edges, strict=False)
+            }
         for name in ("work", "full"):
             if found := re.search(rf"{name}:\{{min:{CORNER},max:{CORNER}", self._text):
                 x_low, y_low, x_high, y_high = (float(text) for text in found.groups())
@@ -157,6 +165,15 @@ class MarlinSettings:
                 (low, high), f"{axis}_MIN_POS and {axis}_MAX_POS of the build"
             )
         return ranges
+
+    def soft_endstops(self) -> tuple[tuple[float, float], ...]:
+        """Return the ranges of x, y and z that M211 tells; none where it is off or not asked."""
+        found = ENDSTOPS.search(self._text)
+        if found is None or not ENDSTOPS_ON.search(self._text):
+            return ()
+        ends = [float(text) for text in found.groups()]
+        edges = tuple(zip(ends[:3], ends[3:], strict=True))
+        return edges if all(low < high for low, high in edges) else ()
 
     def warnings(self) -> list[str]:
         """Return what the owner must know or change before a print."""
@@ -333,6 +350,8 @@ def _table(settings: MarlinSettings) -> dict[str, Known]:
             table[key] = Known((one, other), f"M494 {letters[0]} and {letters[1]}")
     if as_float(word("M420", "S", 0.0)):
         table["bed_levelling"] = Known(True, "M420 S1, which our own files send after G28")
+    if edges := settings.soft_endstops():
+        table["soft_endstops"] = Known(edges, "the answer to M211")
     return table | _build(settings)
 
 

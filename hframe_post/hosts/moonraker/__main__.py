@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 
 DUTIES = ("upload", "again", "stale", "tidy", "prepare", "conclude", "reuse", "page")
-MEMORY = 1_000_000_000  # bytes of data of a process: 370 MB are the most that any has needed
+MEMORY_BYTES = 1_000_000_000  # bytes of data of a process: 370 MB are the most that any has needed
 
 
 def main(duty: str, settings: str, *words: str) -> int:
@@ -29,7 +29,7 @@ def _stand_back() -> None:
     """Give precedence to Klipper, which may be printing. Holds for all that is started, too."""
     os.nice(10)
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
-    memory = MEMORY if most == resource.RLIM_INFINITY else min(MEMORY, most)
+    memory = MEMORY_BYTES if most == resource.RLIM_INFINITY else min(MEMORY_BYTES, most)
     resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
     with contextlib.suppress(OSError):  # the first that Linux ends if memory runs out
         Path("/proc/self/oom_score_adj").write_text("1000")

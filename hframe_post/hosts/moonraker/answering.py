@@ -18,8 +18,8 @@ from typing import Any
 from .conversion import PAGE, page_of
 from .originals import REFUSAL, Originals, settings_of
 
-PATIENCE = 30.0  # s that an upload waits for its conversion
-LOOK = 1.0  # s between two looks whether the file is in its place
+ANSWER_S = 30.0  # s that an upload waits for its conversion
+LOOK_S = 1.0  # s between two looks whether the file is in its place
 
 
 class Answering:
@@ -38,15 +38,15 @@ class Answering:
 
         A file that waits for another one is in no place yet, and is not answered.
         """
-        name, answered = _name_in(form), time.monotonic() + PATIENCE
+        name, answered = _name_in(form), time.monotonic() + ANSWER_S
         work: asyncio.Future[dict[str, Any]] = asyncio.ensure_future(self._upload(form))
         self._names[work] = name
         work.add_done_callback(self._names.pop)
-        await asyncio.wait({work}, timeout=LOOK)
+        await asyncio.wait({work}, timeout=LOOK_S)
         if not (work.done() or self._is_converted(name)):
             self._say_it_waits(name)
         while not (work.done() or self._is_converted(name)):
-            await asyncio.wait({work}, timeout=LOOK)
+            await asyncio.wait({work}, timeout=LOOK_S)
         await asyncio.wait({work}, timeout=answered - time.monotonic())
         if work.done():
             return work.result()

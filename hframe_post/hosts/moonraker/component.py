@@ -21,11 +21,11 @@ from .originals import STAMP
 
 PROGRAM = str(Path(__file__).resolve().parent)
 CONVERT, CANCEL, STATUS = (f"/server/{NAME}/{word}" for word in ("convert", "cancel", "status"))
-TIMEOUT = 4 * 3600.0  # s, for a process
+PROCESS_S = 4 * 3600.0  # s, for a process
 UPLOADS = ("convert", "leave")
-METADATA = 60.0  # s, in which Moonraker reads those of a file
+METADATA_S = 60.0  # s, in which Moonraker reads those of a file
 MEGABYTE = 1_000_000
-TIDY_AFTER = 5.0  # s after the start, and after files are deleted
+TIDY_S = 5.0  # s after the start, and after files are deleted
 
 
 class HframePost:
@@ -64,7 +64,7 @@ class HframePost:
         processor = {
             "name": NAME,
             "command": [*self._command, "upload", self._words, "{gcode_file_path}"],
-            "timeout": TIMEOUT,
+            "timeout": PROCESS_S,
             "ident": {"regex": f"^{STAMP}", "location": "header"},
         }
         if self._converts:  # otherwise Klipper compensates
@@ -84,7 +84,7 @@ class HframePost:
         server.register_remote_method("hframe_convert", self._convert_typed)
         server.register_event_handler("file_manager:filelist_changed", self._files_changed)
         server.register_event_handler("job_state:state_changed", self._freshness.job_changed)
-        server.get_event_loop().delay_callback(TIDY_AFTER, self._tidy)
+        server.get_event_loop().delay_callback(TIDY_S, self._tidy)
 
     async def close(self) -> None:
         """End the processes, when Moonraker ends. What they leave is removed at its next start."""
@@ -102,7 +102,7 @@ class HframePost:
         )  # fmt: skip
         self._processes[process] = duty
         try:
-            output, _ = await asyncio.wait_for(process.communicate(), TIMEOUT)
+            output, _ = await asyncio.wait_for(process.communicate(), PROCESS_S)
             return process.returncode or 0, output.decode()
         finally:
             del self._processes[process]
@@ -139,7 +139,7 @@ class HframePost:
             with contextlib.suppress(OSError, asyncio.TimeoutError):
                 info = self._files.get_path_info(self._gcodes / name, "gcodes")
                 read = self._storage.parse_metadata(name, info)
-                await asyncio.wait_for(read.wait(), METADATA)
+                await asyncio.wait_for(read.wait(), METADATA_S)
         return status == 0
 
     def cancel(self) -> None:
@@ -224,7 +224,7 @@ class HframePost:
     async def _files_changed(self, changed: dict[str, Any]) -> None:
         if changed["action"].startswith("delete") and not self._tidying:
             self._tidying = True
-            self.server.get_event_loop().delay_callback(TIDY_AFTER, self._tidy)
+            self.server.get_event_loop().delay_callback(TIDY_S, self._tidy)
 
     async def _tidy(self) -> None:
         self._tidying = False

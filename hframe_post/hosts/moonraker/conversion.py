@@ -24,9 +24,9 @@ PERCENT = re.compile(r"(?P<percent>\d+ %) is read")
 SHORT = re.compile(  # also for the stack of a thread
     r"(not enough|lack of|cannot allocate) memory|memory allocation|start new thread", re.IGNORECASE
 )
-WATCH = 0.3  # s between two looks whether the user has deleted the file
+WATCH_S = 0.3  # s between two looks whether the user has deleted the file
 ELSEWHERE = "Convert it on another computer, then upload it again"
-LONGEST = 2.0  # hours that a conversion may take
+MAX_HOURS = 2.0  # hours that a conversion may take
 TITLE = "SLIC3R_PP_OUTPUT_NAME"  # the variable in which slicers tell the name of a temporary file
 
 
@@ -40,7 +40,7 @@ def converted(
     with_page: also write its page next to the target, if that succeeds. The JSON is empty if the
     command writes its own. Raises FailureError with the reason, BeyondError, GoneError.
     """
-    deadline = time.monotonic() + 3600.0 * LONGEST
+    deadline = time.monotonic() + 3600.0 * MAX_HOURS
     arguments = (source, target, name, command, interface, is_gone, deadline)
     if with_page and not any(word.startswith("--report") for word in command):
         with contextlib.suppress(FailureError):  # also of what a page needs more: memory, room
@@ -70,7 +70,7 @@ def _converted(
     if status != 0:
         reason = " ".join(shown[-1:])
         if time.monotonic() > deadline:
-            raise BeyondError(f"its conversion takes more than {LONGEST:g} hours. {ELSEWHERE}")
+            raise BeyondError(f"its conversion takes more than {MAX_HOURS:g} hours. {ELSEWHERE}")
         if SHORT.search(reason):
             raise BeyondError(f"its conversion takes more memory than it may. {ELSEWHERE}")
         if status < 0:
@@ -139,7 +139,7 @@ def _end_if_over(process: subprocess.Popen[str], is_over: Callable[[], bool]) ->
         if is_over() and process.stdin is not None:
             process.stdin.close()
             return
-        time.sleep(WATCH)
+        time.sleep(WATCH_S)
 
 
 # ----------------------------------------------------------------------
@@ -149,7 +149,7 @@ ENDPOINT, PAGE = "/server/hframe_post/report", "/server/hframe_post/page"
 LINK = re.compile(rf"{PAGE}(\?file=[a-z0-9%./~-]+)?")
 # capitals are encoded, too: Fluidd puts links of its own around those that are a command
 PLAIN = frozenset(b"abcdefghijklmnopqrstuvwxyz0123456789./~-")
-QUIET = 5.0  # s between two reports of progress
+PROGRESS_S = 5.0  # s between two reports of progress
 PAGE_SHOWS = "its page shows the predicted error, layer by layer"
 
 
@@ -176,7 +176,7 @@ class Interface:
         self._address, self._name, self._last = address, name, time.monotonic()
 
     def progress(self, text: str) -> None:
-        if time.monotonic() - self._last > QUIET:
+        if time.monotonic() - self._last > PROGRESS_S:
             self.report(text)
 
     def report(self, text: str, failed: bool = False) -> None:
@@ -199,7 +199,7 @@ class Interface:
 # ----------------------------------------------------------------------
 # The section of moonraker.conf, as the component passes it to its processes.
 
-START = 120.0  # s that the shortest command may take, on a slow host that prints
+COMMAND_S = 120.0  # s that the shortest command may take, on a slow host that prints
 
 
 @dataclass(frozen=True)
@@ -238,7 +238,7 @@ class Settings:
 
         It is that of the first line of a file that the command would convert now.
         """
-        lines = said([*self.command, "--stamp"], START)
+        lines = said([*self.command, "--stamp"], COMMAND_S)
         found = [SETTINGS.match(f"{line}\n".encode()) for line in lines]
         for one in found:
             if one is not None:

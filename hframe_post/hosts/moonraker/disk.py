@@ -15,7 +15,7 @@ from typing import IO, Any
 
 NAME = "hframe_post"
 FOLDER = ".hframe_post"  # in the folder of G-code, so that moving a file copies nothing
-SETTLED = 1.0  # s without a change, after which a file is complete
+SETTLED_S = 1.0  # s without a change, after which a file is complete
 
 
 class FailureError(Exception):
@@ -72,7 +72,7 @@ def settle(path: Path) -> None:
     before: tuple[int, ...] | None = None
     while (now := stamp(path)) != before:
         before = now
-        time.sleep(SETTLED)
+        time.sleep(SETTLED_S)
 
 
 def gcode_files(gcodes: Path) -> Iterator[Path]:
@@ -115,9 +115,9 @@ def cause(error: Exception) -> str:
 # so that two hold the last months. A line that a power cut has broken is skipped.
 
 HISTORY = "history"  # a folder in FOLDER
-FULL = 100_000  # bytes of a file, some 600 events
-LONGEST_TEXT = 200  # characters of a name or a reason
-GREATEST = 1e11  # that a figure may be; as seconds since 1970 the year 5138
+HISTORY_BYTES = 100_000  # bytes of a file, some 600 events
+MAX_TEXT_CHARACTERS = 200  # characters of a name or a reason
+MAX_FIGURE = 1e11  # that a figure may be; as seconds since 1970 the year 5138
 BROKEN = (ValueError, TypeError, KeyError, AttributeError)
 
 
@@ -164,11 +164,11 @@ def add(folder: Path, event: Event) -> None:
     """Append an event to the history in a folder. Raises OSError."""
     folder.mkdir(exist_ok=True)
     now, before = _files(folder)
-    texts = {"reason": event.reason[:LONGEST_TEXT], "name": event.name[:LONGEST_TEXT]}
+    texts = {"reason": event.reason[:MAX_TEXT_CHARACTERS], "name": event.name[:MAX_TEXT_CHARACTERS]}
     known = {key: value for key, value in (asdict(event) | texts).items() if value}
     with alone(folder):
         with contextlib.suppress(FileNotFoundError):
-            if now.stat().st_size > FULL:
+            if now.stat().st_size > HISTORY_BYTES:
                 now.replace(before)
         with now.open("ab") as file:
             # a line of its own, also behind one that was broken
@@ -191,11 +191,11 @@ def _files(folder: Path) -> tuple[Path, Path]:
 
 
 def _text(found: Any) -> str:
-    return str(found)[:LONGEST_TEXT]
+    return str(found)[:MAX_TEXT_CHARACTERS]
 
 
 def _numbers(found: Any) -> tuple[float, ...]:
     numbers = tuple(float(each) for each in found)
-    if not all(0.0 <= each < GREATEST for each in numbers):
+    if not all(0.0 <= each < MAX_FIGURE for each in numbers):
         raise ValueError("no figure of ours")
     return numbers

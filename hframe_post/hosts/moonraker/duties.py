@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from .conversion import PAGE_SHOWS, START, Interface, Settings, converted, page_of, said
+from .conversion import COMMAND_S, PAGE_SHOWS, Interface, Settings, converted, page_of, said
 from .disk import (
     BROKEN,
     BeyondError,
@@ -172,7 +172,7 @@ def page(settings: Settings) -> int:
             config = profile.with_name("printer.cfg")
             compared = ["--printer-cfg", str(config)] if config.is_file() else []
             words = ["-p", str(profile), *compared, "--history", str(settings.history)]
-            said([*program, "doctor", *words, "--report", str(made)], START)
+            said([*program, "doctor", *words, "--report", str(made)], COMMAND_S)
         except FailureError as error:  # also if doctor finds a problem
             reason = cause(error)
         if made.exists():

@@ -8,8 +8,8 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-JOB_ENDS = 3600.0  # s
-LOOK = 0.5  # s between two looks at a job
+JOB_S = 3600.0  # s
+LOOK_S = 0.5  # s between two looks at a job
 
 
 class Measuring:
@@ -71,7 +71,7 @@ class Measuring:
             self._say(f"nothing is measured: {error}", True)
             return False
         try:
-            ended = await asyncio.wait_for(self._ended(job), JOB_ENDS)
+            ended = await asyncio.wait_for(self._ended(job), JOB_S)
         except (self._server.error, asyncio.TimeoutError):  # noqa: UP041  Python 3.9
             ended = "interrupted"
         if ended != "complete":
@@ -87,7 +87,7 @@ class Measuring:
                 return "cancelled"  # and forgotten, or another file was begun
             if stats["state"] not in ("standby", "printing", "paused"):
                 return str(stats["state"])
-            await asyncio.sleep(LOOK)
+            await asyncio.sleep(LOOK_S)
 
     def _stats(self) -> dict[str, Any]:
         stats: dict[str, Any] = self._server.lookup_component("job_state").get_last_stats()
@@ -99,7 +99,7 @@ class Measuring:
 
 STALE = ("convert", "print")  # what to do with a file of an older model; the first is the default
 FRESH = ("never", "weekly", "always")  # when to check the printer before a print
-WEEK = 7 * 24 * 3600.0  # s
+WEEK_S = 7 * 24 * 3600.0  # s
 
 
 class Freshness:
@@ -158,4 +158,4 @@ class Freshness:
         except OSError:
             last = 0.0
         age: float = time.time() - last
-        return age > {"never": float("inf"), "weekly": WEEK, "always": 0.0}[self._fresh]
+        return age > {"never": float("inf"), "weekly": WEEK_S, "always": 0.0}[self._fresh]

@@ -23,17 +23,17 @@ STAMP = r"; processed by hframe-post (?P<version>[^\s,]+)"
 SETTINGS = re.compile(
     rb"^; processed by hframe-post .*, settings (?P<settings>[0-9a-f]+)\r?$", re.M
 )
-HEAD = 4096  # bytes of a converted file that tell it from others
-COMMENTS = 1 << 20  # bytes in which Moonraker looks for the stamp; previews may precede it
+HEAD_BYTES = 4096  # bytes of a converted file that tell it from others
+COMMENT_BYTES = 1 << 20  # bytes in which Moonraker looks for the stamp; previews may precede it
 SUFFIX, PAGE_SUFFIX = ".original", ".html"
-LEAST_FREE = 0.05  # of the disk, that kept files leave
-FREE_FOR_PAGE = 100_000_000  # bytes: with less, the converted file may not fit next to it
+FREE_SHARE = 0.05  # of the disk, that kept files leave
+PAGE_BYTES = 100_000_000  # bytes: with less, the converted file may not fit next to it
 
 
 def settings_of(path: Path) -> str:
     """Return the hash of the settings that a file was converted with; empty: it was not."""
     with contextlib.suppress(OSError), path.open("rb") as file:
-        if found := SETTINGS.search(file.read(COMMENTS)):
+        if found := SETTINGS.search(file.read(COMMENT_BYTES)):
             return found["settings"].decode()
     return ""
 
@@ -47,7 +47,7 @@ class Originals:
     def of(self, converted: Path) -> Path:
         """Return the place of a converted file's original. Raises OSError."""
         with converted.open("rb") as file:
-            head, found = file.read(HEAD), os.fstat(file.fileno())
+            head, found = file.read(HEAD_BYTES), os.fstat(file.fileno())
         key = hashlib.sha256(b"%d %d " % (found.st_size, found.st_mtime_ns) + head)
         return self._folder / f"{key.hexdigest()}{SUFFIX}"
 
@@ -108,14 +108,14 @@ class Originals:
 
     def has_room(self) -> bool:
         """Return whether there is room for a page next to what is converted."""
-        return self._most > 0 and not self._is_disk_full(FREE_FOR_PAGE)
+        return self._most > 0 and not self._is_disk_full(PAGE_BYTES)
 
     def _kept(self) -> list[Path]:
         return [path for path in self._folder.iterdir() if path.suffix in (SUFFIX, PAGE_SUFFIX)]
 
     def _is_disk_full(self, least: int = 0) -> bool:
         disk = shutil.disk_usage(self._folder)
-        return disk.free < max(LEAST_FREE * disk.total, least)
+        return disk.free < max(FREE_SHARE * disk.total, least)
 
 
 # ----------------------------------------------------------------------
@@ -129,7 +129,7 @@ class Originals:
 REFUSAL = 'RESTORE_GCODE_STATE NAME="hframe-post: '
 KEPT = b"; hframe-post keeps the sliced file as "  # the line below a refusal that stands alone
 KEPT_NAME = re.compile(rb"[0-9a-f]{64}-[0-9a-f]{16}\.sliced")
-LONGEST = 1 << 16  # bytes of a refusal that stands alone
+MAX_REFUSAL_BYTES = 1 << 16  # bytes of a refusal that stands alone
 CONVERTING = "not converted yet: try again later, or upload the file again"
 INTERRUPTED = "its conversion was interrupted: upload it again"
 
@@ -242,7 +242,7 @@ class Upload:
 def kept_for(path: Path) -> str:
     """Return the name of the kept file that a refusal in its place names; empty: none."""
     with contextlib.suppress(OSError), path.open("rb") as file:
-        refusal, comment, *more = [*file.read(LONGEST).split(b"\n"), b""]
+        refusal, comment, *more = [*file.read(MAX_REFUSAL_BYTES).split(b"\n"), b""]
         name = comment.removeprefix(KEPT)
         if refusal.startswith(REFUSAL.encode()) and comment.startswith(KEPT) and not any(more):
             return name.decode() if KEPT_NAME.fullmatch(name) else ""
@@ -253,7 +253,7 @@ def refusals(gcodes: Path, kept: str) -> Iterator[Path]:
     """Yield the files that stand for a kept file: more than one if one was copied."""
     for path in gcode_files(gcodes):
         with contextlib.suppress(OSError):
-            if path.stat().st_size < LONGEST and kept_for(path) == kept:
+            if path.stat().st_size < MAX_REFUSAL_BYTES and kept_for(path) == kept:
                 yield path
 
 

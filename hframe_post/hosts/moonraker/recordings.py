@@ -25,10 +25,10 @@ WRITING = {  # a command's words before the file of G-code
     "calibration": ("measure", "-q", "--times", "2", "-o"),
     "check": ("check", "--gcode"),
 }
-MINUTES = 15.0 * 60.0  # s that such a command may take on a slow host
+MEASURING_S = 15.0 * 60.0  # s that such a command may take on a slow host
 ENDS_RECORDING = re.compile(r"^ACCELEROMETER_MEASURE CHIP=\S+ NAME=(\S+)$", re.MULTILINE)
-PATIENCE = 120.0  # s for Klipper to write its recordings, which it does in the background
-QUIET = 3.0  # s without a change, after which they are complete
+WRITING_S = 120.0  # s for Klipper to write its recordings, which it does in the background
+QUIET_S = 3.0  # s without a change, after which they are complete
 AXES = {"Gxx": "x", "Gyy": "y"}
 OTHER_PLACE = {
     "X": "Mount the sensor on the print head, then type HFRAME_CALIBRATE AXIS=X",
@@ -53,7 +53,7 @@ def prepare(settings: Settings, kind: str, axis: str = "") -> int:
         if kind == "calibration" or not _is_written(folder, profile):
             command, *words = WRITING[kind]
             target = str(folder / f"{command}.gcode")
-            said([*program, command, "-p", str(profile), *words, target], MINUTES)
+            said([*program, command, "-p", str(profile), *words, target], MEASURING_S)
     except (FailureError, OSError) as error:
         interface.report(f"nothing is measured: {cause(error)}", failed=True)
         return 1
@@ -122,7 +122,7 @@ def _updated(
     words = {"calibration": ["identify", "--report", str(page)], "check": ["check"]}[kind]
     result = ("-p", str(profile), "--json", str(summary), "-o", str(profile))
     try:
-        said([*program, *words, *more, *result, *map(str, inputs)], MINUTES)
+        said([*program, *words, *more, *result, *map(str, inputs)], MEASURING_S)
         known = json.loads(summary.read_text("utf-8"))
     except (FailureError, OSError, ValueError) as error:
         return _refused(settings, kind, error)
@@ -172,7 +172,7 @@ def _recordings(folder: Path, run: str) -> list[Path]:
 def _fetch(settings: Settings, job: Path, began: float) -> None:
     """Copy what Klipper recorded of a job, once it is complete. Raises FailureError, OSError."""
     expected = Counter(ENDS_RECORDING.findall(job.read_text("utf-8")))
-    source, deadline = Path(settings.recordings), time.monotonic() + PATIENCE
+    source, deadline = Path(settings.recordings), time.monotonic() + WRITING_S
     before: dict[Path, int] = {}
     changed = time.monotonic()
     while True:
@@ -184,7 +184,7 @@ def _fetch(settings: Settings, job: Path, began: float) -> None:
         if sizes != before:
             before, changed = sizes, time.monotonic()
         complete = all(len(found[run]) >= count for run, count in expected.items())
-        if complete and time.monotonic() - changed > QUIET:
+        if complete and time.monotonic() - changed > QUIET_S:
             break
         if time.monotonic() > deadline:
             raise FailureError(
@@ -247,7 +247,7 @@ def _checked(found: Mapping[str, Any]) -> Iterator[str]:
 # Recordings that the owner has made with Klipper or Shake&Tune, where these leave them.
 
 RESULTS = ("ShakeTune_results", "K-ShakeTune_results")  # next to printer.cfg; the second until 2024
-SESSION = 24 * 3600.0  # s before the last recording, in which the printer has not changed
+SESSION_S = 24 * 3600.0  # s before the last recording, in which the printer has not changed
 
 
 def found(settings: Settings, profile: Path) -> dict[Path, float]:
@@ -264,7 +264,7 @@ def found(settings: Settings, profile: Path) -> dict[Path, float]:
         with contextlib.suppress(OSError):  # it was deleted meanwhile
             times[path] = path.stat().st_mtime
     last = max(times.values(), default=0.0)
-    return {path: at for path, at in times.items() if at > last - SESSION}
+    return {path: at for path, at in times.items() if at > last - SESSION_S}
 
 
 def offer(settings: Settings, profile: Path) -> str:

@@ -19,7 +19,7 @@ from typing import IO, Any, NamedTuple
 CONVERTED = "; processed by hframe-post"
 REFUSED = ";NOT COMPENSATED: hframe-post failed: "
 COMMENT = "; hframe-post: "
-HEAD = 1 << 20  # bytes; previews may precede the summary
+HEAD_BYTES = 1 << 20  # bytes; previews may precede the summary
 
 
 class Settings(NamedTuple):
@@ -117,7 +117,7 @@ def mark(path: str, reason: str) -> None:
 def summary(path: str) -> dict[str, str] | None:
     """Return what a file's head says of its conversion: a line, and all, or None."""
     with open(path, "rb") as file:
-        head = file.read(HEAD).decode("utf-8", "replace")
+        head = file.read(HEAD_BYTES).decode("utf-8", "replace")
     first = head.partition("\n")[0]
     if first.startswith(REFUSED):
         reason = first[len(REFUSED) :].partition("; ")[0]

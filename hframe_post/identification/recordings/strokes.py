@@ -21,7 +21,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, X, Y
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import planned, sampled
+from hframe_post.conversion.pipeline import Chain
 from hframe_post.errors import LimitError
 from hframe_post.identification.recordings.folder import STROKES
 from hframe_post.identification.recordings.runs import (
@@ -253,8 +253,8 @@ def _sampled(printer: Printer, figures: Sequence[_Figure], start: Array) -> Arra
         lines.append(f"M204 S{figure.acceleration:g}")
         lines += [_line(start + vertex, figure.velocity) for vertex in figure.vertices[1:]]
     options = Options("none")
-    items = planned((f"{line}\n".encode() for line in lines), printer, options)
-    chunks = sampled(items, printer, options)
+    chain = Chain(printer, options)
+    chunks = chain.sampled(chain.planned(f"{line}\n".encode() for line in lines))
     return np.concatenate([chunk.xyze[:, :2] for chunk in chunks if len(chunk)])
 
 

@@ -19,7 +19,7 @@ from hframe_post.errors import GcodeError
 from hframe_post.firmware.dialect import Dialect
 from hframe_post.gcode.batching import MOVES_PER_ITEM, PlainMoves
 from hframe_post.gcode.commands import LIMIT_PARAMETERS, LIMITS, MODAL, MOTION_WORDS, STAMP
-from hframe_post.gcode.curves import check_curve, curve
+from hframe_post.gcode.curves import curve
 from hframe_post.gcode.lexer import Line, Words, command, numbers, parameters
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.state import Extent, State
@@ -119,7 +119,6 @@ class _MotionReader:
         points = [end]
         if name not in ("G0", "G1"):
             try:
-                check_curve(line, name, words, state)
                 points = [
                     (x, y, z, e) for x, y, z, e in curve(line, name, words, state, end).tolist()
                 ]

@@ -16,17 +16,16 @@ from typing import Any
 
 from hframe_post.arrays import TS
 from hframe_post.compensation.shape import LIVE, Shapes, shape
-from hframe_post.conversion.meters import ErrorMeter
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream, parsed
+from hframe_post.conversion.pipeline import Chain, SampleStream
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.firmware.klipper.live import by_itself
-from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.sliced import AsSliced
+from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
@@ -60,12 +59,13 @@ def compare_shapers(
     lines: opens the file and yields its lines, at each call again. plant: on which all are judged;
     they are made for the printer's. Raises HframeError.
     """
-    pieces = SlicedFile.from_items(parsed(lines(), printer, options), printer).paths
+    stages = Chain(printer, options)
+    pieces = SlicedFile.from_items(stages.parsed(lines()), printer).paths
     shapings = {found.x.name: found for found in search(printer.plant, pieces)}
     shapings |= {name + CALIBRATED: calibrated_with(printer.plant, name) for name in KLIPPER}
-    sliced, meter = AsSliced(firmware(printer).limits()), ErrorMeter(plant)
+    sliced, meter = AsSliced(stages.firmware.limits()), ErrorMeter(plant)
     by_firmware: dict[str, Shapes] = {**shapings, **by_itself(printer, LIVE)}
-    today = shape(sliced.samples(parsed(lines(), printer, options)), by_firmware)
+    today = shape(sliced.samples(stages.parsed(lines())), by_firmware)
     ours = SampleStream(lines(), printer, options, tuple(STRATEGIES)[1:])
     for _ in chain(meter.samples(today), meter.samples(ours)):
         pass

@@ -16,17 +16,16 @@ import numpy as np
 from hframe_post.arrays import Integers, Z
 from hframe_post.compensation.guard import check_prediction
 from hframe_post.compensation.shape import SHAPER, shape
-from hframe_post.conversion.meters import JUDGED_EVERY, ErrorMeter
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream, parsed
+from hframe_post.conversion.pipeline import Chain, SampleStream
 from hframe_post.conversion.report import Report, range_as_text
-from hframe_post.firmware.registry import firmware
 from hframe_post.model.kinematics import Differences
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.doubts import Doubts
+from hframe_post.prediction.error_meter import JUDGED_EVERY, ErrorMeter
 from hframe_post.prediction.line_width import Lines
 from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.predict import Judgement, judge, quantise
@@ -248,8 +247,9 @@ def simulate(
     model predicts an error that no working printer has.
     """
     shapings = {} if options.shaping is None else {SHAPER: options.shaping}
-    sliced = AsSliced(firmware(printer).limits())
-    motion = sliced.samples(parsed(lines(), printer, options))
+    chain = Chain(printer, options)
+    sliced = AsSliced(chain.firmware.limits())
+    motion = sliced.samples(chain.parsed(lines()))
     today = _Judged(shape(motion, shapings), printer, study)
     strategies = tuple(name for name in options.strategies if name != "none")
     ours = SampleStream(lines(), printer, replace(options, predict=()), strategies)

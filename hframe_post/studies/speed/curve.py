@@ -15,7 +15,7 @@ from typing import cast
 import numpy as np
 
 from hframe_post.conversion.options import MAX_SPEED_UP, Options
-from hframe_post.conversion.pipeline import parsed
+from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.errors import HframeError
 from hframe_post.model.shapers import Shaping
@@ -81,7 +81,7 @@ def _traced(lines: Source, printer: Printer, options: Options) -> Curve:
     freedom = freedom_of(speed, printer)
     kept = Drive(lines, printer, options, measure, replace(freedom, speed_up=1.0), width < math.inf)
     original, pieces = kept.original(), kept.excerpt()
-    sliced = SlicedFile.from_items(parsed(lines(), printer, options), printer)
+    sliced = SlicedFile.from_items(Chain(printer, options).parsed(lines()), printer)
     shaping = sliced.shaping(printer.plant)
     errors = ExcerptErrors(pieces, printer.plant, options.strategy, shaping, measure)
     own = Point(kept.own_seconds(), 0.0, errors.at(kept, None))

@@ -12,16 +12,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from hframe_post.arrays import TS
-from hframe_post.compensation.stops import StopSolvers
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import (
-    Stages,
-    following,
-    parsed,
-    prepared,
-    sampled,
-    scheduled,
-)
+from hframe_post.conversion.pipeline import Chain, Stages, prepared, stop_solvers
 from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import firmware
@@ -82,7 +74,7 @@ class Drive:
         self._requested = options
         self._options = replace(options, predict=(), clamp=True, paces=None)
         self._compensator = prepared(printer)
-        self._at_stops = StopSolvers(self._compensator, options.strategies, printer)
+        self._at_stops = stop_solvers(Chain(printer, options), self._compensator)
         self.max_acceleration, self._max_corner = printer.fastest_path
 
     def configured(self, settings: SpeedSettings) -> tuple[Printer, Options]:
@@ -148,7 +140,7 @@ class Drive:
                     pass
         except HframeError as error:
             refused = str(error)
-        return sums.trial(stages.summary.clamped.samples, refused)
+        return sums.trial(stages.ledger.clamped.samples, refused)
 
     def print_pieces(
         self, pieces: Iterable[Piece], settings: SpeedSettings | None
@@ -161,14 +153,15 @@ class Drive:
         if settings is not None:
             printer, options = self.configured(settings)
             paces = options.paces
-        stages = Stages(printer, self._options, self._compensator, at_stops=self._at_stops)
+        chain = Chain(printer, self._options)
+        stages = Stages(chain, self._compensator, at_stops=self._at_stops)
 
         def printed() -> Iterator[tuple[Piece, Iterator[Samples]]]:
             for piece in pieces:
                 items = iter(piece.items)
                 items = items if paces is None else pace(items, paces, piece.start)
-                followed = following(printer, piece.advance)
-                yield piece, stages.commands(scheduled(items, printer, piece.start, followed))
+                followed = chain.following(piece.advance)
+                yield piece, stages.commands(chain.scheduled(items, piece.start, followed))
 
         return stages, printed()
 
@@ -229,24 +222,24 @@ class Drive:
     ) -> dict[int, float]:
         printer, options = self.configured(settings)
         assert options.paces is not None
-        planned = scheduled(pace(items, options.paces, start), printer, start)
+        chain = Chain(printer, replace(options, retract="standing"))
+        planned = chain.scheduled(pace(items, options.paces, start), start)
         labels, layers = Labels(replace(start.place), by_name=False), dict[int, float]()
-        for chunk in sampled(planned, printer, replace(options, retract="standing")):
+        for chunk in chain.sampled(planned):
             add_layer_times(layers, labels.number(chunk)[0])
         return layers
 
     def timed(self, settings: SpeedSettings) -> TrialPrint:
         """Return the times of the whole print, planned only: there are no errors."""
         printer, options = self.configured(settings)
-        items = scheduled(self._items(options.paces), printer)
-        sums = self._sums(settings)
-        sums.add_time(sampled(items, printer, replace(options, retract="standing")))
+        chain, sums = Chain(printer, replace(options, retract="standing")), self._sums(settings)
+        sums.add_time(chain.sampled(chain.scheduled(self._items(options.paces))))
         return sums.trial(0)
 
     def own_seconds(self) -> float:
         """Return the duration of the print at the file's own speeds, with the stops of our own."""
-        printer, options = self._printer, replace(self._options, retract="standing")
-        samples = sampled(scheduled(self._items(), printer), printer, options, skip_slow=True)
+        chain = Chain(self._printer, replace(self._options, retract="standing"))
+        samples = chain.sampled(chain.scheduled(self._items()), skip_slow=True)
         return TS * max((chunk.end for chunk in samples), default=0)
 
     def original(self) -> Original:
@@ -271,7 +264,7 @@ class Drive:
 
     def _read(self) -> Iterator[Item]:
         kept, moves = list[Item](), 0
-        for item in parsed(self._lines(), self._printer, self._options):
+        for item in Chain(self._printer, self._options).parsed(self._lines()):
             moves += len(item.line) if isinstance(item, Moves) else 1
             if moves <= MOST_KEPT:
                 kept.append(item)

@@ -15,17 +15,19 @@ import numpy as np
 
 from hframe_post.arrays import TS, Z
 from hframe_post.compensation.guard import check_model, max_deviation
-from hframe_post.conversion.meters import Clock, ErrorMeter
+from hframe_post.conversion.ledger import SampleNotes
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Stages, planned, sampled
+from hframe_post.conversion.pipeline import Chain, Stages
 from hframe_post.model.kinematics import Differences, Kinematics
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.doubts import Doubts
+from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Compensation, Motors, Printer
 from hframe_post.stream.chunks import branches
+from hframe_post.stream.features import Place
 from hframe_post.stream.types import Planned, Samples
 
 KNOTS = (5, 8, 10, 20)  # L, samples between knots
@@ -121,17 +123,17 @@ def tune(
 
     stops: settings to try in the same pass, if the profile's own window can be used.
     """
-    check_model(printer)
+    check_model(printer.plant, printer.compensation.windows, printer.travel, printer.limits)
     try:
         usual = Compensator(printer.plant, printer.compensation.windows)
         stops = list(stops)
     except ValueError:  # of the profile's window, which may be why it is tuned
         stops = []
-    items, *others = branches(planned(lines, printer, options), 1 + len(stops))
+    items, *others = branches(Chain(printer, options).planned(lines), 1 + len(stops))
     in_step = [
         _stopped(trial, usual, each, printer) for trial, each in zip(stops, others, strict=True)
     ]
-    return tried(sampled(items, printer, options), printer, grid, drawn, in_step)
+    return tried(Chain(printer, options).sampled(items), printer, grid, drawn, in_step)
 
 
 def tried(
@@ -142,7 +144,7 @@ def tried(
 
     in_step: iterators that are advanced in the same pass, a chunk at a time.
     """
-    check_model(printer)
+    check_model(printer.plant, printer.compensation.windows, printer.travel, printer.limits)
     trials = [Trial(windows) for windows in grid]
     compensators: list[tuple[Trial, Compensator]] = []
     for trial in trials:
@@ -186,7 +188,7 @@ def _tried(
     trial: Trial, compensator: Compensator, samples: Iterable[Samples], printer: Printer,
     drawn: list[Plant],
 ) -> Iterator[None]:  # fmt: skip
-    commands = Stages(printer, RACKING, compensator).compensated(samples)
+    commands = Stages(Chain(printer, RACKING), compensator).compensated(samples)
     doubts = None if drawn else Doubts.from_plant(printer.plant)
     meters = [ErrorMeter(printer.plant, doubts=doubts), *map(ErrorMeter, drawn)]
     streams = branches(_rated(commands, trial, printer.kinematics), len(meters))
@@ -204,9 +206,9 @@ def _stopped(
     trial: StopsTrial, compensator: Compensator, items: Iterable[Planned], printer: Printer
 ) -> Iterator[None]:
     printer = replace(printer, compensation=replace(printer.compensation, stops=trial.name))
-    samples = sampled(items, printer, RACKING)
-    commands = Stages(printer, RACKING, compensator).compensated(samples)
-    clock, meter = Clock(), ErrorMeter(printer.plant)
+    samples = Chain(printer, RACKING).sampled(items)
+    commands = Stages(Chain(printer, RACKING), compensator).compensated(samples)
+    clock, meter = SampleNotes("racking", Place(), None), ErrorMeter(printer.plant)
     for _ in meter.samples(clock.samples(commands)):
         yield
     trial.samples, trial.resting, trial.contour = clock.end, clock.resting, _contour(meter)

@@ -1,0 +1,374 @@
+"""What a conversion notes: a ledger of its lines, items, plans and samples, and who writes it.
+
+``FileNotes`` and ``SampleNotes`` let a stream pass. Each span of a print has a ledger of its own;
+``joined`` makes one of all. The report of a conversion reads the ledger alone.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, E, Flags, Z, lengths
+from hframe_post.compensation.advance import AdvanceSummary
+from hframe_post.compensation.clamp import Clamped
+from hframe_post.compensation.guard import Peaks
+from hframe_post.firmware.dialect import object_label
+from hframe_post.model.kinematics import Differences
+from hframe_post.planner.bands import OUTER_WALL, MotorBands, TimeInBands
+from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics, Labels
+from hframe_post.printer.settings import Limits
+from hframe_post.stream.features import Place, kind
+from hframe_post.stream.tally import tallied
+from hframe_post.stream.types import (
+    Dwell,
+    Item,
+    MoveAtRest,
+    Moves,
+    Passthrough,
+    Plan,
+    Planned,
+    Rest,
+    Samples,
+)
+from hframe_post.writers.gcode import GcodeSummary
+from hframe_post.writers.print_time import duration, times_of
+
+if TYPE_CHECKING:
+    from hframe_post.prediction.picture import Picture
+
+WIPED_MM = 8.0  # of filament at most; long tubes retract 6 mm, and less in motion
+ROUNDED_S = 60.0  # by which a time left may rise: M73 has whole minutes
+MEASURED_TOGETHER = 4096  # moves
+MOST_CAUSES = 200  # bounds the memory of odd files
+_RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
+
+
+@dataclass(slots=True)
+class FileTally:
+    """What a file holds: lines, moves at known positions, filament (mm).
+
+    firmware_retractions: G10 and G11 lines whose motion only the firmware knows. oddities: what is
+    strange in the file, the first of each kind with its line, by kind.
+    """
+
+    lines: int = 0
+    moves: int = 0
+    filament: float = 0.0
+    firmware_retractions: int = 0
+    oddities: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Uncompensated:
+    """Moves that are not compensated for one reason: their number, path and filament in mm."""
+
+    moves: int = 0
+    path: float = 0.0
+    filament: float = 0.0
+
+
+@dataclass(slots=True)
+class Limited:
+    """Path (mm) on which one limit is lower than another, and the range of that limit."""
+
+    path: float = 0.0
+    least: float = tallied(math.inf, min)
+    greatest: float = tallied(0.0, max)
+
+    def add(self, where: Flags, path: Array, limit: Array) -> None:
+        """Add the moves ``where`` (n,) it applies: their path (n,) and their limit (n,)."""
+        if where.any():
+            self.path += float(path[where].sum())
+            self.least = min(self.least, float(limit[where].min()))
+            self.greatest = max(self.greatest, float(limit[where].max()))
+
+
+@dataclass(slots=True)
+class PathTally:
+    """Path and filament of all travel (mm), what is not compensated, and what limits the speed.
+
+    acceleration (mm/s²) and corner (mm/s): limited by the file, or by the pace that was set for an
+    allowed error; speed (mm/s): limited by the profile.
+    """
+
+    path: float = 0.0
+    filament: float = 0.0
+    uncompensated: dict[str, Uncompensated] = field(default_factory=dict)
+    acceleration: Limited = field(default_factory=Limited)
+    corner: Limited = field(default_factory=Limited)
+    speed: Limited = field(default_factory=Limited)
+
+    @property
+    def path_share(self) -> float:
+        """Return the share of the path that is not compensated."""
+        path = sum(part.path for part in self.uncompensated.values())
+        return path / self.path if self.path else 0.0
+
+    @property
+    def extrusion_share(self) -> float:
+        """Return the share of the filament, laid while travelling, that is not compensated."""
+        filament = sum(part.filament for part in self.uncompensated.values())
+        return filament / self.filament if self.filament else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class StepTally:
+    """What a step file holds: rows, ticks of its clock, steps by motor."""
+
+    rows: int
+    ticks: int
+    clock_hz: float
+    motors: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ledger:
+    """What a conversion noted; mm and s.
+
+    Of the file: read, path. Of its plans: ramps, the motion if nothing limited its jerk; slowed,
+    the share of the path that is slower so that the motors can follow; following, the share of the
+    lines that accelerate less for the extruder, and the least of these accelerations. As sliced:
+    sliced_s, as the firmware plays it, and sliced_bands; elsewhere, an estimate for moves from
+    unknown places, in neither time.
+
+    Of the samples: their number; resting, those added at stops; judged, those whose errors were
+    predicted; fed, most filament in one stretch; filament_out; peaks; clamped; advancing, pressure
+    advance; in_bands, outer walls and what of them a motor spends in a band that it avoids; contour
+    and width, errors by strategy; picture, if one was asked for; metered, sums of the options'
+    meters.
+
+    Of the output: written, steps. seconds: processor time by stage.
+    """
+
+    read: FileTally = field(default_factory=FileTally)
+    path: PathTally = field(default_factory=PathTally)
+    ramps: float = 0.0
+    slowed: float = 0.0
+    following: tuple[float, float] | None = None
+    sliced_s: float = 0.0
+    elsewhere: float = 0.0
+    sliced_bands: TimeInBands | None = None
+    samples: int = 0
+    resting: int = 0
+    judged: int = 0
+    fed: float = tallied(0.0, max)
+    filament_out: float = 0.0
+    peaks: Peaks = field(default_factory=Peaks)
+    clamped: Clamped = field(default_factory=Clamped)
+    advancing: AdvanceSummary = field(default_factory=AdvanceSummary)
+    in_bands: TimeInBands = field(default_factory=TimeInBands)
+    contour: dict[str, ContourErrors] = field(default_factory=dict)
+    width: dict[str, ErrorStatistics] = field(default_factory=dict)
+    picture: Picture | None = field(default=None, compare=False, repr=False)
+    metered: Any = field(default=None, compare=False, repr=False)
+    written: GcodeSummary = field(default_factory=GcodeSummary)
+    steps: StepTally | None = None
+    seconds: dict[str, float] = field(default_factory=dict, compare=False)
+
+    @property
+    def duration(self) -> float:
+        """Return how long the motion takes."""
+        return self.samples * TS
+
+
+class Meters(Protocol):
+    """Makes a meter of a study for each span of a print; ``place`` is where the span begins."""
+
+    def begun(self, place: Place) -> Meter: ...
+
+
+class Meter(Protocol):
+    """Measures commands. sums: what it saw, which ``joined`` joins with those of the next span."""
+
+    sums: Any
+
+    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]: ...
+
+
+class FileNotes:
+    """Notes a file: its lines, its items as read and at their pace, and their plans.
+
+    label: see ``Dialect``. limits: of the profile, with which those of the moves are compared.
+    """
+
+    def __init__(self, label: Callable[[bytes], bytes | None], limits: Limits) -> None:
+        self.read, self.ramps = FileTally(), 0.0
+        self._label, self._limits, self._path = label, limits, PathTally()
+        # by form, EXCLUDE_OBJECT or M486: the object that is printed, and where it began
+        self._open = dict[bool, tuple[bytes, int]]()
+        self._times = dict[str, float]()  # s, that the file said last
+        self._waiting, self._count = list[Moves](), 0  # moves that are measured together
+
+    @property
+    def path(self) -> PathTally:
+        """Return what is known of the path so far."""
+        self._measure()
+        return self._path
+
+    def lines(self, lines: Iterable[bytes]) -> Iterator[bytes]:
+        for self.read.lines, line in enumerate(lines, 1):
+            if line[:1] != b"G":  # few are not moves
+                self._look(self.read.lines, line)
+            yield line
+        for counted in self._open:
+            self._check_closed(counted)
+
+    def _look(self, number: int, line: bytes) -> None:
+        """Note a label that leaves an object open, and a time left that rises."""
+        label = None if line.lstrip()[:1] == b";" else self._label(line)  # hosts close comments'
+        if label is not None:
+            counted = object_label(line) is not None
+            if label and not counted:  # M486 ends the object before
+                self._check_closed(False)
+            self._open[counted] = (b"" if label == b"-1" else label), number
+        for clock, seconds in times_of(line).items():
+            before = self._times.get(clock, math.inf)
+            if clock not in ("all", "gone") and seconds > before + ROUNDED_S:
+                self.note(
+                    "time", f"the time left rises from {duration(before)} to {duration(seconds)} "
+                    f"at line {number}, as sliced. Was the file put together from several?"
+                )  # fmt: skip
+            if seconds:  # start code may say 0 before the slicer does
+                self._times[clock] = seconds
+
+    def _check_closed(self, counted: bool) -> None:
+        name, number = self._open.get(counted, (b"", 0))
+        if name:
+            self.note(
+                "object", f"line {number} begins an object that nothing ends, as sliced: who "
+                "excludes it may lose what follows, such as the end code"
+            )  # fmt: skip
+
+    def note(self, kind: str, text: str) -> None:
+        """Keep the first oddity of a kind."""
+        self.read.oddities.setdefault(kind, text)
+
+    def items(self, items: Iterable[Item]) -> Iterator[Item]:
+        """Note items as they were read."""
+        read = self.read
+        for item in items:
+            if isinstance(item, Moves):
+                read.moves += len(item.line)
+                read.filament += float(item.points[-1, E] - item.points[0, E])
+                if "filament" not in read.oddities:
+                    self._look_for_wipes(item)
+            elif isinstance(item, MoveAtRest):
+                read.moves += 1
+                read.filament += item.end[E] - item.start[E]
+            else:
+                read.filament += item.filament
+                read.firmware_retractions += _RETRACTION.match(item.text) is not None
+            yield item
+
+    def _look_for_wipes(self, moves: Moves) -> None:
+        fed = np.diff(moves.points[:, E])
+        if fed.min() < -WIPED_MM:
+            k = int((fed < -WIPED_MM).argmax())
+            self.note(
+                "filament", f"line {moves.line[k]} takes back {-fed[k]:.1f} mm of filament while "
+                "it moves, as sliced. Is a G92 E0 or M83 missing before it?"
+            )  # fmt: skip
+
+    def paced(self, items: Iterable[Item]) -> Iterator[Item]:
+        """Note the path of items at their pace, and what limits it."""
+        for item in items:
+            if isinstance(item, Moves):
+                self._waiting.append(item)
+                self._count += len(item.line)
+                if self._count >= MEASURED_TOGETHER:
+                    self._measure()
+            elif isinstance(item, Passthrough) and item.cause:
+                self._add_uncompensated(item)
+            yield item
+
+    def _measure(self) -> None:
+        if not self._waiting:
+            return
+        limits, path, waiting = self._limits, self._path, self._waiting
+        delta = np.concatenate([moves.points[1:] - moves.points[:-1] for moves in waiting])
+        length = lengths(delta[:, :E])
+        path.path += float(length.sum())
+        path.filament += float(np.maximum(delta[:, E], 0.0).sum())
+        speed, acceleration, corner = (
+            np.concatenate([getattr(moves, name) for moves in waiting])
+            for name in ("speed", "acceleration", "corner")
+        )
+        end = 0
+        for moves in waiting:
+            of = slice(end, end := end + len(moves.line))
+            moves.limits.lower(speed[of].copy(), acceleration[of], moves.points)
+        path.acceleration.add(acceleration < limits.acceleration, length, acceleration)
+        path.corner.add(corner < limits.square_corner_velocity, length, corner)
+        path.speed.add(speed > limits.velocity, length, np.full(len(length), limits.velocity))
+        self._waiting, self._count = [], 0
+
+    def _add_uncompensated(self, move: Passthrough) -> None:
+        causes, filament = self._path.uncompensated, max(move.filament, 0.0) if move.path else 0.0
+        known = move.cause in causes or len(causes) < MOST_CAUSES
+        part = causes.setdefault(move.cause if known else "others", Uncompensated())
+        part.moves += 1
+        part.path += move.path
+        part.filament += filament
+        self._path.path += move.path
+        self._path.filament += filament
+
+    def plans(self, plans: Iterable[Planned]) -> Iterator[Planned]:
+        """Note the time of plans if nothing limited their jerk."""
+        for item in plans:
+            if isinstance(item, Plan):
+                self.ramps += float(item.seconds.sum())
+            yield item
+
+
+class SampleNotes:
+    """Notes samples on their way to the output.
+
+    strategy: whose commands count. place: where in the print the first chunk begins. bands: that
+    the motors avoid, if any.
+    """
+
+    def __init__(self, strategy: str, place: Place, bands: MotorBands | None) -> None:
+        self._strategy, self._bands, self._labels = strategy, bands, Labels(replace(place))
+        self.end = self.resting = 0
+        self.fed = self.filament = 0.0
+        self.in_bands = TimeInBands()
+        self._begun: float | None = None  # filament at the beginning of the stretch
+        self._last = 0.0  # filament at its last sample
+        self._rates: Differences | None = None
+
+    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
+        for chunk in chunks:
+            self.end = chunk.end
+            if len(chunk):
+                first, last = chunk.xyze[[0, -1], E].tolist()
+                if self._begun is None:
+                    self._begun = self._last = first
+                self.filament += last - self._last
+                self.fed, self._last = max(self.fed, last - self._begun), last
+            for event in chunk.events:
+                if isinstance(event, Rest):
+                    self.resting += event.samples
+                elif isinstance(event, Dwell) and isinstance(event.action, Passthrough):
+                    self.filament += event.action.filament
+            if self._bands is not None:
+                self._note_bands(chunk, self._bands)
+            if chunk.ends_stretch:
+                self._begun = self._rates = None
+            yield chunk
+
+    def _note_bands(self, chunk: Samples, bands: MotorBands) -> None:
+        """Note how long motors are in the bands that they avoid, while outer walls are printed."""
+        self._rates = self._rates or Differences(bands.kinematics)
+        _, feature = self._labels.number(chunk)
+        walls = [n for n, name in enumerate(self._labels.features) if kind(name) == OUTER_WALL]
+        outer = np.isin(feature, walls)
+        command = chunk.commands.get(self._strategy, chunk.xyze[:, :Z])
+        inside = bands.contains(self._rates.rates(command).belt_velocity)
+        self.in_bands.total += TS * np.count_nonzero(outer)
+        self.in_bands.inside += TS * np.count_nonzero(outer & inside)
