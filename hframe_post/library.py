@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
@@ -40,14 +40,13 @@ from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.predict import contour_error as off_path
 from hframe_post.printer import profile
-from hframe_post.printer.settings import STOPS, Printer
+from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:
     from hframe_post.studies.simulation.simulate import SimulationReport
     from hframe_post.studies.speed.curve import Curve
-    from hframe_post.studies.tuning.tune import StopsTrial, Trial
 
 DEFAULT = Options()
 SHAPED_LINES = 20_000  # of a file, from which a page's input shaper is chosen; 2 % off at most
@@ -228,7 +227,10 @@ def simulate(
     return report
 
 
-def speed_curve(source: Source, printer: Printer, options: Options = DEFAULT) -> Curve:
+def speed_curve(
+    source: Source, printer: Printer, options: Options = DEFAULT,
+    progress: Callable[[float], object] | None = None,
+) -> Curve:  # fmt: skip
     """Return how long a print takes within each error, and what limits its speed.
 
     source: is read several times. options: limits and extrusion, which say how it is read. Raises
@@ -239,56 +241,8 @@ def speed_curve(source: Source, printer: Printer, options: Options = DEFAULT) ->
     if options.max_width_error is not None:
         speed = replace(printer.speed, max_width_error=options.max_width_error)
         printer, options = replace(printer, speed=speed), replace(options, max_width_error=None)
-    return curve(Input(source).again, printer, replace(options, predict=()).resolved(printer))
-
-
-@dataclass(frozen=True, slots=True)
-class Tuning:
-    """Every candidate that was tried, and the recommended one: None if the motors follow none.
-
-    stops: the settings of ``compensation.stops``, with their print times.
-    """
-
-    trials: tuple[Trial, ...]
-    best: Trial | None
-    stops: tuple[StopsTrial, ...] = ()
-
-
-@one_blas_thread()
-def tune(
-    source: Source,
-    printer: Printer,
-    options: Options = DEFAULT,
-    *,
-    knots: Iterable[int] | None = None,
-    efforts: Iterable[float] | None = None,
-    model_error: float | None = None,
-    draws: int = 10,
-    seed: int = 0,
-) -> Tuning:
-    """Recommend window and weight for this printer and this kind of print.
-
-    options: limits and extrusion, which say how the source is read.
-    knots: L, samples between knots; efforts: λ of x; None: a wide choice. Each pair is judged on
-    the model and on ``draws`` random printers that differ from it by up to ``model_error``, by
-    default ``model_uncertainty``. A model that says how well it is known needs none of them, unless
-    model_error is given. Recommended is the gentlest of those that are about as good as
-    the best that the motors can follow. Raises HframeError, OSError.
-    """
-    from hframe_post.studies.simulation.uncertainty import draws as drawn
-    from hframe_post.studies.tuning import tune as tuning
-
-    grid = tuning.candidates(
-        printer.compensation, knots or tuning.KNOTS, tuple(efforts or tuning.EFFORTS)
-    )
-    draws = 0 if model_error is None and is_doubtful(printer) else draws
-    share = model_uncertainty(printer) if model_error is None else model_error
-    plants = drawn(printer.plant, share, draws, seed)
-    options = replace(options, strategy="racking", clamp=False)
-    stops = tuple(tuning.StopsTrial(name) for name in STOPS)
-    trials = tuning.tune(Input(source).lines(), printer, grid, plants, options, stops)
-    tried = tuple(trial for trial in stops if trial.samples)
-    return Tuning(tuple(trials), tuning.recommended(trials, printer.motors), tried)
+    resolved = replace(options, predict=()).resolved(printer)
+    return curve(Input(source).again, printer, resolved, progress)
 
 
 def is_doubtful(printer: Printer) -> bool:
