@@ -329,7 +329,8 @@ class PlannedFile:
         noted = {each.name: getattr(ledger, each.name) for each in fields(Ledger)}
         return Report(
             **noted | {"contour": contour, "width": width}, strategy=options.strategy,
-            shaping=shaping, couples=bool(printer.plant.couplings), predicted_sliced=share,
+            shaping=shaping, predicted_sliced=share,
+            couples=printer.kinematics.racks and bool(printer.plant.couplings),
             notices=tuple(printer.warnings()) if options.strategy != "none" else (),
             plastic=self._plastic(ledger), other_tools=printer.firmware.other_tools,
             bands=_bands(ledger, printer.speed.avoid),

@@ -439,7 +439,7 @@ class Report(Ledger):
         elif ours > NO_GAIN * shaper:
             text = (
                 "the best input shaper does as well: use it instead "
-                "('hframe-post tune --shaper' prints its settings)"
+                "('hframe-post simulate --shapers' prints its settings)"
             )
         else:
             return []
