@@ -77,7 +77,7 @@ belt_acceleration = 31113       # 31113 (√2 × 22000, which compensation may n
     edited(own, "\n[steps]", motors)
     old = load(str(own))
     assert (old.limits.deceleration, old.limits.jerk) == (math.inf, 2e6)
-    assert old.stated == Motors()
+    assert old.motors.stated == Motors()
 
 
 def test_again_it_changes_nothing_and_says_what_differs(config: Path) -> None:
@@ -288,7 +288,7 @@ def test_klipper_itself_compensates_where_it_is_found(config: Path, moonraker: P
         assert (klipper / ".git/info/exclude").read_text() == "/klippy/extras/hframe_live\n"
         assert config.read_text().count("\n[hframe_live]\nkernel: printer.kernel\n") == 1
         assert conf.read_text().count("[hframe_post]\nuploads: leave\n") == 1
-    assert read(config.with_name("printer.kernel").read_bytes()).names["kinematics"] == "corexy"
+    assert read(config.with_name("printer.kernel").read_bytes())["kinematics"] == "corexy"
     said = run(
         "doctor", "-p", config.with_name("printer.toml"), "--printer-cfg", config
     ).stdout.decode()
