@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -160,27 +160,11 @@ def convert(
         if page is not None:
             options = _pictured(options, given, printer, printer.plant)
         written = files.Target(outputs, output, given.path) if target is not None else None
-        if options.speed is not None:
-            from hframe_post.studies.speed.report import with_speed
-            from hframe_post.studies.speed.search import find_fastest
-
-            def converted(printer: Printer, options: Options) -> Report:
-                nonlocal progress
-                lines, progress = given.lines(progress), None  # once, if there are several trials
-                return files.convert(lines, written, printer, options)
-
-            fastest = find_fastest(given.again, printer, options, converted)
-            printer, options = fastest.printer, fastest.options
-            report = with_speed(fastest)
-        else:
-            report = files.convert(given.lines(progress), written, printer, options)
+        report, printer, options = _converted(given, written, printer, options, progress)
         if page_file is not None:
-            from hframe_post.page.build import page as print_page
-
             name = title or (given.path.name if given.path else "print")
-            summary = report.summary(notes).splitlines()
             release_memory()
-            page_file.write(print_page(report, given.again(), printer, options, name, summary))
+            _write_page(page_file, report, given, printer, options, name, report.summary(notes))
     return report
 
 
@@ -238,11 +222,8 @@ def simulate(
     with ExitStack() as opened:
         report = simulation.simulate(lines, printer, options, study)
         if page is not None:
-            from hframe_post.page.build import page as print_page
-
-            outputs = outputs or opened.enter_context(Outputs([]))
-            html = print_page(report, given.again(), printer, options, title, [*notes])
-            outputs.open(Path(page)).write(html)
+            file = (outputs or opened.enter_context(Outputs([]))).open(Path(page))
+            _write_page(file, report, given, printer, options, title, "\n".join(notes))
     return report
 
 
@@ -275,6 +256,39 @@ def model_uncertainty(printer: Printer) -> float:
 
 
 # ---------------------------------------------------------------------- arguments
+
+
+def _converted(
+    given: Input, target: files.Target | None, printer: Printer, options: Options,
+    progress: Callable[[int], object] | None,
+) -> tuple[Report, Printer, Options]:  # fmt: skip
+    """Convert at the file's speeds, or as fast as the greatest error allows.
+
+    Return the report, and the printer and options with which the file was converted.
+    """
+    if options.speed is None:
+        return files.convert(given.lines(progress), target, printer, options), printer, options
+    from hframe_post.studies.speed.report import with_speed
+    from hframe_post.studies.speed.search import find_fastest
+
+    shown = [progress]  # once, if there are several trials
+
+    def converted(printer: Printer, options: Options) -> Report:
+        lines = given.lines(shown.pop() if shown else None)
+        return files.convert(lines, target, printer, options)
+
+    fastest = find_fastest(given.again, printer, options, converted)
+    return with_speed(fastest), fastest.printer, fastest.options
+
+
+def _write_page(
+    file: IO[bytes], report: Report, given: Input, printer: Printer, options: Options, title: str,
+    summary: str,
+) -> None:  # fmt: skip
+    from hframe_post.page.build import page
+
+    lines = summary.splitlines()
+    file.write(page(report, given.again(), printer, options, title, lines))
 
 
 def _check_read_once(page: str | Path | None, options: Options) -> None:

@@ -19,9 +19,9 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def lines() -> list[bytes]:
-    """The first five layers of a cube."""
+    """The first eight layers of a cube."""
     all_lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
-    return all_lines[: all_lines.index(b";LAYER:5\n")]
+    return all_lines[: all_lines.index(b";LAYER:8\n")]
 
 
 @pytest.fixture(scope="module")
