@@ -195,7 +195,7 @@ class MarlinSettings:
         if not self.planner:
             found.append(
                 f'the firmware\'s version is not known, so planner = "{ASSUMED}" is assumed. Add '
-                "the answer to M115, or find out with 'hframe-post calibrate-marlin'"
+                "the answer to M115, or find out with 'hframe-post measure --for planner'"
             )
         return found
 
