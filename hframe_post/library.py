@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,8 +45,8 @@ from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:
-    from hframe_post.studies.simulation.simulate import SimulationReport
-    from hframe_post.studies.speed.curve import Curve
+    from hframe_post.studies.simulation import SimulationReport
+    from hframe_post.studies.speed_curve import Curve
 
 DEFAULT = Options()
 SHAPED_LINES = 20_000  # of a file, from which a page's input shaper is chosen; 2 % off at most
@@ -160,27 +160,11 @@ def convert(
         if page is not None:
             options = _pictured(options, given, printer, printer.plant)
         written = files.Target(outputs, output, given.path) if target is not None else None
-        if options.speed is not None:
-            from hframe_post.studies.speed.report import with_speed
-            from hframe_post.studies.speed.search import find_fastest
-
-            def converted(printer: Printer, options: Options) -> Report:
-                nonlocal progress
-                lines, progress = given.lines(progress), None  # once, if there are several trials
-                return files.convert(lines, written, printer, options)
-
-            fastest = find_fastest(given.again, printer, options, converted)
-            printer, options = fastest.printer, fastest.options
-            report = with_speed(fastest)
-        else:
-            report = files.convert(given.lines(progress), written, printer, options)
+        report, printer, options = _converted(given, written, printer, options, progress)
         if page_file is not None:
-            from hframe_post.page.build import page as print_page
-
             name = title or (given.path.name if given.path else "print")
-            summary = report.summary(notes).splitlines()
             release_memory()
-            page_file.write(print_page(report, given.again(), printer, options, name, summary))
+            _write_page(page_file, report, given, printer, options, name, report.summary(notes))
     return report
 
 
@@ -210,8 +194,8 @@ def simulate(
     motor steps first. page, title, notes, outputs, progress: as in ``convert``. The source is read
     twice; one that can be read only once is kept in memory. Raises HframeError, OSError.
     """
-    from hframe_post.studies.simulation import simulate as simulation
-    from hframe_post.studies.simulation.uncertainty import draws as drawn
+    from hframe_post.studies import simulation
+    from hframe_post.studies.uncertainty import draws as drawn
 
     if steps and printer.steps is None:
         raise PrinterError("the table is missing: whole steps need it", "steps", printer.name)
@@ -238,11 +222,8 @@ def simulate(
     with ExitStack() as opened:
         report = simulation.simulate(lines, printer, options, study)
         if page is not None:
-            from hframe_post.page.build import page as print_page
-
-            outputs = outputs or opened.enter_context(Outputs([]))
-            html = print_page(report, given.again(), printer, options, title, [*notes])
-            outputs.open(Path(page)).write(html)
+            file = (outputs or opened.enter_context(Outputs([]))).open(Path(page))
+            _write_page(file, report, given, printer, options, title, "\n".join(notes))
     return report
 
 
@@ -255,7 +236,7 @@ def speed_curve(
     source: is read several times. options: limits and extrusion, which say how it is read. Raises
     HframeError, OSError.
     """
-    from hframe_post.studies.speed.curve import curve
+    from hframe_post.studies.speed_curve import curve
 
     if options.max_width_error is not None:
         speed = replace(printer.speed, max_width_error=options.max_width_error)
@@ -275,6 +256,38 @@ def model_uncertainty(printer: Printer) -> float:
 
 
 # ---------------------------------------------------------------------- arguments
+
+
+def _converted(
+    given: Input, target: files.Target | None, printer: Printer, options: Options,
+    progress: Callable[[int], object] | None,
+) -> tuple[Report, Printer, Options]:  # fmt: skip
+    """Convert at the file's speeds, or as fast as the greatest error allows.
+
+    Return the report, and the printer and options with which the file was converted.
+    """
+    if options.speed is None:
+        return files.convert(given.lines(progress), target, printer, options), printer, options
+    from hframe_post.studies.speed_search import find_fastest, with_speed
+
+    shown = [progress]  # once, if there are several trials
+
+    def converted(printer: Printer, options: Options) -> Report:
+        lines = given.lines(shown.pop() if shown else None)
+        return files.convert(lines, target, printer, options)
+
+    fastest = find_fastest(given.again, printer, options, converted)
+    return with_speed(fastest), fastest.printer, fastest.options
+
+
+def _write_page(
+    file: IO[bytes], report: Report, given: Input, printer: Printer, options: Options, title: str,
+    summary: str,
+) -> None:  # fmt: skip
+    from hframe_post.page.build import page
+
+    lines = summary.splitlines()
+    file.write(page(report, given.again(), printer, options, title, lines))
 
 
 def _check_read_once(page: str | Path | None, options: Options) -> None:

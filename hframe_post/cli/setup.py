@@ -262,7 +262,8 @@ def _summary(source: Source, profile: Printer, target: str, kind: Known) -> Iter
         yield f"                 for {shown}: {command}"
     own = f"{limits.velocity:g} mm/s, {limits.acceleration:g} mm/s²"
     yield f"path             {own}, or what a file sets"
-    how = "stated" if profile.stated is None else "guessed, more for files that ask for more"
+    known = profile.motors == profile.motors.stated
+    how = "stated" if known else "guessed, more for files that ask for more"
     yield (
         f"belts            at most {motors.belt_velocity:g} mm/s, {motors.belt_acceleration:g} "
         f"mm/s² ({how});"

@@ -231,9 +231,9 @@ class Report(Ledger):
     @property
     def time(self) -> PrintTime:
         """Return the duration of the print."""
-        return PrintTime(
-            self.sliced_s, self.duration, self.ramps, TS * self.resting, self.slowed
-        )  # fmt: skip
+        before, after = self.sliced_s + self.elsewhere, self.duration + self.elsewhere
+        ramps = self.ramps + self.elsewhere
+        return PrintTime(before, after, ramps, TS * self.resting, self.slowed)
 
     @property
     def predicted(self) -> float:

@@ -77,7 +77,7 @@ belt_acceleration = 31113       # 31113 (√2 × 22000, which compensation may n
     edited(own, "\n[steps]", motors)
     old = load(str(own))
     assert (old.limits.deceleration, old.limits.jerk) == (math.inf, 2e6)
-    assert old.stated == Motors()
+    assert old.motors.stated == Motors()
 
 
 def test_again_it_changes_nothing_and_says_what_differs(config: Path) -> None:

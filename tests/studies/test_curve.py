@@ -10,8 +10,7 @@ from hframe_post.conversion.options import Options
 from hframe_post.library import convert, speed_curve
 from hframe_post.page.speed_page import speed_page
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.speed.curve import Curve
-from hframe_post.studies.speed.curve_report import curve_as_json, curve_as_text, recommended
+from hframe_post.studies.speed_curve import Curve, curve_as_json, curve_as_text, recommended
 from tests.conftest import SAMPLES
 
 pytestmark = pytest.mark.slow
@@ -19,9 +18,9 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def lines() -> list[bytes]:
-    """The first five layers of a cube."""
+    """The first eight layers of a cube."""
     all_lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
-    return all_lines[: all_lines.index(b";LAYER:5\n")]
+    return all_lines[: all_lines.index(b";LAYER:8\n")]
 
 
 @pytest.fixture(scope="module")
