@@ -265,7 +265,7 @@ def test_mistakes_are_errors(tmp_path: Path) -> None:
         (("--heat", "warm"), 2, b"nozzle and bed"),
         ((), 2, b"give the temperatures of your filament"),
         (("--compare", "6%", "--pick", "0", "0"), 2, b"give one of"),
-        (("--compare", "6%"), 1, b"not measured on your printer"),
+        (("--compare", "6%"), 1, b"not measured yet"),
         (("--advance", "0.04"), 2, b"--advance is gone: write extruder.advance"),
         (("--advance-lines", "0.1"), 2, b"--advance-lines is gone: slicers print"),
     ):
