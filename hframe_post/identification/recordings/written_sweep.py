@@ -23,9 +23,8 @@ import numpy as np
 from hframe_post.arrays import Array, Integers
 from hframe_post.errors import LimitError
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.motion import SPARED
+from hframe_post.firmware.motion import SPARED, WrittenMoves
 from hframe_post.firmware.registry import firmware
-from hframe_post.firmware.written_moves import WrittenMoves
 from hframe_post.gcode.commands import OFF
 from hframe_post.identification.recordings.runs import (
     APPROACH,
