@@ -2,7 +2,7 @@ PYTHON ?= python3
 # Without bytecode, each process that a test starts would compile the package again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: check lint test bytes slow hosts programs debian docs results bench fuzz guided random-printers audit
+.PHONY: check lint test bytes slow hosts programs debian docs results bench fuzz guided audit
 
 # both at once: mypy needs one core for as long as a sixth of the tests take on two
 check:
@@ -85,9 +85,6 @@ GUIDED ?= -max_total_time=1800
 guided:
 	@$(PYTHON) -c 'import atheris' 2>/dev/null || { echo "pip install -e '.[fuzz]' first"; exit 1; }
 	for each in $(TARGETS); do $(PYTHON) -m tests.fuzz.guided $$each $(GUIDED) || exit 1; done
-
-random-printers:
-	$(PYTHON) -m tests.identification.random_printers $(RANDOM_PRINTERS)
 
 audit:
 	@$(PYTHON) -c 'import bandit, pip_audit' 2>/dev/null || { echo "pip install -e '.[audit]' first"; exit 1; }

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
         load_printer,
         predict,
         simulate,
-        tune,
     )
     from hframe_post.model.impulse_response import ImpulseResponse
     from hframe_post.model.lpfbs import Lpfbs, Window
@@ -54,7 +53,6 @@ __all__ = [
     "load_printer",
     "predict",
     "simulate",
-    "tune",
 ]
 
 _ROOMS = {  # name → module, and the name in it if that differs
@@ -76,7 +74,6 @@ _ROOMS = {  # name → module, and the name in it if that differs
     "load_printer": "library",
     "predict": "library",
     "simulate": "library",
-    "tune": "library",
 }
 
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,14 +40,13 @@ from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.predict import contour_error as off_path
 from hframe_post.printer import profile
-from hframe_post.printer.settings import STOPS, Printer
+from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:
     from hframe_post.studies.simulation.simulate import SimulationReport
     from hframe_post.studies.speed.curve import Curve
-    from hframe_post.studies.tuning.tune import StopsTrial, Trial
 
 DEFAULT = Options()
 SHAPED_LINES = 20_000  # of a file, from which a page's input shaper is chosen; 2 % off at most
@@ -161,27 +160,11 @@ def convert(
         if page is not None:
             options = _pictured(options, given, printer, printer.plant)
         written = files.Target(outputs, output, given.path) if target is not None else None
-        if options.speed is not None:
-            from hframe_post.studies.speed.report import with_speed
-            from hframe_post.studies.speed.search import find_fastest
-
-            def converted(printer: Printer, options: Options) -> Report:
-                nonlocal progress
-                lines, progress = given.lines(progress), None  # once, if there are several trials
-                return files.convert(lines, written, printer, options)
-
-            fastest = find_fastest(given.again, printer, options, converted)
-            printer, options = fastest.printer, fastest.options
-            report = with_speed(fastest)
-        else:
-            report = files.convert(given.lines(progress), written, printer, options)
+        report, printer, options = _converted(given, written, printer, options, progress)
         if page_file is not None:
-            from hframe_post.page.build import page as print_page
-
             name = title or (given.path.name if given.path else "print")
-            summary = report.summary(notes).splitlines()
             release_memory()
-            page_file.write(print_page(report, given.again(), printer, options, name, summary))
+            _write_page(page_file, report, given, printer, options, name, report.summary(notes))
     return report
 
 
@@ -239,15 +222,15 @@ def simulate(
     with ExitStack() as opened:
         report = simulation.simulate(lines, printer, options, study)
         if page is not None:
-            from hframe_post.page.build import page as print_page
-
-            outputs = outputs or opened.enter_context(Outputs([]))
-            html = print_page(report, given.again(), printer, options, title, [*notes])
-            outputs.open(Path(page)).write(html)
+            file = (outputs or opened.enter_context(Outputs([]))).open(Path(page))
+            _write_page(file, report, given, printer, options, title, "\n".join(notes))
     return report
 
 
-def speed_curve(source: Source, printer: Printer, options: Options = DEFAULT) -> Curve:
+def speed_curve(
+    source: Source, printer: Printer, options: Options = DEFAULT,
+    progress: Callable[[float], object] | None = None,
+) -> Curve:  # fmt: skip
     """Return how long a print takes within each error, and what limits its speed.
 
     source: is read several times. options: limits and extrusion, which say how it is read. Raises
@@ -258,56 +241,8 @@ def speed_curve(source: Source, printer: Printer, options: Options = DEFAULT) ->
     if options.max_width_error is not None:
         speed = replace(printer.speed, max_width_error=options.max_width_error)
         printer, options = replace(printer, speed=speed), replace(options, max_width_error=None)
-    return curve(Input(source).again, printer, replace(options, predict=()).resolved(printer))
-
-
-@dataclass(frozen=True, slots=True)
-class Tuning:
-    """Every candidate that was tried, and the recommended one: None if the motors follow none.
-
-    stops: the settings of ``compensation.stops``, with their print times.
-    """
-
-    trials: tuple[Trial, ...]
-    best: Trial | None
-    stops: tuple[StopsTrial, ...] = ()
-
-
-@one_blas_thread()
-def tune(
-    source: Source,
-    printer: Printer,
-    options: Options = DEFAULT,
-    *,
-    knots: Iterable[int] | None = None,
-    efforts: Iterable[float] | None = None,
-    model_error: float | None = None,
-    draws: int = 10,
-    seed: int = 0,
-) -> Tuning:
-    """Recommend window and weight for this printer and this kind of print.
-
-    options: limits and extrusion, which say how the source is read.
-    knots: L, samples between knots; efforts: λ of x; None: a wide choice. Each pair is judged on
-    the model and on ``draws`` random printers that differ from it by up to ``model_error``, by
-    default ``model_uncertainty``. A model that says how well it is known needs none of them, unless
-    model_error is given. Recommended is the gentlest of those that are about as good as
-    the best that the motors can follow. Raises HframeError, OSError.
-    """
-    from hframe_post.studies.simulation.uncertainty import draws as drawn
-    from hframe_post.studies.tuning import tune as tuning
-
-    grid = tuning.candidates(
-        printer.compensation, knots or tuning.KNOTS, tuple(efforts or tuning.EFFORTS)
-    )
-    draws = 0 if model_error is None and is_doubtful(printer) else draws
-    share = model_uncertainty(printer) if model_error is None else model_error
-    plants = drawn(printer.plant, share, draws, seed)
-    options = replace(options, strategy="racking", clamp=False)
-    stops = tuple(tuning.StopsTrial(name) for name in STOPS)
-    trials = tuning.tune(Input(source).lines(), printer, grid, plants, options, stops)
-    tried = tuple(trial for trial in stops if trial.samples)
-    return Tuning(tuple(trials), tuning.recommended(trials, printer.motors), tried)
+    resolved = replace(options, predict=()).resolved(printer)
+    return curve(Input(source).again, printer, resolved, progress)
 
 
 def is_doubtful(printer: Printer) -> bool:
@@ -321,6 +256,39 @@ def model_uncertainty(printer: Printer) -> float:
 
 
 # ---------------------------------------------------------------------- arguments
+
+
+def _converted(
+    given: Input, target: files.Target | None, printer: Printer, options: Options,
+    progress: Callable[[int], object] | None,
+) -> tuple[Report, Printer, Options]:  # fmt: skip
+    """Convert at the file's speeds, or as fast as the greatest error allows.
+
+    Return the report, and the printer and options with which the file was converted.
+    """
+    if options.speed is None:
+        return files.convert(given.lines(progress), target, printer, options), printer, options
+    from hframe_post.studies.speed.report import with_speed
+    from hframe_post.studies.speed.search import find_fastest
+
+    shown = [progress]  # once, if there are several trials
+
+    def converted(printer: Printer, options: Options) -> Report:
+        lines = given.lines(shown.pop() if shown else None)
+        return files.convert(lines, target, printer, options)
+
+    fastest = find_fastest(given.again, printer, options, converted)
+    return with_speed(fastest), fastest.printer, fastest.options
+
+
+def _write_page(
+    file: IO[bytes], report: Report, given: Input, printer: Printer, options: Options, title: str,
+    summary: str,
+) -> None:  # fmt: skip
+    from hframe_post.page.build import page
+
+    lines = summary.splitlines()
+    file.write(page(report, given.again(), printer, options, title, lines))
 
 
 def _check_read_once(page: str | Path | None, options: Options) -> None:

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from types import FrameType
 from typing import TextIO
 
@@ -31,6 +32,20 @@ def processor_count() -> int:
 def own_command() -> list[str]:
     """Return the first words of a command that runs this tool in another process."""
     return [sys.executable, "-m", "hframe_post"]
+
+
+def program_words() -> list[str]:
+    """Return the words by which another program runs this tool: its installed command, if any."""
+    for name in ("hframe-post", "hframe-post.exe"):
+        if (installed := Path(sys.executable).parent / name).is_file():
+            return [str(installed)]
+    return own_command()
+
+
+def program() -> str:
+    """Return these words as one text: a path, or a command with quotes."""
+    python, *rest = program_words()
+    return " ".join((f'"{python}"', *rest)) if rest else python
 
 
 class ChildProcess:

@@ -127,7 +127,6 @@ def test_mistakes_in_arguments_are_value_errors_of_the_tool(paper: Printer) -> N
         lambda: hp.Lpfbs(paper.plant.Gxx, paper.compensation.windows[0]).command(np.zeros((5, 2))),
         lambda: hp.Options(limits="non"),  # type: ignore[arg-type]
         lambda: hp.simulate([b"G1 X1\n"], paper, model_error=(5,)),
-        lambda: hp.tune([b"G1 X1\n"], paper, knots=(0,)),
     ):
         with pytest.raises(hp.HframeError) as raised:
             mistake()
@@ -198,11 +197,3 @@ def test_simulate_judges_every_strategy_and_drawn_printers(paper: Printer) -> No
     assert (five.share, twenty.share) == (0.05, 0.2)
     assert len(five.rms("racking")) == 3
     assert max(five.rms("racking")) < max(twenty.rms("racking"))
-
-
-def test_tune_recommends_among_what_it_tried(paper: Printer) -> None:
-    tuned = hp.tune(RECTANGLE, paper, knots=(5,), efforts=(30.0, 96.0), draws=1)
-    assert [trial.windows[0].effort for trial in tuned.trials] == [30.0, 96.0]
-    assert tuned.best in tuned.trials
-    weak = replace(paper, motors=replace(paper.motors, belt_velocity=10.0))
-    assert hp.tune(RECTANGLE, weak, knots=(5,), efforts=(96.0,), draws=0).best is None

@@ -67,7 +67,7 @@ def converts(program: Path, folder: Path) -> None:
     here = [sys.executable, "-m", "hframe_post", str(cube), "-q", "-o", str(folder / "here.gcode")]
     subprocess.run(here, check=True)
     assert (folder / "cube.gcode").read_bytes() == (folder / "here.gcode").read_bytes()
-    batch: list[str | Path] = [program, "batch", rectangle, "-q", "-d", folder / "out"]
+    batch: list[str | Path] = [program, "batch", rectangle, "-q", "-o", folder / "out"]
     subprocess.run(batch, check=True, env=environ, cwd=folder)
     assert b"; processed by hframe-post" in (folder / "out" / rectangle.name).read_bytes()
 

@@ -173,15 +173,13 @@ class _Filtered:
 
         p_P: past control points of the axis that drives this one.
         """
-        state = self._past.state.copy()
-        left = self._past.run(self._nothing)
-        self._past.state[:] = state
-        return left + self.N_P @ p_P
+        known = np.append(self._past.state, self._nothing)
+        return self._past.output(known, self._nothing) + self.N_P @ p_P
 
     def advance(self, p_P: Array, p_C: Array) -> Array:
         """Advance the state over the kept control points; return their command (stride,)."""
         u = self._kept_P @ p_P + self._kept_C @ p_C[: self._n_up]
-        self._past.advance(u)
+        self._past.run(u)
         return np.asarray(u)
 
     def keep(self, p_C: Array) -> None:

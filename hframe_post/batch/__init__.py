@@ -1,1 +1,1 @@
-"""Conversion of many files, in processes here or on a cluster."""
+"""Conversion of many files, in processes of their own."""

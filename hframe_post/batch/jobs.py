@@ -1,4 +1,4 @@
-"""The conversion of the files of a batch, in processes of their own.
+"""The files of a batch, and their conversion in processes of their own.
 
 What happens to one file (a crash, lack of memory) cannot affect another, and the bytes are those
 of a single conversion.
@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Event
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError
@@ -31,7 +31,7 @@ class Job:
     """A file to convert and its state.
 
     seconds: duration; error: one line; line: the one in the source that it names; summary: the
-    JSON summary of ``convert``; worker: address of the cluster's worker that converted it.
+    JSON summary of ``convert``.
     """
 
     source: Path
@@ -41,7 +41,6 @@ class Job:
     error: str = ""
     line: int | None = None
     summary: dict[str, Any] = field(default_factory=dict)
-    worker: str = ""
 
     @property
     def finished(self) -> bool:
@@ -50,7 +49,7 @@ class Job:
     def as_json(self) -> dict[str, Any]:
         entries = {
             "source": str(self.source), "target": str(self.target), "state": self.state,
-            "seconds": round(self.seconds, 3), "worker": self.worker, "error": self.error,
+            "seconds": round(self.seconds, 3), "error": self.error,
             "line": self.line, "summary": self.summary,
         }  # fmt: skip
         return {name: value for name, value in entries.items() if value not in ("", None, {})}
@@ -132,8 +131,8 @@ class Conversion(ChildProcess):
         return Outcome(*self.wait(), time.monotonic() - self._start)
 
 
-class LocalProcesses:
-    """Conversion of several files at a time on this machine, which share its processors."""
+class Converter:
+    """Converts several files at a time, which share this machine's processors."""
 
     def __init__(self, files: int | None, printer: str, options: Options) -> None:
         processors = processor_count()
@@ -156,25 +155,10 @@ class LocalProcesses:
         return outcome.update(job)
 
     def stop(self) -> None:
+        """Start no more conversions, and stop those that are running."""
         self._stopped = True
         for conversion in list(self._running):
             conversion.stop()
-
-
-class Converter(Protocol):
-    """Where files are converted, ``files`` at a time, each from a thread that waits for it."""
-
-    @property
-    def files(self) -> int: ...
-
-    def convert(self, job: Job) -> Job:
-        """Convert one file; return its job as done, failed or stopped.
-
-        A bad file raises nothing.
-        """
-
-    def stop(self) -> None:
-        """Start no more conversions, and stop those that are running."""
 
 
 def run(jobs: list[Job], converter: Converter, stop: Event) -> Iterator[Job]:
@@ -217,28 +201,40 @@ def _converted(job: Job, converter: Converter, stop: Event) -> Job | None:
 MOST_COMMENTS = 1 << 20  # bytes; previews may precede the first line of ours
 
 
-def with_targets(sources: Iterable[Path], folder: Path) -> list[tuple[Path, Path]]:
-    """Return the files to convert, each with its target in ``folder``.
+def with_targets(
+    sources: Iterable[Path], folder: Path
+) -> tuple[list[tuple[Path, Path]], list[Path]]:
+    """Return the files to convert, each with its target in ``folder``, and packed ones left out.
 
     Of a folder these are the files of G-code in it and its subfolders, whose structure is kept.
     Raises HframeError for a folder without G-code, and OSError for one that cannot be read.
     """
     found: list[tuple[Path, Path]] = []
+    packed = list[Path]()
     for source in sources:
         if not source.is_dir():
+            if _is_packed(source.name):
+                raise HframeError(f"{source} is packed: unpack it first, with gunzip")
             found.append((source, folder / source.name))
             continue
-        files = _gcode_in(source, folder, _raise)
+        files = _gcode_in(source, folder, packed, _raise)
         if not files:
             raise HframeError(f"{source} holds no G-code ({', '.join(NAMES)})")
         found += [(path, folder / path.relative_to(source)) for path in files]
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(found)), packed
 
 
-def _gcode_in(folder: Path, without: Path, on_error: Callable[[OSError], object]) -> list[Path]:
+def _is_packed(name: str) -> bool:
+    return name.lower().endswith(".gz") and is_gcode_name(name[: -len(".gz")])
+
+
+def _gcode_in(
+    folder: Path, without: Path, packed: list[Path], on_error: Callable[[OSError], object]
+) -> list[Path]:
     """Return the files of G-code in a folder and its subfolders, without hidden ones.
 
-    without: a subfolder that is left out, too: the one of the output.
+    without: a subfolder that is left out, too: the one of the output. packed: gets those that are
+    compressed.
     """
     found, left_out = [], without.resolve()
     for place, folders, names in os.walk(folder, onerror=on_error):
@@ -247,8 +243,9 @@ def _gcode_in(folder: Path, without: Path, on_error: Callable[[OSError], object]
             for name in folders
             if not name.startswith(".") and Path(place, name).resolve() != left_out
         )
-        shown = (name for name in sorted(names) if is_gcode_name(name) and name[0] != ".")
-        found += [Path(place, name) for name in shown]
+        shown = [name for name in sorted(names) if name[0] != "."]
+        found += [Path(place, name) for name in shown if is_gcode_name(name)]
+        packed += [Path(place, name) for name in shown if _is_packed(name)]
     return found
 
 
@@ -268,7 +265,7 @@ def jobs_for(files: Sequence[tuple[Path, Path]], first_line: bytes) -> list[Job]
         place = target.resolve()
         if place in inputs:
             raise HframeError(
-                f"{target} would replace the input {inputs[place]}: choose another --directory"
+                f"{target} would replace the input {inputs[place]}: choose another --output"
             )
         if place in taken:
             raise HframeError(

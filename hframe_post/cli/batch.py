@@ -1,8 +1,7 @@
-"""``hframe-post batch``: convert many files, here or on a cluster."""
+"""``hframe-post batch``: convert many files."""
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Iterable, Sequence
 from itertools import chain
@@ -12,16 +11,7 @@ from typing import Any
 
 import click
 
-from hframe_post.batch.cluster import Cluster
-from hframe_post.batch.jobs import (
-    Converter,
-    Job,
-    LocalProcesses,
-    State,
-    jobs_for,
-    run,
-    with_targets,
-)
+from hframe_post.batch.jobs import Converter, Job, State, jobs_for, run, with_targets
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     chosen_printer,
@@ -41,69 +31,61 @@ from hframe_post.writers.outputs import Outputs
 CLEAR_LINE = "\r\x1b[K"
 
 
-def address(text: str) -> str:
-    if not re.fullmatch(r"[a-z+]+://\S+:\d+", text):
-        raise click.BadParameter(f"{text!r} is not an address such as tcp://farm:8786")
-    return text
-
-
 @click.command()
 @click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True),
                 metavar="[FILE|FOLDER]...")  # fmt: skip
 @click.option(
-    "-d", "--directory", "folder", required=True, type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for the converted files, which keep their names, and the subfolders of a FOLDER.",
+    "-o", "--output", "folder", required=True, type=click.Path(path_type=Path, file_okay=False),
+    metavar="FOLDER", help="Folder for the converted files.",
 )  # fmt: skip
 @click.option(
-    "-j", "--jobs", type=click.IntRange(1, 256),
-    help="Files to convert at a time. Default: one per processor, or per thread of the cluster.",
+    "-j", "--jobs", type=click.IntRange(1, 256), metavar="N",
+    help="Files at a time. Default: one per processor.",
 )  # fmt: skip
 @printer_option
 @conversion_options("strategy", "limits", "clamp", "force")
 @click.option(
     "--resume", is_flag=True,
-    help="Skip files that have been converted with the same settings and have not changed since.",
+    help="Skip files that are converted already.",
 )  # fmt: skip
 @old_option("--watch", "name the folder with --resume, for example from cron")
-@click.option(
-    "--scheduler", type=address, metavar="tcp://HOST:PORT",
-    help="Convert on the workers of a Dask cluster; files are sent to them and fetched back. Needs "
-    "dask.distributed.",
-)  # fmt: skip
+@old_option("--scheduler", "run 'hframe-post batch' on each machine with its share of the files")
+@old_option("-d", "-o names the folder")
+@old_option("--directory", "-o names the folder")
 @json_option
 @help_all_option
 @click.option("-q", "--quiet", is_flag=True, help="Print no progress and no summary.")
 @click.pass_context
 def batch(
     context: click.Context, sources: tuple[Path, ...], folder: Path, jobs: int | None,
-    printer: str, options: Options, resume: bool, scheduler: str | None,
+    printer: str, options: Options, resume: bool,
     json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert files, and all G-code in folders. A file that fails does not stop the others.
 
-    Exit status: 0 if every file is converted, 1 if some failed, 2 for wrong usage. Ctrl-C stops it
-    with the summary of what was done until then, and status 130.
+    --resume goes on: it skips what was converted with the same settings and has not changed since.
+    Exit status: 0 if every file is converted, 1 if some failed, 2 for wrong usage.
 
     \b
     Examples:
-      hframe-post batch jobs/*.gcode -d out/ -p my.toml --resume
-      hframe-post batch jobs/ -d out/
-      hframe-post batch jobs/*.gcode -d out/ --scheduler tcp://farm:8786
+      hframe-post batch jobs/ -o out/
+      hframe-post batch jobs/*.gcode -o out/ -p my.toml --resume
     """
     profile = load(printer)
     stamped = first_line(profile, options.resolved(profile))
     if options.strategy != "none" and not options.force:
         check_identified(profile)
     try:
-        todo = jobs_for(with_targets(sources, folder), stamped if resume else b"")
+        files, packed = with_targets(sources, folder)
+        todo = jobs_for(files, stamped if resume else b"")
     except HframeError as error:
         raise click.UsageError(str(error)) from None
     folder.mkdir(parents=True, exist_ok=True)
-    converter: Converter = LocalProcesses(jobs, printer, options)
-    if scheduler is not None:
-        converter = Cluster(scheduler, jobs, printer, options, stamped)
+    converter = Converter(jobs, printer, options)
     compensates = (options.strategy or profile.compensation.strategy) != "none"
     results = Results(quiet, chosen_printer().why, profile.warnings() if compensates else [])
+    for path in packed:
+        results.say(f"WARNING {path} is packed, so it is not converted: unpack it with gunzip")
     interruption = Interruption()
     with Outputs(files_read(*(job.source for job in todo), printer)) as outputs:
         write_json = open_json(outputs, json_file)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
+from hframe_post.cli.measure import FILE
 from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import (
     files_read,
@@ -19,7 +20,6 @@ from hframe_post.cli.options import (
     say,
     share,
 )
-from hframe_post.cli.sweep import FILE
 from hframe_post.errors import HframeError
 from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.profile import check_identified, load

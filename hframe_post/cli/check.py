@@ -1,4 +1,4 @@
-"""``hframe-post check``: what has drifted since the profile was identified."""
+"""``hframe-post check``: what has drifted since a profile was identified, and whether it helps."""
 
 from __future__ import annotations
 
@@ -9,22 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hframe_post.cli.json_summary import json_option, open_json
-from hframe_post.cli.model_output import ModelOutput
-from hframe_post.cli.options import (
-    files_read,
-    old_option,
-    printer_option,
-    say,
-)
-from hframe_post.cli.sweep import (
-    chips_option,
-    next_steps,
+from hframe_post.cli.json_summary import json_option
+from hframe_post.cli.model_output import (
+    Findings,
+    ModelOutput,
+    profile_option,
+    publish,
     recordings_argument,
-    write_motion,
 )
+from hframe_post.cli.options import files_read, old_option, page_option, printer_option
 from hframe_post.errors import IdentificationError, PrinterError
 from hframe_post.printer.profile import check_identified, load
+from hframe_post.printer.settings import Verified
 from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that takes a second
@@ -35,91 +31,97 @@ if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that t
 @click.command()
 @recordings_argument
 @printer_option
-@click.option(
-    "--gcode", type=click.Path(path_type=Path, dir_okay=False), metavar="CHECK.GCODE",
-    help="Write the run; the command of each axis is written next to it.",
-)  # fmt: skip
+@old_option("--gcode", "write the run with 'hframe-post measure --for check -o CHECK.GCODE'")
 @old_option("--axis", "the run moves both axes; where the bed moves, there is a file for each")
 @old_option("--axes", "the recordings show how the sensor is mounted")
-@chips_option
+@page_option
 @json_option
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
-    help="Write the profile with the model and the uncertainty of today.",
-)  # fmt: skip
+@profile_option
 def check(
-    recordings: tuple[Path, ...], printer: str, gcode: Path | None, chips: tuple[str, ...],
-    json_file: Path | None, output: Path | None,
+    recordings: tuple[Path, ...], printer: str, report_file: Path | None, json_file: Path | None,
+    output: Path | None,
 ) -> None:  # fmt: skip
-    """Measure in 20 s what drifted, before a print or once a week: first --gcode, then the files.
+    """Read what 'measure --for check' or '--for verify' recorded.
 
-    The run is that of `measure` for 20 s, in the middle of the bed. Its file is written once; where
-    the bed moves and one sensor records both axes, there are two, and the sensor is moved in
-    between.
-    The recordings then update the profile's response; one of poles and zeros becomes a measured
-    one. A recording of another printer is refused with status 1. Without
-    recordings, the age of the model raises its uncertainty.
+    A check takes 20 s, before a print or once a week. It updates the profile's model, and refuses
+    recordings of another printer. Verify compares one motion uncompensated and compensated; the
+    status is 1 if compensation does not help as predicted. Without recordings, the age of the model
+    raises its uncertainty.
 
     \b
     Example:
-      hframe-post check -p my.toml --gcode check.gcode
+      hframe-post measure --for check -p my.toml -o check.gcode
       hframe-post check -p my.toml check.check-*.csv adxl345-check-*.csv -o my.toml
     """
-    from hframe_post.identification.check import runs
-    from hframe_post.identification.recordings.runs import moves_sensor
-
     profile = load(printer)
-    check_identified(profile)
-    if gcode is not None:
-        planned = runs(profile)
-        jobs = {}
-        if moves_sensor(profile, planned, chips):
-            jobs = {
-                gcode.with_name(f"{gcode.stem}-{'xy'[run.axis]}.gcode"): [run] for run in planned
-            }
-        write_motion(gcode, printer, profile, planned, chips, jobs)
-        say(next_steps("check", gcode, printer, planned, list(jobs)))
-    elif recordings:
-        _update(printer, profile, recordings, json_file, output)
-    else:
+    if not recordings:
+        check_identified(profile)
         _age(printer, profile, output)
-
-
-def _update(
-    printer: str, profile: Printer, recordings: tuple[Path, ...], json_file: Path | None,
-    output: Path | None,
-) -> None:  # fmt: skip
-    from hframe_post.identification.check import CheckReport, drifts
-    from hframe_post.identification.recordings.folder import files_in
-    from hframe_post.identification.recordings.names import recorded_on
+        return
+    from hframe_post.identification.recordings.folder import CHECK, VERIFY, files_in
+    from hframe_post.identification.recordings.names import stem
 
     files = files_in(recordings)
-    sources = [*files_read(printer), *files]
-    with Outputs(sources) as profiles:
-        file = ModelOutput(profiles, output, printer) if output is not None else None
-        with Outputs([*sources, *([output] if output else [])]) as reports:
-            write_json = open_json(reports, json_file)
-            gathered = _gathered(recordings, profile)
-            runs = list({run.axes: run for run in gathered.runs}.values())  # the last of each
-            labels = {label: path for path, label in files.items()}
-            day = max(recorded_on(labels[run.name]) for run in runs)
-            if profile.measured is not None and day < profile.measured:
-                raise IdentificationError(
-                    f"the recordings are of {day}, older than the model, of {profile.measured}: "
-                    "print check.gcode and fetch the new files"
-                )
-            report = CheckReport(profile, drifts(profile.plant, runs), day)
-            write_json(report.as_json())
-        for one in gathered.aside:
-            say(f"left aside   {one.label}: {one.reason}")
-        click.echo(report.as_text(), err=str(json_file) == "-")
-        if file is not None:
-            measured = day if report.complete else profile.measured
-            moved: dict[str, Any] = report.moved
-            plant = replace(profile.plant, **moved)
-            file.write(
-                replace(profile, plant=plant, uncertainty=report.uncertainty, measured=measured)
-            )
+    runs = [stem(each.name).rpartition(".")[2] for each in files]  # of the commands among them
+    verifies = any(run.startswith(VERIFY) for run in runs)
+    if verifies and any(run.startswith(CHECK) for run in runs):
+        raise click.UsageError("these are recordings of check and of verify: give those of one")
+    if not verifies:
+        check_identified(profile)
+    publish(
+        lambda: (_verified if verifies else _drifted)(recordings, profile, files),
+        [*files_read(printer), *files], printer, output, json_file, report_file,
+    )  # fmt: skip
+
+
+def _drifted(recordings: tuple[Path, ...], profile: Printer, files: dict[Path, str]) -> Findings:
+    """Return what has drifted, and the profile with the model and the uncertainty of that day."""
+    from hframe_post.identification.check import CheckReport, drifts
+    from hframe_post.identification.recordings.names import recorded_on
+
+    gathered = _gathered(recordings, profile)
+    runs = list({run.axes: run for run in gathered.runs}.values())  # the last of each
+    labels = {label: path for path, label in files.items()}
+    day = max(recorded_on(labels[run.name]) for run in runs)
+    if profile.measured is not None and day < profile.measured:
+        raise IdentificationError(
+            f"the recordings are of {day}, older than the model, of {profile.measured}: "
+            "print check.gcode and fetch the new files"
+        )
+    report = CheckReport(profile, drifts(profile.plant, runs), day)
+    moved: dict[str, Any] = report.moved
+    updated = replace(
+        profile,
+        plant=replace(profile.plant, **moved),
+        uncertainty=report.uncertainty,
+        measured=day if report.complete else profile.measured,
+    )
+    aside = [f"{one.label}: {one.reason}" for one in gathered.aside]
+    return Findings(report, updated, aside=aside)
+
+
+def _verified(recordings: tuple[Path, ...], profile: Printer, files: dict[Path, str]) -> Findings:
+    """Return the verdict on one motion, uncompensated and compensated, and the marked profile."""
+    from hframe_post.identification.gather import from_folders
+    from hframe_post.identification.pages import verification_page
+    from hframe_post.identification.recordings.folder import VERIFY
+    from hframe_post.identification.recordings.names import recorded_on
+    from hframe_post.identification.verify import both, compare_runs
+
+    gathered = from_folders(recordings, None, profile.travel, kinds=[VERIFY])
+    runs = both(gathered.runs)
+    verdict = compare_runs(profile, *runs)
+    used = [("recordings", ", ".join(run.name for run in runs))]
+    name = profile.description or profile.name
+    found = Findings(verdict, page=lambda: verification_page(verdict, name, used))
+    if verdict.fault is not None:
+        found.fault = IdentificationError(f"the profile is not verified: {verdict.fault}")
+        return found
+    labels = {label: path for path, label in files.items()}
+    day = max(recorded_on(labels[run.name]) for run in runs).isoformat()
+    mark = Verified(day, round(verdict.reduction, 4), profile.firmware.dialect, profile.model)
+    found.printer = replace(profile, verified=mark)
+    return found
 
 
 def _gathered(recordings: tuple[Path, ...], profile: Printer) -> Gathered:
@@ -133,8 +135,8 @@ def _gathered(recordings: tuple[Path, ...], profile: Printer) -> Gathered:
     found = replace(found, runs=[run for run in found.runs if run.start])
     if not found.runs:
         raise IdentificationError(
-            "no recording of the run that 'hframe-post check --gcode' writes. Give its recordings "
-            "and its commands, such as check.check-at-150.csv"
+            "no recording of the run that 'hframe-post measure --for check' writes. Give its "
+            "recordings and its commands, such as check.check-at-150.csv"
         )
     return found
 

@@ -37,6 +37,7 @@ from hframe_post.stream.running import keep_memory
 from hframe_post.writers.outputs import Outputs
 
 # in PrusaSlicer and OrcaSlicer: the slicer's name for the file, which is a temporary one by now
+LONGEST_MOVE = 200  # bytes of a line, more than any slicer writes
 OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
 
 
@@ -47,7 +48,7 @@ OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
 @click.argument("more", nargs=-1, metavar="")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
-    help="Output file ('-': standard output). Default: replace the input.",
+    help="Output file. Default: replace the input.",
 )  # fmt: skip
 @conversion_options("format")
 @printer_option
@@ -59,7 +60,7 @@ OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
 @click.option(
     "--report", "report_file", metavar="FILE",
     type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
-    help="Write a report for a browser (.html), or the summary as text ('-': standard output).",
+    help="Report for a browser (.html), or a text.",
 )  # fmt: skip
 @click.option("-n", "--dry-run", is_flag=True, help="Print the summary, but write no G-code.")
 @click.option(
@@ -75,7 +76,7 @@ def convert(
     options: Options, json_file: Path | None, report_file: Path | None, dry_run: bool, stamp: bool,
     quiet: bool,
 ) -> None:  # fmt: skip
-    """Convert a sliced file. '-' reads standard input.
+    """Convert a sliced file. '-' is standard input, or output.
 
     A file that was converted with the same settings, or has a line '; hframe-post: off', is left as
     it is. Exit status: 0 for success, 1 for an error (nothing is written then), 2 for wrong usage.
@@ -124,6 +125,7 @@ def convert(
         )
         log(f"{report.read.lines} lines are converted")
         _log_times(report.seconds)
+        report = replace(report, notices=(*cut_off(source), *report.notices))
         write_json({**choice.as_json(), **report.as_json()})
         text = report.summary(head)
         if text_file is not None:
@@ -131,6 +133,18 @@ def convert(
     log("all files are written")
     if not quiet:
         say(text)
+
+
+def cut_off(source: Path) -> list[str]:
+    """Return a warning if a file ends in the middle of a move, as an upload does that stopped."""
+    if not source.is_file():
+        return []
+    with source.open("rb") as file:
+        file.seek(max(source.stat().st_size - LONGEST_MOVE, 0))
+        last = file.read().rpartition(b"\n")[2].lstrip()
+    if last[:2].upper() not in (b"G0", b"G1", b"G2", b"G3"):
+        return []
+    return ["the last line has no end, so the file may be cut off: compare it with the slicer's"]
 
 
 def _check_usage(more: tuple[str, ...], to_stdout: list[bool]) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import files_read, quoted
+from hframe_post.cli.options import coloured, files_read, quoted
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Finding
@@ -40,7 +40,6 @@ PACKAGES = (
     "platformdirs",
     "zstandard",
 )
-EXTRAS = ("distributed",)
 
 
 class _Findings:
@@ -64,7 +63,7 @@ class _Findings:
 
     def _add(self, label: str, text: str) -> None:
         self.all.append((label, text))
-        click.echo(f"{label:9s}{text}")
+        click.echo(coloured(f"{label:9s}{text}"))
 
 
 @click.command()
@@ -142,14 +141,11 @@ def _check_installation(findings: _Findings) -> None:
         f"{os.cpu_count()} processors"
     )
     findings.ok(f"installed in {Path(__file__).parents[1]}, runs with {sys.executable}")
-    found = {name: _version(name) for name in (*PACKAGES, *EXTRAS)}
+    found = {name: _version(name) for name in PACKAGES}
     findings.ok(", ".join(f"{name} {version}" for name, version in found.items() if version))
     for name in PACKAGES:
         if not found[name]:
             findings.problem(f"the package {name} is missing: install hframe-post again")
-    if absent := [name for name in EXTRAS if not found[name]]:
-        names = ", ".join(absent)
-        findings.note(f"not installed, needed for some figures, formats and options: {names}")
 
 
 def _version(name: str) -> str:
@@ -249,7 +245,7 @@ def _differences(
 ) -> Iterator[Finding]:
     path = Path(name)
     remedy = f"change it there or in {name}"
-    again = f"run 'hframe-post klipper-macros -p {quoted(name)} > {FILE}'"
+    again = f"run 'hframe-post connect klipper -p {quoted(name)} > {FILE}'"
     if path.name == PROFILE:
         here = path.absolute().parent == Path.cwd()
         folder = "" if here else f" -o {quoted(path.parent)}"
@@ -286,7 +282,7 @@ def _check_hooks(findings: _Findings, printer: str) -> None:
         tell(f"a command without -p, such as the one in a slicer, fails: {error}")
         return
     if not named and not _same(default.profile, printer):
-        command = f"hframe-post use {quoted(printer)}"
+        command = f"hframe-post setup {quoted(printer)}"
         if os.environ.get(VARIABLE):  # counts more than the default
             command = f"unset {VARIABLE}"
         findings.problem(

@@ -3,36 +3,38 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from hframe_post.cli.json_summary import json_option, open_json
-from hframe_post.cli.model_output import ModelOutput
+from hframe_post.cli.json_summary import json_option
+from hframe_post.cli.measure import FILE
+from hframe_post.cli.model_output import Findings, profile_option, publish, recordings_argument
 from hframe_post.cli.options import (
     files_read,
+    help_all_option,
     old_option,
     page_option,
     position,
+    say,
 )
-from hframe_post.cli.sweep import FILE
 from hframe_post.errors import IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import kinematics_in, text_from_klipper, warnings
 from hframe_post.printer.choice import choose
 from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.profile import load, parse
-from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:  # these import SciPy, which takes a second
     from hframe_post.identification.identify import MeasurementSettings
     from hframe_post.printer.settings import Printer
 
 NO_WINDOW = (
-    "no window and weight compensate this plant within the motors' limits on every printer that "
-    "may differ from it by the model uncertainty. See 'hframe-post tune --help'"
+    "no setting compensates this printer within the motors' limits. If the motors can do more, "
+    "raise belt_acceleration and belt_velocity below [motors], and identify again"
 )
 
 
@@ -44,28 +46,20 @@ def _columns(text: str) -> tuple[str, ...]:
 
 
 @click.command()
-@click.argument(
-    "recordings",
-    nargs=-1,
-    metavar="[FOLDER|FILES]...",
-    type=click.Path(path_type=Path, exists=True),
-)
+@recordings_argument
 @click.option(
-    "-p",
-    "--printer",
-    metavar="NAME|FILE",
-    help="Profile to complete. Default: that of -o if it exists, a new one from --printer-cfg, or "
-    "the default profile.",
-)
+    "-p", "--printer", metavar="NAME|FILE",
+    help="Profile to complete. Default: that of -o, if it exists, or a new one from --printer-cfg.",
+)  # fmt: skip
 @click.option(
     "--printer-cfg", "config_file", type=FILE, metavar="FILE",
-    help="Klipper's printer.cfg: it describes the tests that were recorded and, without -p, the "
+    help="Klipper's printer.cfg: it describes recordings of TEST_RESONANCES and, without -p, the "
     "printer.",
 )  # fmt: skip
 @click.option(
     "-n", "--nozzle", type=(FILE, FILE), multiple=True, metavar="COMMAND RECORDING",
-    help="A command (.csv, written by `sweep`), and what the sensor on the nozzle recorded "
-    "of it, where their names do not show that they belong together. May be repeated.",
+    help="A command that 'measure' wrote, and its recording, where their names do not match. May "
+    "be repeated.",
 )  # fmt: skip
 @old_option("--axes", "the recordings show how the sensor is mounted")
 @click.option(
@@ -74,74 +68,94 @@ def _columns(text: str) -> tuple[str, ...]:
 )  # fmt: skip
 @click.option(
     "--band", type=(float, float), default=(3.0, 100.0), show_default=True, metavar="HZ HZ",
-    help="Frequencies that the model must explain.",
+    help="Frequencies that the model must explain.", hidden=True,
 )  # fmt: skip
 @click.option(
-    "--sensor-offset", "offset", type=position, default="0,0", show_default=True, metavar="X,Y",
-    help="From the nozzle to its sensor in mm. A sensor next to the nozzle measures racking with "
-    "another lever arm.",
+    "--sensor-offset", "offset", type=position, default="0,0", metavar="X,Y",
+    help="From the nozzle to its sensor, mm, which changes the lever arm of racking.", hidden=True,
 )  # fmt: skip
 @page_option
 @json_option
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
-    help="Write the profile: that of -p, or this file if it exists, or a new one made from "
-    "--printer-cfg, with the plant and the window found.",
-)  # fmt: skip
+@profile_option
+@help_all_option
 def identify(
     recordings: tuple[Path, ...], printer: str | None, config_file: Path | None,
     nozzle: tuple[tuple[Path, Path], ...], columns: tuple[str, ...] | None,
     band: tuple[float, float], offset: tuple[float, float], report_file: Path | None,
     json_file: Path | None, output: Path | None,
 ) -> None:  # fmt: skip
-    """Identify a printer's own model from recordings of its accelerometer.
+    """Compute a printer's model from recordings of its accelerometer.
 
-    Give the folder with the recordings: those of `measure` or `sweep` with their commands,
-    Klipper's (TEST_RESONANCES with OUTPUT=raw_data), or Shake&Tune's. One sensor on the nozzle is
-    enough. The summary says what was used, and what was left aside and why. No profile is written
-    if a recording cannot be trusted.
+    Give the folder with the recordings: those of 'measure' with their commands, Klipper's
+    (TEST_RESONANCES with OUTPUT=raw_data), or Shake&Tune's. One sensor on the nozzle is enough.
+    Recordings of 'measure --for bands' show the motor speeds that outer walls should avoid.
 
     \b
     Example:
       hframe-post identify recordings/ --printer-cfg printer.cfg -o mine.toml
     """
-    from hframe_post.identification.gather import gather
-    from hframe_post.identification.pages import identification_page
     from hframe_post.identification.recordings.folder import files_in
-    from hframe_post.identification.recordings.names import recorded_on
-    from hframe_post.identification.report import conclude
 
     _check_usage([*recordings, *nozzle], band)
     config = KlipperConfig(config_file) if config_file is not None else None
     for warning in warnings(config) if config is not None else ():
-        click.echo(f"WARNING      {warning}", err=True)
+        say(f"WARNING      {warning}")
     source, text = _profile_source(printer, config, output)
     profile = load(source) if text is None else parse(text, "printer", source)
+    files = files_in(recordings)
     pairs = [path for files in nozzle for path in files]
-    sources = [*files_read(source, *files_in(recordings)), *pairs]
-    with Outputs(sources) as profiles:
-        file = ModelOutput(profiles, output, source, text) if output is not None else None
-        with Outputs([*sources, *([output] if output else [])]) as reports:
-            write_json = open_json(reports, json_file)
-            html = reports.open(report_file) if report_file is not None else None
-            gathered = gather(recordings, nozzle, config, profile.travel, columns)
-            settings = _settings(profile, config if text else None, band, offset)
-            report = conclude(gathered, profile, settings)
-            write_json(report.as_json())
-            if html is not None:
-                html.write(identification_page(report, profile.description or profile.name))
-        click.echo(report.as_text(), err=str(json_file) == "-")
+    sources = [*files_read(source, *files), *pairs]
+
+    def model() -> Findings:
+        from hframe_post.identification.gather import gather
+        from hframe_post.identification.pages import identification_page
+        from hframe_post.identification.recordings.names import recorded_on
+        from hframe_post.identification.report import conclude
+
+        gathered = gather(recordings, nozzle, config, profile.travel, columns)
+        settings = _settings(profile, config if text else None, band, offset)
+        report = conclude(gathered, profile, settings)
+        found = Findings(
+            report,
+            page=lambda: identification_page(report, profile.description or profile.name),
+        )
         if report.compensation is None:
-            raise IdentificationError(report.identified.refusal or NO_WINDOW)
-        if file is not None:
-            day = max(recorded_on(one.path) for one in gathered.used)
-            error = round(report.identified.model_error, 4)
-            found = measured(profile, report.plant, error, day)
-            file.write(with_windows(found, report.compensation.windows), report.origin())
-            if found.kinematics != profile.kinematics:
-                click.echo(
-                    "note         it racks, so the profile's kinematics.type is hbot", err=True
-                )
+            found.fault = IdentificationError(report.identified.refusal or NO_WINDOW)
+            return found
+        day = max(recorded_on(one.path) for one in gathered.used)
+        error = round(report.identified.model_error, 4)
+        updated = measured(profile, report.plant, error, day)
+        if updated.kinematics != profile.kinematics and output is not None:
+            say("note         it racks, so the profile's kinematics.type is hbot")
+        found.printer = with_windows(updated, report.compensation.windows)
+        found.notes = report.origin()
+        return found
+
+    bands = not nozzle and _are_vibrations(files)
+    find = (lambda: _bands(recordings, profile, output is not None)) if bands else model
+    publish(find, sources, source, output, json_file, report_file, text)
+
+
+def _are_vibrations(files: Iterable[Path]) -> bool:
+    """Return whether all recordings are of 'measure --for bands' or of its like."""
+    from hframe_post.identification.recordings.names import parsed
+
+    return {parsed(path.name).other for path in files} == {"vibrations"}
+
+
+def _bands(recordings: tuple[Path, ...], profile: Printer, written: bool) -> Findings:
+    """Return the bands of motor speed that shake the nozzle, and the profile that avoids them."""
+    from hframe_post.identification.bands import BandsReport, shaking
+
+    motors, aside = shaking(recordings, profile.kinematics)
+    report = BandsReport.from_motors(motors)
+    found = Findings(report, aside=[f"{one.label}: {one.reason}" for one in aside])
+    if report.avoid:
+        avoid = tuple((float(low), float(high)) for low, high in report.avoid)
+        found.printer = replace(profile, speed=replace(profile.speed, avoid=avoid))
+    elif written:
+        found.fault = IdentificationError("no band was found, so the profile was not changed")
+    return found
 
 
 def _profile_source(

@@ -42,7 +42,7 @@ def _remember(context: click.Context, _: click.Parameter, path: Path | None) -> 
 json_option = click.option(
     "--json", "json_file", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
     metavar="FILE", callback=_remember, is_eager=True,
-    help="Write a summary as JSON, also of a failure ('-': standard output).",
+    help="Summary as JSON; '-' is standard output.",
 )  # fmt: skip
 
 

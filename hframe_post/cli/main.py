@@ -9,65 +9,92 @@ import sys
 import traceback
 from difflib import get_close_matches
 from importlib import import_module
-from itertools import chain
 from pathlib import Path
-from textwrap import fill
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn
 
 import click
 
 from hframe_post import process
+from hframe_post.cli.options import coloured
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.printer.choice import CHOICE, Choice
 from hframe_post.version import __version__
 from hframe_post.writers.outputs import FULL
 
-COMMANDS = {  # name: its function in a module of hframe_post.cli, and a line of help
-    "setup": ("setup.setup", "Make a profile from Klipper's printer.cfg or Marlin's M503."),
-    "convert": ("convert.convert", "Convert a sliced file. This is the default command."),
-    "batch": ("batch.batch", "Convert many files and folders."),
-    "compare": ("compare.compare", "Compare the motion of two G-code files."),
-    "simulate": ("simulate.simulate", "Predict what compensation does for a print."),
-    "speed": ("speed.speed", "Print how long a file takes within each error."),
-    "tune": ("tune.tune", "Find better settings for this printer and file."),
-    "use": ("printers.use", "Set or show the default profile."),
-    "printers": ("printers.printers", "List and show printer profiles."),
-    "doctor": ("doctor.doctor", "Check the installation, a profile and printer.cfg."),
-    "measure": ("sweep.measure", "Write the G-code that measures a printer."),
-    "sweep": ("sweep.sweep", "Write a sweep, which also measures a printer with Marlin."),
-    "identify": ("identify.identify", "Compute the printer's model from the recordings."),
-    "calibrate-print": ("calibrate_print.calibrate_print", "Measure a printer without a sensor."),
-    "check": ("check.check", "Measure in 20 s what drifted since identify."),
-    "bands": ("bands.bands", "Find the motor speeds that outer walls should avoid."),
-    "verify": ("verify.verify", "Measure whether a profile helps on the printer."),
-    "klipper-macros": ("integrations.klipper_macros", "Print macros for Klipper's printer.cfg."),
-    "calibrate-marlin": ("integrations.calibrate_marlin", "Find out a Marlin board's planner."),
-    "slicer-line": ("slicer_line.slicer_line", "Print the line to paste into a slicer."),
-    "cura-script": ("integrations.cura_script", "Install a post-processing script into Cura."),
-    "octoprint-plugin": (
-        "integrations.octoprint_plugin",
-        "Install a plugin into OctoPrint that converts uploads.",
-    ),
+GROUPS = {  # by group: name, its function in a module of hframe_post.cli, a line of help
+    "Start": {
+        "setup": ("setup", "Make a profile from Klipper's printer.cfg or Marlin's M503."),
+        "measure": ("measure", "Write the G-code that measures a printer."),
+        "identify": ("identify", "Compute the printer's model from the recordings."),
+        "calibrate-print": ("calibrate_print", "Measure a printer without a sensor."),
+    },
+    "Every print": {
+        "convert": ("convert", "Convert a sliced file. This is the default command."),
+        "batch": ("batch", "Convert many files and folders."),
+        "check": ("check", "Find what has drifted, or verify that compensation helps."),
+        "doctor": ("doctor", "Check the installation, a profile and printer.cfg."),
+    },
+    "Study": {
+        "simulate": ("simulate", "Predict what compensation does for a print."),
+        "speed": ("speed", "Show how long a file takes within each error."),
+    },
+    "Other programs": {
+        "connect": ("connect", "Connect a slicer, Cura, OctoPrint or Moonraker."),
+    },
+    "For developers": {
+        "compare": ("compare", "Compare the motion of two G-code files."),
+    },
 }
-GROUPS = {
-    "Start": ("setup", "measure", "identify", "calibrate-print"),
-    "Every print": ("convert", "batch", "check", "doctor"),
-    "Study": ("simulate", "speed", "tune"),
-}
+COMMANDS = {name: found[0] for group in GROUPS.values() for name, found in group.items()}
 GONE = {  # former commands, and what replaced them
     "paper": "run 'python -m examples.paper.tables' in the folder of hframe-post",
+    "tune": "'hframe-post identify' writes the best window; 'simulate --shapers' has the shapers",
+    "use": "'hframe-post setup PROFILE.TOML' makes it the default, 'hframe-post doctor' shows it",
+    "printers": "'hframe-post doctor -p paper' shows where a shipped profile is",
+    "sweep": "'hframe-post measure' writes it for Marlin",
+    "bands": "'hframe-post measure --for bands' writes the file, 'hframe-post identify' reads it",
+    "verify": "'hframe-post measure --for verify' writes the file, 'hframe-post check' reads it",
+    "klipper-macros": "'hframe-post setup' writes them, 'hframe-post connect klipper' prints them",
+    "calibrate-marlin": "'hframe-post measure --for planner'",
+    "slicer-line": "'hframe-post connect slicer'",
+    "cura-script": "'hframe-post connect cura'",
+    "octoprint-plugin": "'hframe-post connect octoprint'",
 }
+UNBROKEN = "\N{NON-BREAKING HYPHEN}"
 _GIVEN = "hframe_post.given"  # the command line in the context's meta
 _NOT_PARSED = (click.NoSuchOption, click.BadOptionUsage, click.MissingParameter)
 
 
-class _CompareError(click.ClickException):
+class _Formatter(click.HelpFormatter):
+    """Help whose words are not broken at their hyphens: no option or command is torn apart."""
+
+    def write_text(self, text: str) -> None:
+        super().write_text(text.replace("-", UNBROKEN))
+
+    def write_dl(self, rows: Any, *widths: Any, **more: Any) -> None:
+        super().write_dl([(left, text.replace("-", UNBROKEN)) for left, text in rows], **more)
+
+    def getvalue(self) -> str:
+        return super().getvalue().replace(UNBROKEN, "-")
+
+
+click.Context.formatter_class = _Formatter
+
+
+class _Failure(click.ClickException):
+    """A failure, in one line."""
+
+    def show(self, file: IO[Any] | None = None) -> None:
+        click.echo(coloured(f"Error: {self.format_message()}"), err=True)
+
+
+class _CompareError(_Failure):
     """A failure of a command whose status 1 has another meaning, as in diff and cmp."""
 
     exit_code = 2
 
 
-FAILURES = {"compare": _CompareError}
+FAILURES: dict[str, type[_Failure]] = {"compare": _CompareError}
 
 
 class _Commands(click.Group):
@@ -79,19 +106,16 @@ class _Commands(click.Group):
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        module, _, function = COMMANDS[name][0].partition(".")
-        command: click.Command = getattr(import_module(f"hframe_post.cli.{module}"), function)
+        module = import_module(f"hframe_post.cli.{COMMANDS[name]}")
+        command: click.Command = getattr(module, COMMANDS[name])
         return command
 
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
-        width = max(map(len, chain(*GROUPS.values())))
-        for group, names in GROUPS.items():
-            with formatter.section(group):
-                for name in names:
-                    formatter.write(f"  {name:{width}s}  {COMMANDS[name][1]}\n")
-        formatter.write_paragraph()
-        others = ", ".join(name for name in COMMANDS if name not in chain(*GROUPS.values()))
-        formatter.write(f"{fill(f'More: {others}', 78, break_on_hyphens=False)}\n")
+        width = max(map(len, COMMANDS))
+        for group, commands in GROUPS.items():
+            with formatter.section(click.style(group, bold=True)):
+                for name, (_, text) in commands.items():
+                    formatter.write(f"  {name:{width}s}  {text}\n")
 
     def format_options(self, context: click.Context, formatter: click.HelpFormatter) -> None:
         self.format_commands(context, formatter)  # --version and --help say nothing new
@@ -102,7 +126,7 @@ class _Commands(click.Group):
         if args and args[0] not in COMMANDS and args[0] not in ("-h", "--help", "--version"):
             if _looks_like_a_command(args[0]):
                 if args[0] in GONE:
-                    raise click.UsageError(f"there is no {args[0]!r} now: {GONE[args[0]]}", context)
+                    raise click.UsageError(f"{args[0]!r} is gone: {GONE[args[0]]}", context)
                 similar = get_close_matches(args[0].lower(), COMMANDS, n=1, cutoff=0.6)
                 advice = f"did you mean 'hframe-post {similar[0]}'?" if similar else "see --help"
                 raise click.UsageError(
@@ -132,7 +156,7 @@ class _Commands(click.Group):
                 and self._clamps(context, name)
             ):
                 text += ", or use --on-limit clamp"
-            shown = FAILURES.get(name, click.ClickException)(text)
+            shown = FAILURES.get(name, _Failure)(text)
         from hframe_post.cli.json_summary import write_failure  # imported by the command by now
 
         write_failure(context, shown.exit_code, shown.format_message(), failure)

@@ -1,18 +1,97 @@
-"""The profile, the model and the kernel that a measuring command writes."""
+"""What a command that reads measurements writes: findings, and the profile with its model."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
-from hframe_post.cli.options import write_kernel
+import click
+
+from hframe_post.cli.json_summary import open_json
+from hframe_post.cli.options import quoted, say, shown_working, write_kernel
 from hframe_post.errors import HframeError
+from hframe_post.printer.choice import PROFILE
 from hframe_post.printer.model_file import model_path, texts
+from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
-    from hframe_post.writers.outputs import Outputs
+
+recordings_argument = click.argument(
+    "recordings", nargs=-1, metavar="[FOLDER|FILES]...",
+    type=click.Path(path_type=Path, exists=True),
+)  # fmt: skip
+profile_option = click.option(
+    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
+    help="Write the profile with what was found; may be that of -p.",
+)  # fmt: skip
+
+
+class Shown(Protocol):
+    """Findings as text and as the keys of a JSON summary."""
+
+    def as_text(self) -> str: ...
+    def as_json(self) -> dict[str, Any]: ...
+
+
+@dataclass(slots=True)
+class Findings:
+    """What recordings show.
+
+    printer: the profile to write; None if there is a fault, which the command ends with. aside:
+    what was not used, and why. page: the report for a browser. notes: for the model's file, None to
+    keep its present ones.
+    """
+
+    report: Shown
+    printer: Printer | None = None
+    fault: HframeError | None = None
+    aside: Sequence[str] = ()
+    page: Callable[[], bytes] | None = None
+    notes: Sequence[str] | None = None
+
+
+def publish(
+    find: Callable[[], Findings], reads: Sequence[Path], source: str, output: Path | None,
+    json_file: Path | None, report_file: Path | None = None, text: str | None = None,
+) -> None:  # fmt: skip
+    """Write what ``find`` returns: reports first, the profile last and only without a fault.
+
+    All files are opened before the work, so that none of it is in vain. source, text: as of
+    ModelOutput.
+    """
+    with Outputs(reads) as profiles:
+        file = ModelOutput(profiles, output, source, text) if output is not None else None
+        with Outputs([*reads, *([output] if output else [])]) as reports:
+            write_json = open_json(reports, json_file)
+            html = reports.open(report_file) if report_file is not None else None
+            with shown_working():
+                found = find()
+            write_json(found.report.as_json(), error=found.fault)
+            if html is not None:
+                if found.page is None:
+                    raise click.UsageError("these recordings have no report for a browser")
+                html.write(found.page())
+        for one in found.aside:
+            say(f"left aside   {one}")
+        click.echo(found.report.as_text(), err=str(json_file) == "-")
+        if found.fault is not None:
+            raise found.fault
+        if found.printer is None:
+            return
+        if output is None:
+            say(f"Nothing is written. To keep it, add -o {quoted(kept(source))}")
+            return
+        assert file is not None
+        file.write(found.printer, found.notes)
+    say(f"Next: hframe-post PART.GCODE -o OUT.GCODE -p {quoted(output)}")
+
+
+def kept(source: str) -> str:
+    """Return the profile in which to keep what was found: the one that was read, if it can be."""
+    return source if Path(source).suffix == ".toml" else PROFILE
 
 
 class ModelOutput:
@@ -27,7 +106,7 @@ class ModelOutput:
     ) -> None:
         if output.suffix != ".toml":
             raise HframeError(
-                f"{output}: the model is written beside the profile, whose name must end in .toml"
+                f"{output}: the model is written next to the profile, whose name must end in .toml"
             )
         self._outputs, self._output, self._source, self._text = outputs, output, source, text
         self._profile = outputs.open(output, Path(source) if text is None else None)

@@ -1,4 +1,4 @@
-"""``hframe-post setup --moonraker``: connect Klipper and Moonraker, or disconnect them."""
+"""``hframe-post connect moonraker``: connect Klipper and Moonraker, or disconnect them."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from typing import NamedTuple
 
 import click
 
-from hframe_post.cli.integrations import program
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.klipper.printer_cfg import HEADING, KlipperConfig
 from hframe_post.hosts import klipper, moonraker
 from hframe_post.hosts.moonraker.disk import NAME
+from hframe_post.process import program
 from hframe_post.writers.outputs import Outputs
 
 CONFIG = "moonraker.conf"
@@ -37,12 +37,11 @@ SECTIONS = re.compile(
 COMMAND = re.compile(  # in our section: what is before it, the program, and its first word
     rf"^(\[{NAME}\]\n(?:(?!\[).*\n)*?command: )((\S+).*?)(?= -p )", re.MULTILINE
 )
-INCLUDE = f"# added by hframe-post setup --moonraker\n[include {FILE}]\n"
+ADDED = "# added by hframe-post connect moonraker"
+FORMERLY = "# added by hframe-post setup --moonraker"
+INCLUDE = f"{ADDED}\n[include {FILE}]\n"
 LIVE = "hframe_live"
-LIVE_SECTION = (
-    f"# added by hframe-post setup --moonraker: compensation in Klipper\n[{LIVE}]\n"
-    "kernel: printer.kernel\n"
-)
+LIVE_SECTION = f"{ADDED}: compensation in Klipper\n[{LIVE}]\nkernel: printer.kernel\n"
 LEAVE = "uploads: leave\n"  # of our section of moonraker.conf
 LIVE_QUESTION = (
     "Compensate inside Klipper, on files as they are sliced? Otherwise each upload is converted"
@@ -218,7 +217,7 @@ def find_printer_cfg() -> Path:
         f"no printer.cfg was found as {' or '.join(INSTANCES)} in {Path.home()}. Run this on the "
         "printer's computer, as the user who runs Klipper, without sudo"
     )
-    which = "Name it: hframe-post setup PRINTER.CFG --moonraker"
+    which = "Name it: hframe-post connect moonraker --printer-cfg FILE"
     raise HframeError(f"{several if found else none}. {which}")
 
 
@@ -254,7 +253,9 @@ def _with_sections(text: str, sections: Sequence[str]) -> str:
 
 def _any_end(lines: str) -> str:
     """Return the pattern of lines with an empty one before, whatever ends them."""
-    return r"(?:\r?\n)?" + re.escape(lines).replace("\\\n", "\r?\n")
+    pattern = re.escape(lines).replace("\\\n", "\r?\n")
+    added = re.escape(ADDED)
+    return r"(?:\r?\n)?" + pattern.replace(added, f"(?:{added}|{re.escape(FORMERLY)})")
 
 
 def _with_includes(path: Path, within: tuple[str, ...] = ()) -> Iterator[str]:

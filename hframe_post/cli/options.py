@@ -7,7 +7,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import wraps
@@ -26,6 +26,11 @@ if TYPE_CHECKING:
     from hframe_post.writers.outputs import Outputs
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+COLOURS = (  # of the first words of lines
+    (re.compile(r"^(Error:|PROBLEM)", re.MULTILINE), "red"),
+    (re.compile(r"^(WARNING|SLICER|LOOK AGAIN)", re.MULTILINE), "yellow"),
+    (re.compile(r"^(result|print time|Next\b|ok\b)", re.MULTILINE), "green"),
+)
 SPECIAL = re.compile(r"[^\w@%+=:,./\\~-]")  # what a shell would not take as it stands
 
 
@@ -42,7 +47,7 @@ def chosen_printer() -> Choice:
 
 printer_option = click.option(
     "-p", "--printer", metavar="NAME|FILE", callback=_choose_printer,
-    help="Printer profile: a file, or a shipped one's name. Default: the one of 'setup' or 'use'.",
+    help="Your printer's profile. Default: from 'setup'.",
 )  # fmt: skip
 
 
@@ -124,14 +129,23 @@ seed_option = click.option(
 
 page_option = click.option(
     "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.HTML", help="Write a report with plots, for a browser.",
+    metavar="FILE.HTML", help="Write a report for a browser.",
 )  # fmt: skip
 
 
 def say(text: str) -> None:
     """Print to standard error. That it cannot be printed does not undo what was done."""
     with suppress(OSError):
-        click.echo(text, err=True)
+        click.echo(coloured(text), err=True)
+
+
+def coloured(text: str) -> str:
+    """Return a text with colours, which click removes where the output is no terminal."""
+    if os.environ.get("NO_COLOR"):
+        return text
+    for pattern, colour in COLOURS:
+        text = pattern.sub(click.style(r"\g<0>", colour, bold=True), text)
+    return text
 
 
 def quoted(path: str | Path) -> str:
@@ -192,40 +206,52 @@ def print_options(*names: str) -> Callable[[Command], Command]:
     return add
 
 
-@contextmanager
-def opened(source: Path | None, printer: Printer, quiet: bool) -> Iterator[Iterable[bytes]]:
-    """Yield the lines of the file; without one, of the paper's rectangle."""
-    from hframe_post.gcode.lines import Input
-    from hframe_post.studies.inputs import rectangle
-
-    if source is None:
-        yield rectangle(printer)
-        return
-    with progress_bar(source, quiet) as advance:
-        yield Input(dashed(source) or sys.stdin.buffer).lines(advance)
-
-
-BAR_FROM = 2_000_000  # bytes; smaller files take no time
+STEPS = 200  # of a bar
+PATIENCE = 2.0  # s of work, after which a terminal shows a bar
 START = time.monotonic()
 _VERBOSE = "hframe_post.verbose"  # in a context's meta
 
 
 @contextmanager
 def progress_bar(source: Path | None, quiet: bool) -> Iterator[Callable[[int], object] | None]:
-    """Show a progress bar on a terminal if the file is large, or log the progress with ``-v``.
+    """Show how much of a file was read: a bar on a terminal, or lines of the log with ``-v``.
 
     Yields the function to call with each number of bytes read; None if nothing is shown.
     """
     size = source.stat().st_size if source is not None and source.is_file() else 0
-    if source is None or quiet or size < BAR_FROM or not sys.stderr.isatty():
+    if source is None or quiet or not size or not sys.stderr.isatty():
         yield _log_progress(size) if size and _is_verbose() else None
         return
-    with click.progressbar(
-        length=size, label=source.name, file=sys.stderr, update_min_steps=size // 200
-    ) as bar:
-        yield bar.update
-        bar.finish()  # click 8.2 leaves out the last steps
-        bar.render_progress()
+    with bar(size, source.name) as advance:
+        yield advance
+
+
+@contextmanager
+def bar(length: float, label: str) -> Iterator[Callable[[float], object]]:
+    """Show a progress bar on a terminal once the work has taken two seconds.
+
+    Yields the function to call with the part of ``length`` that was done since the last call.
+    """
+    began, done = time.monotonic(), 0.0
+    shown: Any = None
+
+    def advance(part: float) -> None:
+        nonlocal done, shown
+        done += part
+        if shown is None and sys.stderr.isatty() and time.monotonic() - began > PATIENCE:
+            shown = click.progressbar(
+                length=STEPS, label=label, file=sys.stderr, item_show_func=None
+            )  # fmt: skip
+            shown.__enter__()
+        if shown is not None:
+            shown.update(int(STEPS * min(done / length, 1.0)) - shown.pos)
+
+    try:
+        yield advance
+        advance(0.0)
+    finally:
+        if shown is not None:
+            shown.render_finish()
 
 
 @contextmanager
@@ -273,7 +299,7 @@ def _set_verbose(context: click.Context, _: click.Parameter, verbose: bool) -> N
 
 verbose_option = click.option(
     "-v", "--verbose", is_flag=True, expose_value=False, callback=_set_verbose,
-    help="Log stages and their duration to standard error.",
+    help="Log stages and their duration.",
 )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from hframe_post.firmware.registry import source_of
 from hframe_post.printer.choice import PROFILE, VARIABLE, set_default
 from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.new_profile import Known, Tables, profile_text
-from hframe_post.printer.profile import parse, text_of
+from hframe_post.printer.profile import load, parse, text_of
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.outputs import Outputs
 
@@ -48,32 +48,26 @@ def _size(text: str) -> tuple[float, float]:
 
 @click.command()
 @click.argument(
-    "files", metavar="PRINTER.CFG|M503.TXT [HEADERS]...", nargs=-1,
+    "files", metavar="PRINTER.CFG|M503.TXT [HEADERS]", nargs=-1,
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
 )  # fmt: skip
 @click.option(
     "-o", "--output", "folder", type=click.Path(path_type=Path, file_okay=False),
-    help=f"Folder for {PROFILE} and {FILE}. Default: the present one; with --moonraker that of "
-    "printer.cfg.",
+    help=f"Folder for {PROFILE} and {FILE}. Default: the present one.",
 )  # fmt: skip
 @click.option(
     "--kinematics", type=click.Choice(KINDS),
-    help="How the motors move the nozzle, where the files leave it open: neither firmware tells an "
-    "H-bot from a CoreXY. Default: asked on a terminal, otherwise the kind that does not rack.",
+    help="How the motors move the nozzle: neither firmware tells an H-bot from a CoreXY. Default: "
+    "asked on a terminal, otherwise the kind that does not rack.",
 )  # fmt: skip
 @click.option(
     "--bed", type=_size, metavar="X,Y",
     help="Width and depth of the bed in mm, where Marlin's answers leave them open.",
 )  # fmt: skip
-@click.option(
-    "--moonraker/--no-moonraker", "connected", default=None,
-    help="Also let Moonraker, on this computer, measure the printer and convert each upload; or no "
-    "longer. printer.cfg is found then.",
-)  # fmt: skip
+@click.option("--moonraker/--no-moonraker", "connected", default=None, hidden=True)
 @click.option(
     "--reset", is_flag=True,
-    help=f"Write {PROFILE} anew where it exists. What you changed there goes; the measured model "
-    "stays.",
+    help=f"Overwrite {PROFILE}. Your changes in it are lost; the measured model stays.",
 )  # fmt: skip
 def setup(
     files: tuple[Path, ...], folder: Path | None, kinematics: str | None,
@@ -81,24 +75,20 @@ def setup(
 ) -> None:  # fmt: skip
     """Make this printer's profile from Klipper's printer.cfg or from Marlin's answer to M503.
 
-    Writes printer.toml, the profile, and makes it the default. For Klipper it also writes
-    hframe.cfg, to include in printer.cfg, which only --moonraker changes. For Marlin, save what the
-    printer answers to M503, M115 and M211 in one file; its Configuration.h and Configuration_adv.h
-    may follow. Where printer.toml exists, setup changes nothing in it and lists what differs;
-    --reset writes it anew.
-
-    --moonraker is for the printer's computer. On a terminal it asks first whether Klipper itself
-    shall compensate, on files as they are sliced. It also links a component into Moonraker, adds a
-    section [hframe_post] to moonraker.conf, which must be next to printer.cfg, and includes
-    hframe.cfg in printer.cfg. It shows these changes, asks once, and keeps the files as they were.
-    --no-moonraker undoes all of that and does nothing else.
+    Writes printer.toml, the profile, and makes it the default; for Klipper also hframe.cfg, to
+    include in printer.cfg. For Marlin, save the answers to M503, M115 and M211 in one file; its
+    Configuration.h and Configuration_adv.h may follow. Where printer.toml exists, setup changes
+    nothing in it and lists what differs. A profile instead of printer.cfg becomes the default.
 
     \b
     Examples:
       hframe-post setup printer.cfg
-      hframe-post setup --moonraker
       hframe-post setup m503.txt --bed 220,220
+      hframe-post setup other.toml
     """
+    if len(files) == 1 and files[0].suffix == ".toml":
+        _use(files[0])
+        return
     if not files and connected is None:
         raise click.MissingParameter(param=click.get_current_context().command.params[0])
     files = files or (find_printer_cfg(),)
@@ -147,6 +137,12 @@ def setup(
         click.echo("\n".join(["", *done, "", RESTART, CALIBRATE]))
     else:
         click.echo(source.next_steps(profile, target, quoted))
+
+
+def _use(profile: Path) -> None:
+    load(str(profile))  # raises before anything is written
+    set_default(os.path.abspath(profile))
+    click.echo(f"profile          {profile}, from now on the default")
 
 
 def _disconnect(moonraker: Moonraker) -> None:
@@ -243,14 +239,14 @@ def _differences(tables: Tables, old: str, text: str, target: Path, source: str)
                 has = f"it has {own[key]}" if key in own else "it has none"
                 kept.append(f"{name}.{key}: {known.as_toml()} ({known.origin}), {has}")
     if text != old:
-        yield f"{target}: written anew" if kept else f"{target}: changed"
+        yield f"{target}: overwritten" if kept else f"{target}: changed"
     elif not kept:
         yield f"{target}: no changes"
     else:
         yield f"{target} stays as it is, and differs from what was found:"
     yield from kept
     if kept and text == old:
-        yield f"To write it anew: hframe-post setup {source} --reset"
+        yield f"To overwrite it: hframe-post setup {source} --reset"
 
 
 def _summary(source: Source, profile: Printer, target: str, kind: Known) -> Iterator[str]:
@@ -266,7 +262,8 @@ def _summary(source: Source, profile: Printer, target: str, kind: Known) -> Iter
         yield f"                 for {shown}: {command}"
     own = f"{limits.velocity:g} mm/s, {limits.acceleration:g} mm/s²"
     yield f"path             {own}, or what a file sets"
-    how = "stated" if profile.stated is None else "guessed, more for files that ask for more"
+    known = profile.motors == profile.motors.stated
+    how = "stated" if known else "guessed, more for files that ask for more"
     yield (
         f"belts            at most {motors.belt_velocity:g} mm/s, {motors.belt_acceleration:g} "
         f"mm/s² ({how});"

@@ -20,6 +20,7 @@ from hframe_post.cli.options import (
     share,
 )
 from hframe_post.conversion.options import Options
+from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.lines import Input
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shapers.comparison import (
@@ -34,28 +35,26 @@ from hframe_post.writers.outputs import Outputs
 @print_options("limits", "extrusion", "clamp")
 @click.option(
     "--plant", "plant_file", metavar="NAME|FILE",
-    help="Simulate this profile's plant with the compensation of the profile given with -p.",
+    help="Judge on the model of this profile.",
 )  # fmt: skip
 @click.option(
     "--model-error", "shares", type=share, multiple=True, metavar="PERCENT",
-    help="Also simulate random printers whose frequencies, damping and racking gain differ from "
-    "the model by up to this. May be repeated.",
+    help="Also judge on random printers that differ from the model by up to this. May be repeated.",
 )  # fmt: skip
 @click.option(
     "--draws", type=click.IntRange(1, 1000), default=50, show_default=True,
-    help="Number of random printers for each --model-error.",
+    help="Random printers for each --model-error.",
 )  # fmt: skip
 @seed_option
 @click.option("--steps", is_flag=True, help="Round the motors' motion to whole steps.")
 @click.option(
     "--shapers", is_flag=True,
-    help="Compare with input shapers: with the best frequency and damping for the profile's model, "
-    "and as Klipper's calibration would set them for it.",
+    help="Compare with input shapers, the best ones and as Klipper calibrates; print settings.",
 )  # fmt: skip
 @json_option
 @click.option(
     "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.HTML", help="Write a report for a browser, with the error along each layer.",
+    metavar="FILE.HTML", help="Write a report for a browser.",
 )  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary and no progress bar.")
 def simulate(
@@ -66,8 +65,7 @@ def simulate(
     """Predict the error of a print without compensation, with fbs, and with racking compensation.
 
     The contour error is the distance of the nozzle from the slicer's path; the tracking error is
-    its distance from where it should be at that time. Without a file, the paper's rectangle of
-    120 x 20 mm is simulated (Fig. 7). The G-code is not changed.
+    its distance from where it should be at that time. Without a file, a rectangle is simulated.
 
     \b
     Example:
@@ -97,7 +95,7 @@ def simulate(
         if shapers:
             ours = replace(options, strategy="racking", clamp=True)
             found = compare_shapers(Input(printed).again, profile, ours, simulated.plant)
-            text += "\n" + comparison_as_text(found)
+            text += "\n" + comparison_as_text(found, firmware(profile))
             summary["against"] = comparison_as_json(found)
         write_json(summary)
     if not quiet:

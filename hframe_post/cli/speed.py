@@ -9,13 +9,13 @@ import click
 from hframe_post import library
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
+    bar,
     chosen_printer,
     conversion_options,
     files_read,
     help_all_option,
     page_option,
     printer_option,
-    shown_working,
 )
 from hframe_post.conversion.options import Options
 from hframe_post.writers.outputs import Outputs
@@ -31,11 +31,11 @@ from hframe_post.writers.outputs import Outputs
 def speed(
     source: Path, printer: str, options: Options, json_file: Path | None, report_file: Path | None
 ) -> None:
-    """Print how long a file would take within each error, and what limits its speed.
+    """Show how long a file takes within each error, and what limits its speed.
 
     Each row is a print that 'hframe-post convert --max-error' would make, with the file's feed
-    rates and with --speed-up max. Two of them are converted, for the errors of the whole print; the
-    others follow from these and from one or two minutes from all over it. Nothing is written.
+    rates and with --speed-up max. The report also has the width of the lines and what limits each
+    row. Nothing is written.
 
     \b
     Example:
@@ -48,8 +48,8 @@ def speed(
     with Outputs(files_read(source, printer)) as outputs:
         write_json = open_json(outputs, json_file)
         html = outputs.open(report_file) if report_file is not None else None
-        with shown_working():
-            found = library.speed_curve(source, profile, options)
+        with bar(1.0, source.name) as advance:
+            found = library.speed_curve(source, profile, options, advance)
         write_json({**choice.as_json(), **curve_as_json(found)})
         if html is not None:
             html.write(speed_page(found, profile, source.name))

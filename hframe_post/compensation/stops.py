@@ -5,10 +5,8 @@ the stop by the one of ``model.stop``. A stop longer than LONGEST is treated as 
 comes to rest on the path, and later sets out from there. So are the ends of a stretch, where the
 machine must be at rest where the file believes it to be.
 
-The solution depends only on the samples around the stop and on the state of the plant before it.
-That state is carried from stop to stop; after a long time without stops it is computed from the
-last REMEMBERED samples, because the plant has forgotten all before. Where a measured response
-begins before the command, these numbers grow by that many samples.
+The solution depends only on the samples around the stop and on the command before it, as far as
+the plant's responses reach.
 """
 
 from __future__ import annotations
@@ -21,7 +19,6 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Z, moved
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.nozzle import Response
 from hframe_post.model.stop import StopSolver
 from hframe_post.model.stop_cost import BESIDE, BEYOND, Stop, Surroundings
 from hframe_post.model.strategies import Compensator, strategy
@@ -32,7 +29,6 @@ from hframe_post.stream.types import Dwell, Samples, StopRules, frozen
 
 LONGEST = 1000  # samples of a stop that is treated as one
 ASIDE = 80  # samples of rest around a longer one, on whose path the command must dwell
-REMEMBERED = 2048  # after this many samples any plant has forgotten its state
 BEFORE = BESIDE + NEAREST + 2  # samples before and after a stop that its solution depends on
 AFTER = BESIDE + BEYOND + NEAREST + 2
 FOREVER = 1 << 60
@@ -169,15 +165,10 @@ def _longer(known: Array, following: Array, origin: Array) -> Array:
 
 @dataclass
 class _Track:
-    """One strategy's command (n, 2) in the window, from the origin.
-
-    before: the response of the strategy's plant to all before sample ``reached``.
-    """
+    """One strategy's command (n, 2) in the window, from the origin."""
 
     solver: StopSolver
     command: Array
-    before: Response
-    reached: int
 
 
 class _Window:
@@ -188,19 +179,15 @@ class _Window:
     """
 
     def __init__(self, chunk: Samples, solvers: dict[str, StopSolver]) -> None:
-        self._first = chunk.first - BEFORE
+        around = [solver.around for solver in solvers.values()]
+        self._remembered = BEFORE + max((each.memory for each in around), default=0)
+        self.after = AFTER + max((each.ahead for each in around), default=0)
+        self._first = chunk.first - self._remembered
         self._origin, self._e = chunk.xyze[0, :Z], chunk.xyze[:1, E]
-        ahead = max((solver.around.ahead for solver in solvers.values()), default=0)
-        self.after, self._remembered = AFTER + ahead, REMEMBERED + ahead
-        self._path = np.zeros((BEFORE, 2))
-        self._extruding = np.zeros(BEFORE, dtype=bool)
+        self._path = np.zeros((self._remembered, 2))
+        self._extruding = np.zeros(self._remembered, dtype=bool)
         self._tracks = {
-            name: _Track(
-                solver,
-                np.zeros((BEFORE, 2)),
-                solver.around.at_rest(np.zeros(2), self._origin),
-                self._first,
-            )
+            name: _Track(solver, np.zeros((self._remembered, 2)))
             for name, solver in solvers.items()
         }
 
@@ -256,15 +243,4 @@ class _Window:
         changed = self._rows(stop.a - BESIDE, stop.b + BESIDE)
         local = stop.counted_from(self._first)
         for track in self._tracks.values():
-            before = self._response_before(stop.a - BESIDE, track)
-            track.command[changed] = track.solver.solve(around, track.command, before, local)
-
-    def _response_before(self, k: int, track: _Track) -> Response:
-        """Return the response of a track's plant before sample k, before which all is final."""
-        if track.reached < k - self._remembered:
-            track.reached = k - self._remembered
-            command = track.command[track.reached - self._first]
-            track.before = track.solver.around.at_rest(command, self._origin)
-        track.before.advance(track.command[self._rows(track.reached, k)])
-        track.reached = k
-        return track.before
+            track.command[changed] = track.solver.solve(around, track.command, local)

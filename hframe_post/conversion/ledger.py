@@ -134,7 +134,8 @@ class Ledger:
     Of the file: read, path. Of its plans: ramps, the motion if nothing limited its jerk; slowed,
     the share of the path that is slower so that the motors can follow; following, the share of the
     lines that accelerate less for the extruder, and the least of these accelerations. As sliced:
-    sliced_s, as the firmware plays it, and sliced_bands.
+    sliced_s, as the firmware plays it, and sliced_bands; elsewhere, an estimate for moves from
+    unknown places, in neither time.
 
     Of the samples: their number; resting, those added at stops; judged, those whose errors were
     predicted; fed, most filament in one stretch; filament_out; peaks; clamped; advancing, pressure
@@ -151,6 +152,7 @@ class Ledger:
     slowed: float = 0.0
     following: tuple[float, float] | None = None
     sliced_s: float = 0.0
+    elsewhere: float = 0.0
     sliced_bands: TimeInBands | None = None
     samples: int = 0
     resting: int = 0

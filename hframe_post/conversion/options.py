@@ -139,8 +139,7 @@ class Options:
 
     strategy: str = option(
         "", "-c", "--compensation", decides=True, choices=named(STRATEGIES),
-        help="Ringing and racking (racking), ringing only (fbs), or nothing (none). Default: the "
-        "profile's.",
+        help="What to cancel: nothing, ringing, or ringing and racking. Default: the profile's.",
     )  # fmt: skip
     predict: tuple[str, ...] | None = option(
         None, "--predict", rare=True,
@@ -188,12 +187,11 @@ class Options:
     )  # fmt: skip
     force: bool = option(
         False, "--force",
-        help="Convert even if the profile was not measured on your printer.",
+        help="Convert even with another printer's model.",
     )  # fmt: skip
     max_error: dict[str, float] | None = option(
         None, "--max-error", metavar="ERROR", read=error_bounds,
-        help="Print as fast as this error allows: 30um, or outer-wall=15um,infill=80um; 'off': at "
-        "the file's speeds. Default: the profile's.",
+        help="Print as fast as this error allows: 30um, or outer-wall=15um,infill=80um.",
     )  # fmt: skip
     max_width_error: float | None = option(
         None, "--max-width-error", rare=True, metavar="PERCENT", read=width_bound,

@@ -114,7 +114,7 @@ class Chain:
     def within_motors(self) -> WithinMotors:
         """Return what slows moves down so that the motors can follow."""
         printer = self.printer
-        return WithinMotors(printer.stated or printer.motors, printer.kinematics)
+        return WithinMotors(printer.motors.stated, printer.kinematics)
 
     def following(self, advance: Advance | None = None) -> FollowedAdvance | None:
         """Return what lowers accelerations for the extruder; None: the firmware adds its advance.
@@ -307,7 +307,8 @@ class PlannedFile:
         notes, own, slowed = self._notes, self._sliced.own, self._following
         return Ledger(
             read=notes.read, path=notes.path, ramps=own.standing + notes.ramps,
-            slowed=self._within.share, sliced_s=own.seconds, seconds=self._times.seconds,
+            slowed=self._within.share, sliced_s=own.seconds, elsewhere=own.elsewhere,
+            seconds=self._times.seconds,
             following=None if slowed is None else (slowed.share, slowed.least),
             sliced_bands=own.in_bands,
         )  # fmt: skip
@@ -328,7 +329,8 @@ class PlannedFile:
         noted = {each.name: getattr(ledger, each.name) for each in fields(Ledger)}
         return Report(
             **noted | {"contour": contour, "width": width}, strategy=options.strategy,
-            shaping=shaping, couples=bool(printer.plant.couplings), predicted_sliced=share,
+            shaping=shaping, predicted_sliced=share,
+            couples=printer.kinematics.racks and bool(printer.plant.couplings),
             notices=tuple(printer.warnings()) if options.strategy != "none" else (),
             plastic=self._plastic(ledger), other_tools=printer.firmware.other_tools,
             bands=_bands(ledger, printer.speed.avoid),

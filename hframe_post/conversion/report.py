@@ -231,9 +231,9 @@ class Report(Ledger):
     @property
     def time(self) -> PrintTime:
         """Return the duration of the print."""
-        return PrintTime(
-            self.sliced_s, self.duration, self.ramps, TS * self.resting, self.slowed
-        )  # fmt: skip
+        before, after = self.sliced_s + self.elsewhere, self.duration + self.elsewhere
+        ramps = self.ramps + self.elsewhere
+        return PrintTime(before, after, ramps, TS * self.resting, self.slowed)
 
     @property
     def predicted(self) -> float:
@@ -439,7 +439,7 @@ class Report(Ledger):
         elif ours > NO_GAIN * shaper:
             text = (
                 "the best input shaper does as well: use it instead "
-                "('hframe-post tune --shaper' prints its settings)"
+                "('hframe-post simulate --shapers' prints its settings)"
             )
         else:
             return []

@@ -30,7 +30,7 @@ def with_motors(
     Only the first BYTES_AHEAD are read, at once. Limits of motors that the profile states stay.
     limits: see ``ReadOptions``.
     """
-    if printer.stated is None:
+    if printer.motors == (stated := printer.motors.stated):
         return lines, printer
     rest, head, size = iter(lines), list[bytes](), 0
     while size < BYTES_AHEAD and (text := next(rest, None)) is not None:
@@ -40,7 +40,7 @@ def with_motors(
     usual = printer.limits
     own = usual.velocity, usual.acceleration, usual.square_corner_velocity
     most = np.max([own, *_asked(head, options)], axis=0).tolist()
-    motors = printer.stated.completed(printer.kinematics, *most)
+    motors = stated.completed(printer.kinematics, *most)
     return chain(head, rest), replace(printer, motors=motors)
 
 

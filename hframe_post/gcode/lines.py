@@ -28,6 +28,7 @@ NOT_TEXT = {  # first bytes of files that are taken for G-code
     b"\xfe\xff": "this file is UTF-16: save it as UTF-8",
 }
 SUFFIX = ".bgcode"
+TO_TEXT = "from_binary_to_ascii"  # of libbgcode
 NAMES = (".gcode", ".gco", ".g", SUFFIX)  # ends of the names of files of G-code
 MAX_LINE_BYTES = 1 << 20  # no slicer writes nearly as much, and no firmware reads it
 MAX_LINES_AHEAD = 4000  # that can be seen before their turn
@@ -55,7 +56,7 @@ def as_text(first: bytes, rest: IO[bytes]) -> Iterator[IO[bytes]]:
         with binary.open("wb") as copy:
             copy.write(first)
             shutil.copyfileobj(rest, copy)
-        cause = _convert("from_binary_to_ascii", binary, text, verify=True)
+        cause = _convert(TO_TEXT, binary, text, verify=True)
         if cause is not None:
             raise GcodeError(f"this binary G-code cannot be read: {cause}")
         with text.open("rb") as file:
@@ -81,11 +82,13 @@ def _convert(function: str, source: Path, target: Path, verify: bool = False) ->
     try:
         import pybgcode as bgcode
     except ImportError:
-        raise HframeError(
+        why = (
             "this is binary G-code. Turn off 'Supports binary G-code' in the slicer's printer "
-            "settings and slice again, or install the package that reads and writes it: "
-            + install_advice("pybgcode-jneilliii")
-        ) from None
+            "settings and slice again, or install the package that reads it: "
+            if function == TO_TEXT
+            else f"to write {SUFFIX}, install the package that does it: "
+        )
+        raise HframeError(why + install_advice("pybgcode-jneilliii")) from None
     opened = [bgcode.open(str(source), "rb"), bgcode.open(str(target), "wb")]
     try:
         result = getattr(bgcode, function)(*opened, *((True,) if verify else ()))

@@ -19,6 +19,8 @@ import re
 from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 
+import numpy as np
+
 from hframe_post.errors import GcodeError, LeftAloneError
 from hframe_post.gcode import commands
 from hframe_post.gcode.batching import (
@@ -43,6 +45,7 @@ from hframe_post.gcode.curves import FARTHEST, curve
 from hframe_post.gcode.extrusion import FirmwareRetraction, is_absolute
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.state import Extent, Objects, ReadOptions, State
+from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.stream.types import Handling, Item, MoveAtRest, Passthrough, Position
 
 MAX_DWELL = 24 * 3600.0  # s
@@ -230,9 +233,8 @@ class _Reader:
                 if letter in words:
                     self._bed.check(line, axis, end[axis])
         path, filament = math.dist(state.position[:3], end[:3]), end[3] - state.position[3]
-        known = cause == CHANGE_OF_OBJECT
-        seconds = self._seconds(path) if known else 0.0
-        place = end if known else None
+        place = end if cause == CHANGE_OF_OBJECT else None
+        seconds = self._seconds(end) if path else 0.0
         self._pass_through(line, Handling.RELEASE, seconds, filament, path, cause, place)
         if path:
             self._objects.moved()
@@ -240,11 +242,14 @@ class _Reader:
         if self._other_tool:
             state.forget()
 
-    def _seconds(self, path: float) -> float:
-        """Return the estimated duration of a move that passes through, from rest to rest."""
-        a = self._state.travel_acceleration
-        speed = min(self._state.speed, math.sqrt(a * path))
-        return path / speed + speed / a if path else 0.0
+    def _seconds(self, end: Position) -> float:
+        """Return the duration of a move from rest to rest, from where the file last was."""
+        state = self._state
+        speed, a = np.array([state.speed]), np.array([state.travel_acceleration])
+        state.others.lower(speed, a, np.array([state.position, end]))
+        return Trapezoid(
+            math.dist(state.position[:3], end[:3]), float(speed[0]), float(a[0])
+        ).seconds
 
     # ------------------------------------------------------------------ other commands
 

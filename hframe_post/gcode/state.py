@@ -283,7 +283,7 @@ class State:
         e = self.position[3] - self.offset[3]
         return ModalState(
             self.absolute, self.absolute_e, e, self.feed, self.offset[:3], self.advance,
-            self.smooth_time,
+            self.smooth_time, self.travel_acceleration,
         )  # fmt: skip
 
 

@@ -105,7 +105,8 @@ def _nothing(
     why = f". Not used: {aside[0].label}: {aside[0].reason}" if aside else ""
     return (
         f"{', '.join(map(str, paths))}: {most} speeds of a motor, and {LEAST_SPEEDS} are needed. "
-        "Record what 'hframe-post bands --gcode' writes, or CREATE_VIBRATIONS_PROFILE of Shake&Tune"
+        "Record what 'hframe-post measure --for bands' writes, or CREATE_VIBRATIONS_PROFILE of "
+        "Shake&Tune"
         f"{why}"
     )
 

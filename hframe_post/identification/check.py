@@ -143,7 +143,7 @@ def _split(run: Run) -> dict[int, tuple[FrequencyResponse, tuple[Array, Array]]]
     moving = np.flatnonzero((np.diff(run.command, axis=0) != 0.0).any(axis=1))
     again = moving[1:][np.diff(moving) > RESTS]
     if not len(again):
-        raise IdentificationError("not a run of 'hframe-post check --gcode'")
+        raise IdentificationError("not a run of 'hframe-post measure --for check'")
     end = int(again[np.argmin(np.abs(again - FITTED * len(u)))])
     return {
         axis: (found[axis], (u[end:, k], a[end:, axis]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.signal import find_peaks
 
@@ -22,6 +24,7 @@ TITLES = {
 }
 LEAST_SHOWN = 1e-3  # of |G|
 PROMINENT, MOST_NAMED = 2.0, 4  # dB; peaks of a response
+NEAR_PEAK = 0.05  # of a peak's frequency; damping of 0.2 shifts a peak by 4 %
 RELIABLE = 0.5  # coherence below which the phase of a response is noise
 
 
@@ -118,14 +121,19 @@ def _charts(name: str, measured: Measured, found: Fit, held: ImpulseResponse | N
         sd = uncertain(held, hz)
         for label, size in (("model + 2 σ", 2.0), ("model − 2 σ", -2.0)):
             edge = np.maximum(np.abs(model(hz)) + size * sd, LEAST_SHOWN)
-            magnitudes.append(Curve(label, hz, decibel(edge.astype(complex)), "var(--racking)"))
+            magnitudes.append(Curve(label, hz, decibel(edge.astype(complex)), "var(--soft)"))
     coherence = Curve("coherence", hz, mean.coherence, "var(--ink)")
     residual = Curve("residual", hz, np.abs(clean(mean) / model(hz) - 1.0), "var(--fbs)")
     unit = "dB (rad/mm)" if name == "Gxtheta" else "dB (mm/mm)"
     frequency = "frequency, Hz"
     return [
         Chart(
-            "Magnitude", frequency, unit, magnitudes, (True, False), _peaks(hz, decibel(model(hz)))
+            "Magnitude",
+            frequency,
+            unit,
+            magnitudes,
+            (True, False),
+            _peaks(hz, decibel(model(hz)), [hz for hz, _ in found.modes]),
         ),
         Chart("Phase, where the coherence is above 0.5", frequency, "°", phases, (True, False)),
         Chart("Coherence", frequency, "", [coherence], (True, False)),
@@ -133,11 +141,19 @@ def _charts(name: str, measured: Measured, found: Fit, held: ImpulseResponse | N
     ]
 
 
-def _peaks(hz: Array, magnitude: Array) -> list[tuple[float, str]]:
-    """Return the highest peaks of a response in dB, by frequency, with their names."""
+def _peaks(hz: Array, magnitude: Array, modes: Sequence[float]) -> list[tuple[float, str]]:
+    """Return the highest peaks of a response in dB, by frequency, with their names.
+
+    modes: Hz of the modes that describe it. A peak near one has its frequency, as the cards do:
+    damping and other modes shift the peak itself.
+    """
     at, found = find_peaks(magnitude, prominence=PROMINENT)
     highest = np.sort(at[np.argsort(-found["prominences"])][:MOST_NAMED])
-    return [(float(hz[k]), f"{hz[k]:.1f} Hz") for k in highest]
+    named = []
+    for peak in map(float, hz[highest]):
+        mode = min(modes, key=lambda known: abs(known - peak), default=peak)
+        named.append(mode if abs(mode - peak) < NEAR_PEAK * peak else peak)
+    return [(known, f"{known:.1f} Hz") for known in named]
 
 
 def uncertain(G: ImpulseResponse, hz: Array) -> Array:

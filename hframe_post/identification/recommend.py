@@ -116,7 +116,7 @@ def _best(printer: Printer, printers: list[Plant]) -> Trial | None:
     Where they can follow none of them in corners, the gentlest: a clamp helps there.
     """
     # what nobody stated grows with the file that is converted, and limits no window
-    motors = printer.motors if printer.stated is None else printer.stated
+    motors = printer.motors.stated
     compensation = printer.compensation
     spared = replace(motors, belt_acceleration=SPARED * motors.belt_acceleration)
     alike = replace(compensation, effort=(1.0, 1.0))

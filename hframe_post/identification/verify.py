@@ -284,14 +284,14 @@ def both(found: Sequence[Run]) -> tuple[Run, Run]:
     named = {name: run for run in found for name in STRATEGIES if name in run.name}
     if len(named) < len(STRATEGIES):
         raise IdentificationError(
-            "not both recordings of 'hframe-post verify --gcode', verify-plain and "
+            "not both recordings of 'hframe-post measure --for verify', verify-plain and "
             "verify-compensated. Give the folder with them and the commands"
         )
     plain, compensated = (named[name] for name in STRATEGIES)
     if len(plain.command) != len(compensated.command):
         raise IdentificationError(
             "the commands of the two motions differ in length: they were not written by the same "
-            "'hframe-post verify --gcode'"
+            "'hframe-post measure --for verify'"
         )
     return plain, compensated
 

@@ -41,11 +41,11 @@ class SolversAlongX:
             solver, response = self._at(self.G.node(x))
         except ArgumentError as error:
             raise HframeError(f"at x = {x:.0f} mm, {error}") from None
-        response.state[:] = u[self.memory - len(response.state) : self.memory]
+        response.state = u[self.memory - response.memory : self.memory]
         return solver.run(target + response.run(u[self.memory :]), s)
 
     def _memory(self, G: ImpulseResponse) -> int:
-        return len(FiniteFilter(G, max(G.ahead, self.lead)).state)
+        return FiniteFilter(G, max(G.ahead, self.lead)).memory
 
     def _at(self, k: int) -> tuple[Lpfbs, FiniteFilter]:
         """Return the solver and the response of a node."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.native.plant import sliding_sums
+from hframe_post.native.plant import finite_filter, sliding_sums
 
 PIECE = 256  # outputs for which the nodes of a response along x are chosen together
 
@@ -23,35 +23,28 @@ def stream_filter(G: ImpulseResponse, late: int) -> FiniteFilter:
 class FiniteFilter:
     """An impulse response applied to a stream, its output ``late`` samples late.
 
-    state (k,): the latest samples of the input. Acceleration is filtered, which at rest is zero.
+    state (memory,): the latest samples of the input. Acceleration is filtered, which at rest is
+    zero.
     """
 
     def __init__(self, G: ImpulseResponse, late: int) -> None:
         self._taps = np.ascontiguousarray(G.taps(late)[::-1])  # that of the oldest sample first
         self._rest, self._lag, self._late = G.rest, G.lag, late
-        self.state = np.zeros(max(len(self._taps) + 1, late + (1 if G.lag else 0)))
+        self.memory = max(len(self._taps), late) + 1
+        self.state = np.zeros(self.memory)
 
-    def run(self, u: Array) -> Array:
-        """Return the output (n,) at the next samples of the input u (n,)."""
-        n, memory = len(u), len(self._taps) - 1
+    def run(self, u: Array, x: Array | None = None) -> Array:
+        """Return the output (n,) at the next samples of the input u (n,); x: see ``output``."""
         known = np.concatenate([self.state, u])
-        y = sliding_sums(self._taps, np.diff(known[len(self.state) - memory - 2 :], n=2))
-        before = len(self.state) - self._late
-        y += self._rest * known[before : before + n]
-        if self._lag:
-            y -= self._lag * np.diff(known[before - 1 : before + n])
-        self.state[:] = known[n:]
-        return y
+        self.state = known[len(u) :].copy()
+        return self.output(known, u if x is None else x)
 
-    def advance(self, u: Array) -> None:
-        """Take the state that the next samples of the input lead to."""
-        n = min(len(u), len(self.state))
-        self.state[: len(self.state) - n] = self.state[n:].copy()
-        self.state[len(self.state) - n :] = u[len(u) - n :]
+    def output(self, known: Array, x: Array) -> Array:
+        """Return the output (n,) at the last samples of the input known (memory or more + n,).
 
-    def settle(self, u: float) -> None:
-        """Take the state that a constant input leads to."""
-        self.state[:] = u
+        x (n,): place of the nozzle at the outputs, mm, for a response that changes along x.
+        """
+        return finite_filter(self._taps, known, len(x), self._late, self._rest, self._lag)
 
 
 class FilterAlongX(FiniteFilter):
@@ -67,16 +60,13 @@ class FilterAlongX(FiniteFilter):
         m = max(map(len, each))
         self._each = [np.pad(taps, (m - len(taps), 0)) for taps in each]
         self._rest, self._late = G.rest, late
-        self.state = np.zeros(max(m + 1, late + 1))
+        self.memory = max(m, late) + 1
+        self.state = np.zeros(self.memory)
 
-    def along(self, u: Array, x: Array) -> Array:
-        """Return the output (n,) at the next samples of the input u (n,).
-
-        x (n,): place of the nozzle at the outputs, mm.
-        """
-        n, memory = len(u), len(self._each[0]) - 1
-        known = np.concatenate([self.state, u])
-        acceleration = np.diff(known[len(self.state) - memory - 2 :], n=2)
+    def output(self, known: Array, x: Array) -> Array:
+        n, memory = len(x), len(self._each[0]) - 1
+        before = len(known) - n
+        acceleration = np.diff(known[before - memory - 2 :], n=2)
         x = np.clip(x, self._x[0], self._x[-1])
         left = np.clip(np.searchsorted(self._x, x, "right") - 1, 0, len(self._x) - 2)
         share = (x - self._x[left]) / (self._x[left + 1] - self._x[left])
@@ -88,9 +78,8 @@ class FilterAlongX(FiniteFilter):
                 weight = np.where(nodes == k, 1.0 - part, np.where(nodes == k - 1, part, 0.0))
                 around = acceleration[a : piece.stop + memory]
                 y[piece] += weight * sliding_sums(self._each[k], around)
-        before = len(self.state) - self._late
+        before -= self._late
         y += self._rest * known[before : before + n]
         lag = (1.0 - share) * self._lags[left] + share * self._lags[left + 1]
         y -= lag * np.diff(known[before - 1 : before + n])
-        self.state[:] = known[n:]
         return y

@@ -24,14 +24,14 @@ command. Common poles of both cancel, so that these taps are short where the cou
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex, X, Y
 from hframe_post.errors import ArgumentError
-from hframe_post.hosts.klipper.kernel_file import signed
+from hframe_post.hosts.klipper.kernel_file import AHEAD, TAPS
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.kinematics import Kinematics
@@ -40,49 +40,12 @@ from hframe_post.model.plant import Coupling, Plant
 
 OMEGA = np.linspace(0.0, np.pi, 4097)  # rad/sample, of the least squares; 0.12 Hz apart
 CORNER_HZ = 4.0  # moves of a print last about 1/4 s; from 2 to 8 Hz the error changes by 2 %
-WINDOWS = ((100, 400), (80, 400), (60, 400), (60, 300), (60, 250), (60, 200), (40, 200), (40, 150))
-LOST = 1.1  # factor on the error of the longest window that a shorter one may leave
-NEGLIGIBLE_MM = 1e-3  # an error of which nothing shows
+PAST = TAPS - 1 - AHEAD
 EFFORTS = tuple(10.0 ** (k / 4.0) for k in range(17))  # λ = 1 … 10⁴
-# λ of a measured model: half the peak of 1, and on next sessions of two Vorons and an SV08 0 to 3 %
-# less error
-MEASURED_EFFORT = 10.0
+# λ of a measured model, at least: on next sessions of two Vorons and an SV08 the mean error is the
+# least from 10 to 30, and 60 ms ahead instead of 100 leave up to 9 % more
+MEASURED_EFFORT = 15.0
 STROKES = 100  # of the test path: 6 s, lengths of 0.2 to 60 mm
-
-
-@dataclass(frozen=True, slots=True)
-class Taps:
-    """h (n,), the first of which belongs to the path ``ahead`` samples later."""
-
-    h: Array
-    ahead: int
-
-    @property
-    def past(self) -> int:
-        return len(self.h) - 1 - self.ahead
-
-    def run(self, path: Array) -> Array:
-        """Return the result (n,) for a path (n,) that rests before its begin and after its end."""
-        padded = np.pad(path, (self.past, self.ahead), mode="edge")
-        return np.convolve(padded, self.h, mode="valid")
-
-    def __str__(self) -> str:
-        return " ".join([str(self.ahead), *(f"{h:.17g}" for h in self.h.tolist())])
-
-
-@dataclass(frozen=True, slots=True)
-class Figures:
-    """What the test path shows. leaves, without: RMS error (mm) with and without compensation.
-
-    without: less the plant's lag, which shows in no print. deviation: the most that a command
-    leaves the path in x or y, mm. belt_velocity, belt_acceleration: greatest of the command.
-    """
-
-    leaves: float
-    without: float
-    deviation: float
-    belt_velocity: float
-    belt_acceleration: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,42 +61,52 @@ class Bounds:
 
 
 @dataclass(frozen=True, slots=True)
-class Kernel:
-    """Taps of x and y, and of what couplings add; ``figures`` of the test path.
+class Figures:
+    """What the test path shows. leaves, without: RMS error (mm) with and without compensation.
 
-    couplings: each with the taps that act on the path of its command.
+    without: less the plant's lag, which shows in no print. deviation: the most that a command
+    leaves the path in x or y, mm. belt_velocity, belt_acceleration: greatest of the command.
+    reserve: factor on the path's acceleration and corner speed up to which the belts can follow.
     """
 
-    axes: tuple[Taps, Taps]
-    couplings: tuple[tuple[Coupling, Taps], ...]
-    figures: Figures
+    leaves: float
+    without: float
+    deviation: float
+    belt_velocity: float
+    belt_acceleration: float
+    reserve: float
 
-    def command(self, path: Array) -> Array:
-        """Return the control points (n, 2) for a path (n, 2), mm, at rest at both ends."""
-        return _command(self.axes, self.couplings, path)
+
+@dataclass(frozen=True, slots=True)
+class Kernel:
+    """Taps h (``TAPS``,) of x and y, and of what couplings add, for the path of their command.
+
+    h[0] belongs to the path ``AHEAD`` samples later.
+    """
+
+    axes: tuple[Array, Array]
+    couplings: tuple[tuple[Coupling, Array], ...]
 
     @property
     def reach(self) -> int:
         """Return the number of path samples on either side on which a sample depends."""
-        coupled = max((max(its.ahead, its.past) for _, its in self.couplings), default=0)
-        return max(max(its.ahead, its.past) for its in self.axes) + coupled + 1
+        return (2 if self.couplings else 1) * PAST + 1
+
+    def command(self, path: Array) -> Array:
+        """Return the control points (n, 2) for a path (n, 2), mm, at rest at both ends."""
+        target = path.copy()
+        for coupling, h in self.couplings:
+            added = coupling.lever(path) * _convolved(h, path[:, coupling.command])
+            target[:, coupling.answer] -= added
+        return np.column_stack([_convolved(self.axes[axis], target[:, axis]) for axis in (X, Y)])
 
     def run(self, path: Array) -> Array:
         """Return what the motors follow (n, 2) for a path (n, 2), mm, at rest at both ends."""
         return played(self.command(path))
 
-    def as_text(self, names: dict[str, str], bounds: Bounds) -> bytes:
-        """Return the file that Klipper's host reads; names: see ``hosts/klipper/kernel_file``."""
-        figures = {name: getattr(self.figures, name) for name in Figures.__dataclass_fields__}
-        figures |= {"velocity": bounds.velocity, "acceleration": bounds.acceleration}
-        rows = [*names.items(), *((name, f"{value:.6g}") for name, value in figures.items())]
-        rows += [(name, str(its)) for name, its in zip("xy", self.axes, strict=True)]
-        for coupling, its in self.couplings:
-            axes = (coupling.answer, coupling.command)
-            along = "-" if coupling.along is None else "xy"[coupling.along]
-            where = " ".join([*("xy"[axis] for axis in axes), along, f"{coupling.centre:.17g}"])
-            rows.append(("coupling", f"{where} {its}"))
-        return signed("".join(f"{key} = {value}\n" for key, value in rows))
+
+def _convolved(h: Array, path: Array) -> Array:
+    return np.convolve(np.pad(path, (PAST, AHEAD), mode="edge"), h, mode="valid")
 
 
 def played(c: Array) -> Array:
@@ -142,8 +115,8 @@ def played(c: Array) -> Array:
     return np.asarray((padded[:-2] + 4.0 * padded[1:-1] + padded[2:]) / 6.0)
 
 
-def kernel(plant: Plant, kinematics: Kinematics, bounds: Bounds) -> Kernel:
-    """Return the kernel of a plant, as mild as the belts need and as short as its error allows.
+def kernel(plant: Plant, kinematics: Kinematics, bounds: Bounds) -> tuple[Kernel, Figures]:
+    """Return the kernel of a plant, as mild as the belts need, and its figures.
 
     Of a plant that changes along x it is that at ``bounds.place``. Raises ArgumentError if the
     command outruns the belts at any effort.
@@ -151,82 +124,44 @@ def kernel(plant: Plant, kinematics: Kinematics, bounds: Bounds) -> Kernel:
     plant, path = plant.at(bounds.place[X]), strokes(bounds)
     limits = bounds.belt_velocity, bounds.belt_acceleration
     each = plant.Gxx, plant.Gyy, *(coupling.G for coupling in plant.couplings)
-    spectra = tuple(map(Spectrum.of, each))
-    least = MEASURED_EFFORT if any(G.variance.any() for G in spectra) else EFFORTS[0]
+    G = tuple(map(Spectrum.of, each))
+    least = MEASURED_EFFORT if any(each.variance.any() for each in G) else EFFORTS[0]
     for effort in (each for each in EFFORTS if each >= least):
-        longest = _Try.of(plant, spectra, path, effort, WINDOWS[0], WINDOWS[0])
-        rates = _rates(kinematics, longest.command)
-        if all(rate <= limit for rate, limit in zip(rates, limits, strict=True)):
+        made = Kernel(
+            (taps(G[X], None, effort), taps(G[Y], None, effort)),
+            tuple(
+                (each, taps(G[each.command], D, effort))
+                for each, D in zip(plant.couplings, G[2:], strict=True)
+            ),
+        )
+        command = made.command(path)
+        v, a = _rates(kinematics, command)
+        if v <= limits[0] and a <= limits[1]:
             break
     else:
         raise ArgumentError(
-            f"the command would need {rates[0]:.0f} mm/s and {rates[1]:.0f} mm/s² of the belts, "
-            f"whose limits are {limits[0]:g} and {limits[1]:g}: lower velocity or acceleration "
-            "under [limits]"
+            f"the command would need {v:.0f} mm/s and {a:.0f} mm/s² of the belts, whose limits are "
+            f"{limits[0]:g} and {limits[1]:g}: lower velocity or acceleration under [limits]"
         )
-    most = max(LOST * longest.leaves, NEGLIGIBLE_MM)
-    chosen = longest
-    for window in WINDOWS[1:]:
-        tried = _Try.of(plant, spectra, path, effort, window, window)
-        if tried.leaves <= most:
-            chosen = tried
-    for window in WINDOWS[1:] if chosen.couplings else ():
-        tried = _Try.of(plant, spectra, path, effort, chosen.window, window)
-        if tried.leaves <= most:
-            chosen = tried
     n = np.arange(len(path), dtype=float)
-    late = np.column_stack([np.interp(n - spectra[a].lag, n, path[:, a]) for a in (X, Y)])
-    figures = Figures(
-        chosen.leaves,
-        _rms(nozzle(plant, path[0], path) - late),
-        float(np.abs(chosen.command - path).max()),
-        *_rates(kinematics, chosen.command),
-    )
-    return Kernel(chosen.axes, chosen.couplings, figures)
-
-
-@dataclass(frozen=True, slots=True)
-class _Try:
-    """A kernel with windows (ahead, past) of axes and couplings, and the test path with it."""
-
-    axes: tuple[Taps, Taps]
-    couplings: tuple[tuple[Coupling, Taps], ...]
-    window: tuple[int, int]
-    command: Array
-    leaves: float
-
-    @classmethod
-    def of(
-        cls, plant: Plant, G: tuple[Spectrum, ...], path: Array, effort: float,
-        window: tuple[int, int], coupling: tuple[int, int],
-    ) -> _Try:  # fmt: skip
-        """Return the kernel; G: spectra of x, y and the couplings."""
-        axes = taps(G[X], None, *window, effort), taps(G[Y], None, *window, effort)
-        couplings = tuple(
-            (each, taps(G[each.command], D, *coupling, effort))
-            for each, D in zip(plant.couplings, G[2:], strict=True)
+    late = np.column_stack([np.interp(n - G[axis].lag, n, path[:, axis]) for axis in (X, Y)])
+    leaves = _rms(nozzle(plant, path[0], played(command)) - path)
+    without = _rms(nozzle(plant, path[0], path) - late)
+    deviation, most = float(np.abs(command - path).max()), limits[1] / a
+    for reserve in (most, 0.9 * most, 1.0):  # other strokes add up in other ways
+        faster = replace(
+            bounds, acceleration=reserve * bounds.acceleration, corner=reserve * bounds.corner
         )
-        command = _command(axes, couplings, path)
-        leaves = _rms(nozzle(plant, path[0], played(command)) - path)
-        return cls(axes, couplings, window, command, leaves)
+        rates = _rates(kinematics, made.command(strokes(faster)))
+        if reserve >= 1.0 and rates[0] <= limits[0] and rates[1] <= limits[1]:
+            break
+    return made, Figures(leaves, without, deviation, v, a, reserve)
 
 
 def _rates(kinematics: Kinematics, command: Array) -> tuple[float, float]:
     """Return the greatest speed and acceleration of the belts."""
     v, a = (kinematics.belts(*np.diff(command.T, n=k)) / TS**k for k in (1, 2))
     return float(np.abs(v).max()), float(np.abs(a).max())
-
-
-def _command(
-    axes: tuple[Taps, Taps], couplings: tuple[tuple[Coupling, Taps], ...], path: Array
-) -> Array:
-    target = path.copy()
-    for coupling, its in couplings:
-        added = coupling.lever(path) * its.run(path[:, coupling.command])
-        target[:, coupling.answer] -= added
-    return np.column_stack(
-        [its.run(target[:, axis]) for axis, its in zip((X, Y), axes, strict=True)]
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,8 +183,8 @@ class Spectrum:
         return cls(G.response(np.maximum(OMEGA, 1e-9)), variance, G.dc_gain, float(lag))
 
 
-def taps(G: Spectrum, D: Spectrum | None, ahead: int, past: int, effort: float) -> Taps:
-    """Return the taps that make of G what D is, or 1 without D."""
+def taps(G: Spectrum, D: Spectrum | None, effort: float) -> Array:
+    """Return the taps (``TAPS``,) that make of G what D is, or 1 without D."""
     from scipy.linalg import solve_toeplitz  # takes a second to import
 
     hz = OMEGA / (2.0 * np.pi * TS)
@@ -258,18 +193,18 @@ def taps(G: Spectrum, D: Spectrum | None, ahead: int, past: int, effort: float) 
     B = (2.0 + np.cos(OMEGA)) / 3.0
     GB = G.at * B
     wanted, rest, lag = (1.0, 1.0, 0.0) if D is None else (D.at, D.rest, D.lag)
-    n, k = ahead + past + 1, np.arange(-ahead, past + 1)
+    k = np.arange(-AHEAD, PAST + 1)
     acceleration = (2.0 - 2.0 * np.cos(OMEGA)) * B
     expected = np.abs(GB) ** 2 + G.variance * B**2
-    H = np.fft.irfft(W * (expected + effort * acceleration**2))[:n]
+    H = np.fft.irfft(W * (expected + effort * acceleration**2))[:TAPS]
     r = np.fft.irfft(W * np.conj(GB) * wanted)[k]
-    A = np.stack([np.ones(n), k / past])
-    m = np.array([rest, (lag - rest * G.lag) / past])
+    A = np.stack([np.ones(TAPS), k / PAST])
+    m = np.array([rest, (lag - rest * G.lag) / PAST])
     solved = solve_toeplitz(H, np.column_stack([r, A.T]))
     free, by_A = solved[:, 0], solved[:, 1:]
-    h = free + by_A @ np.linalg.solve(A @ by_A, m - A @ free)
-    h[ahead] += rest - h.sum()  # to the last digit: a printer at rest stands at its path
-    return Taps(h, ahead)
+    h: Array = free + by_A @ np.linalg.solve(A @ by_A, m - A @ free)
+    h[AHEAD] += rest - h.sum()  # to the last digit: a printer at rest stands at its path
+    return h
 
 
 def strokes(bounds: Bounds) -> Array:

@@ -187,7 +187,8 @@ def _solve(G: ImpulseResponse, w: Window, lead: int, reach: int) -> tuple[Array,
         w.L * np.arange(w.degree + 2, dtype=float), w.degree, np.arange(w.L * (w.degree + 1.0))
     )
     filters = [FiniteFilter(each, max(each.ahead, lead)) for each in (G, *G.doubts)]
-    filtered = [f.run(np.pad(first[:, 0], (0, len(f.state)))) for f in filters]
+    padded = [np.pad(first[:, 0], (0, f.memory)) for f in filters]
+    filtered = [f.run(u) for f, u in zip(filters, padded, strict=True)]
     longest = max(map(len, filtered))
     past = max(-(-longest // w.L) - 1, w.degree + 1, reach)
     since = np.arange(w.L_C)[:, None] - w.L * np.arange(-past, w.n_C)

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y
-from hframe_post.model.filters import FilterAlongX, FiniteFilter, stream_filter
+from hframe_post.model.filters import FiniteFilter, stream_filter
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Coupling, Plant
 from hframe_post.native import plant as native
 from hframe_post.native.plant import Couplings, sum_of
 
 STIFF = ImpulseResponse(np.zeros(1), 0)
-
-
-def _output(f: FiniteFilter, u: Array, x: Array) -> Array:
-    """Return the output (n,) of a filter, which may change along x (n,), mm."""
-    return f.along(u, x) if isinstance(f, FilterAlongX) else f.run(u)
 
 
 class Filters:
@@ -66,7 +61,7 @@ class Coupled:
         filters, couplings, commands = self._filters, self._filters.couplings, (x_dm, y_dm)
         place = path + self._origin
         outputs = [
-            _output(G, commands[axis], place[:, X])
+            G.run(commands[axis], place[:, X])
             for G, axis in zip(filters.each, filters.commands, strict=True)
         ]
         return sum_of(outputs, couplings, place)
@@ -76,37 +71,16 @@ class Response:
     """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,).
 
     late: samples by which the motion comes later than the command, at least and by default the
-    plant's ``ahead``. away: mm of x from where places are counted, for responses that change along
-    x and a command that is counted from elsewhere.
+    plant's ``ahead``.
     """
 
-    def __init__(
-        self, plant: Plant, origin: Array, late: int | None = None, away: float = 0.0
-    ) -> None:
+    def __init__(self, plant: Plant, origin: Array, late: int | None = None) -> None:
         self.late = plant.ahead if late is None else late
         self._filters = Filters.of_plant(plant, self.late)
         self._origin = origin
         # where responses change along x, the command tells x: the nozzle is within half a mm of it
         self._x = FiniteFilter(STIFF, self.late) if self._filters.along_x else None
-        self._from_x = float(origin[X]) + away
-
-    def settle(self, command: Array) -> None:
-        """Come to rest under a command (2,)."""
-        u = (command - self._origin).tolist()
-        for f, axis in self._commanded():
-            f.settle(u[axis])
-
-    def advance(self, command: Array) -> None:
-        """Go on to the state after the next samples of the command (n, 2)."""
-        u = (command - self._origin).T
-        for f, axis in self._commanded():
-            f.advance(u[axis])
-
-    def _commanded(self) -> Iterator[tuple[FiniteFilter, int]]:
-        """Yield each filter with the axis of its command."""
-        yield from zip(self._filters.each, (X, Y, *self._filters.commands), strict=True)
-        if self._x is not None:
-            yield self._x, X
+        self._from_x = float(origin[X])
 
     def run(self, command: Array, out: Array | None = None) -> Array:
         """Return the nozzle's x, y (n, 2) at samples that lag behind those of command (n, 2).
@@ -120,21 +94,12 @@ class Response:
         both = self._motion(command, np.empty((len(command), len(self._filters.each))))
         return both[:, :2], both[:, 2:]
 
-    def imagined(self, command: Array) -> tuple[Array, Array]:
-        """Return what ``motion`` would, and keep the state."""
-        filters = [f for f, _ in self._commanded()]
-        states = [f.state.copy() for f in filters]
-        motion = self.motion(command)
-        for f, state in zip(filters, states, strict=True):
-            f.state[:] = state
-        return motion
-
     def _motion(self, command: Array, motion: Array) -> Array:
         filters, couplings = self._filters, self._filters.couplings
         u = np.subtract(command.T, self._origin[:, None], order="C")
         x = u[X] if self._x is None else self._x.run(u[X]) + self._from_x
         axes = X, Y, *filters.commands
-        outputs = [_output(f, u[axis], x) for f, axis in zip(filters.each, axes, strict=True)]
+        outputs = [f.run(u[axis], x) for f, axis in zip(filters.each, axes, strict=True)]
         return native.nozzle(outputs, couplings, self._origin, motion)
 
 

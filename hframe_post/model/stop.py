@@ -41,7 +41,6 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, X
 from hframe_post.model.lpfbs import bsplines
-from hframe_post.model.nozzle import Response
 from hframe_post.model.plant import Plant
 from hframe_post.model.stop_cost import BESIDE, BEYOND, Rows, Stop, Surroundings
 from hframe_post.model.stop_plant import AroundStops
@@ -78,36 +77,39 @@ class StopSolver:
         self.around = AroundStops(plant, self._N_before, self._N_after)
         self._splines = lru_cache(maxsize=32)(self._usable_splines)
 
-    def solve(self, around: Surroundings, command: Array, before: Response, stop: Stop) -> Array:
+    def solve(self, around: Surroundings, command: Array, stop: Stop) -> Array:
         """Return the command (n, 2) of samples a − BESIDE … b + BESIDE − 1, from the origin.
 
-        command: of the whole stretch, so far; before: the plant's response to all that precedes
-        the first of these samples. The path must be known for NEAREST samples more on either side,
-        and for BEYOND after, and the command for ``around.ahead`` after that.
+        command: of the whole stretch, so far. The path must be known for NEAREST samples more on
+        either side, and for BEYOND after; the command for ``around.memory`` samples before, and
+        for ``around.ahead`` after that.
         """
-        rows, n = Rows.from_stop(around, stop), stop.b - stop.a
-        command = command[stop.a - BESIDE - 2 : stop.b + BESIDE + BEYOND + self.around.ahead].copy()
-        command[BESIDE + 2 : BESIDE + 2 + n] = command[BESIDE + 2]
+        rows, n, first = Rows.from_stop(around, stop), stop.b - stop.a, stop.a - BESIDE
         path = around.path[rows.index] + around.origin
-        known, levers = self.around.known(before, command[2:], path, n)
+        begun = first - self.around.memory
+        held = command[stop.a]
+        dwelling = command[begun : stop.b + BESIDE + BEYOND + self.around.ahead].copy()
+        dwelling[stop.a - begun : stop.b - begun] = held
+        known, levers = self.around.known(dwelling, path, n, float(around.origin[X]))
         reach = bisect_right(self._reach, stop.before), bisect_right(self._reach, stop.after)
         node = self.around.node(float(around.path[stop.a, X] + around.origin[X]))
         splines = self._splines(*reach, stop.movable, n, node)
         # with two samples more on either side for second differences, and a shortened dwell
-        dwell = command[BESIDE + 2 :][: min(n, DWELL_ROWS)]
-        later = command[BESIDE + 2 + n :][: BESIDE + 2]
-        sequence = np.concatenate([command[: BESIDE + 2], dwell, later])
+        sequence = np.empty((len(splines.N), 2))
+        sequence[: BESIDE + 2] = command[first - 2 : stop.a]
+        sequence[BESIDE + 2 : -BESIDE - 2] = held
+        sequence[-BESIDE - 2 :] = command[stop.b : stop.b + BESIDE + 2]
         bed = self._bed - around.origin[:, None]
         problem = Problem(
             rows.path, rows.index, rows.dwell, rows.weight, rows.extruding, known, levers,
             self.around.axes, splines, sequence, self._effort, self._belts, self._limit, bed,
         )  # fmt: skip
         sequence += product(least_squares(problem).T, splines.by_column).T
-        command = command[2 : 2 + n + 2 * BESIDE]
-        command[:BESIDE] = sequence[2 : BESIDE + 2]
-        command[BESIDE : BESIDE + n] = sequence[BESIDE + 2]
-        command[BESIDE + n :] = sequence[-BESIDE - 2 : -2]
-        return command
+        solved = np.empty((n + 2 * BESIDE, 2))
+        solved[:BESIDE] = sequence[2 : BESIDE + 2]
+        solved[BESIDE : BESIDE + n] = sequence[BESIDE + 2]
+        solved[BESIDE + n :] = sequence[-BESIDE - 2 : -2]
+        return solved
 
     def _usable_splines(self, before: int, after: int, movable: bool, n: int, node: int) -> Splines:
         """Return the splines of a stop.

@@ -26,6 +26,7 @@
     EACH(klipper_durations)                                                                   \
     EACH(klipper_feeds)                                                                       \
     EACH(least_squares)                                                                       \
+    EACH(finite_filter)                                                                       \
     EACH(limit_moves)                                                                         \
     EACH(lower_moves)                                                                         \
     EACH(run_seconds)                                                                         \

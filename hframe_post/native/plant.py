@@ -48,6 +48,19 @@ def nozzle(outputs: list[Array], couplings: Couplings, origin: Array, motion: Ar
     return motion
 
 
+def finite_filter(
+    taps: Array, u: Array, n: int, late: int, rest: float, lag: float
+) -> Array:  # fmt: skip
+    """Return the output (n,) of a filter at the last n samples of its input u (h,).
+
+    taps (m,): by acceleration, that of the oldest sample first; rest: gain of the input ``late``
+    samples before; lag: s⁻¹ of its speed. h is at least n + 1 + the greater of m and ``late``.
+    """
+    y, room = np.empty(n), np.empty(n + len(taps) - 1)
+    kernels.finite_filter(taps, len(taps), u, len(u), n, late, rest, lag, room, y)
+    return y
+
+
 def sliding_sums(factors: Array, u: Array) -> Array:
     """Return the sum of the factors times as many samples of u, from each sample that has them."""
     sums = np.zeros(len(u) + 1 - len(factors))

@@ -26,6 +26,10 @@ EXCESS_COST = 0.2  # mm² for exceeding a bound by as much again, next to the sq
 SHORT2 = 1e-14  # mm², squared length up to which a vector has no direction
 ROOM = 45_000  # numbers that the compiled loop needs to work in; C takes no fewer
 CLEARANCE = 0.02  # mm to the bed's edge for a command that would leave it
+RULES = np.array([
+    ALONG, FAR, EMPHASIS, MOST_EMPHASIS, TARGET, EASY, RAISED, MOST_RAISED, HARDEST,
+    EXCESS_COST, SHORT2, CLEARANCE,
+])  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,15 +98,11 @@ def least_squares(problem: Problem) -> Array:
         return np.zeros((0, 2))
     q, splines, p = problem, problem.splines, np.empty((k, 2))
     bounds = np.concatenate([q.effort, q.belts.ravel(), q.bed.T.ravel(), [q.full_limit]])
-    rules = np.array([
-        ALONG, FAR, EMPHASIS, MOST_EMPHASIS, TARGET, EASY, RAISED, MOST_RAISED, HARDEST,
-        EXCESS_COST, SHORT2, CLEARANCE,
-    ])  # fmt: skip
     fits = kernels.least_squares(
         q.path, q.index, len(q.index), q.dwell.start, q.dwell.stop, q.weight, q.extruding, q.known,
         q.levers, q.axes, len(q.axes), splines.by_p, splines.first, k, q.command, len(q.command),
         splines.N, splines.D, splines.bands, splines.limit, bounds, NEAREST, SEARCHES,
-        EMPHASES, TRIALS, rules, np.empty(ROOM), p,
+        EMPHASES, TRIALS, RULES, np.empty(ROOM), p,
     )  # fmt: skip
     assert fits
     return p

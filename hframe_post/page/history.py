@@ -69,7 +69,7 @@ def _state(profile: Printer, now: datetime) -> Iterator[Card]:
         less = f"{100.0 * verified.reduction:.0f}"
         yield Card("Verified", less, "% less error", f"on {verified.date}", "best")
     else:
-        yield Card("Verified", "no", more="hframe-post verify measures what compensation brings")
+        yield Card("Verified", "no", more="to verify: hframe-post measure --for verify")
 
 
 def _last(checks: Sequence[Event], now: datetime) -> Card:

@@ -1,5 +1,6 @@
 const state = { layer: 0, strategy: Math.max(data.strategies.findIndex((s) => s.name === data.chosen), 0), mode: "error", hidden: new Set(), until: 1, magnified: 20, scale: 1, x: 0, y: 0, picked: -1 };
 const FARTHEST = 1.5;  // mm that the nozzle is drawn off the path; beyond it is compressed
+const BARE = 2.5;  // px of a line, below which the nozzle's is not drawn on it; it is drawn in full on twice as wide ones
 let rows = null;
 
 // ------------------------------------------------------------------ small helpers
@@ -99,7 +100,8 @@ function paint() {
     const bad = mode.diverging ? Math.abs(2 * k / COLOURS - 1) : k / COLOURS;
     ink.lineWidth = wide + Math.max(3 - wide, 0) * bad; ink.strokeStyle = colour(k, ramp); ink.stroke(strokes[k]);
   }
-  ink.lineWidth = 1.2; ink.strokeStyle = style("--ink"); ink.stroke(nozzleLine);
+  ink.globalAlpha = Math.min(Math.max((0.38 * state.scale - BARE) / BARE, 0), 1);  // it must not hide the colours
+  ink.lineWidth = 1.2; ink.strokeStyle = style("--ink"); ink.stroke(nozzleLine); ink.globalAlpha = 1;
   if (state.until < 1 && to > from) { ink.beginPath(); ink.arc(x0, y0, 6, 0, 7); ink.fillStyle = style("--accent"); ink.fill(); }
   if (state.picked >= from && state.picked < to) {
     const [x, y] = toScreen(...place(state.picked), box);

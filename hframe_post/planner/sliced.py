@@ -36,7 +36,8 @@ from hframe_post.stream.types import (
 class AsSliced:
     """The firmware's own plan of a file. ``seconds``: of all items that were planned.
 
-    standing: what of them x and y rest.
+    standing: what of them x and y rest. elsewhere: estimate for moves from unknown places, not in
+    them.
     in_bands: the outer walls' time, and what of it a motor spends in these bands.
     """
 
@@ -46,7 +47,7 @@ class AsSliced:
         steep = math.inf if self._lifts else STEEP
         self._queue = Lookahead(rules.limits, z_share=1.0, steep=steep)
         self._last: Moves | None = None  # moves before the item
-        self.seconds = self.standing = 0.0
+        self.seconds = self.standing = self.elsewhere = 0.0
         self._bands, self._walls, self.in_bands = bands, OuterWalls(), TimeInBands()
         self._outer = list[Flags]()  # which of the queued moves are outer walls
         self._ratio = list[Array]()  # cruise ratios of the queued moves
@@ -85,7 +86,10 @@ class AsSliced:
                 return
         else:
             yield from map(self._timed, self._queue.stop())
-        if item is not None:
+        if isinstance(item, Passthrough) and item.cause and item.end is None:
+            self.elsewhere += item.seconds
+            yield item
+        elif item is not None:
             self._stand(item.seconds if isinstance(item, Passthrough) else self._at_rest(item))
             yield item
 

@@ -6,6 +6,7 @@ histogram with fine bins.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -139,9 +140,8 @@ class ErrorStatistics:
         return min(float(end), self.peak)
 
     def measured(self, measure: str) -> float:
-        """Return a statistic of the errors by its name: rms, p95 or peak; mm."""
-        values = {"rms": self.rms, "p95": self.percentile(0.95), "peak": self.peak}
-        return values[measure]
+        """Return a statistic of the errors, mm. measure: its name in ``MEASURES``."""
+        return MEASURES[measure](self)
 
     def percents(self) -> dict[str, float]:
         """Return RMS and percentile of errors that are shares."""
@@ -149,10 +149,18 @@ class ErrorStatistics:
         return {name: round(100.0 * share, 2) for name, share in values.items()}
 
     def micrometres(self) -> dict[str, float]:
-        values = {"rms": self.rms, "p95": self.percentile(0.95), "peak": self.peak}
+        values = {name: measured(self) for name, measured in MEASURES.items()}
         if (found := self.range) is not None:
             values |= {"median": found.median, "from": found.low, "to": found.high}
         return {name: round(value * 1e3, DECIMALS) for name, value in values.items()}
+
+
+# statistics by their names in every JSON
+MEASURES: dict[str, Callable[[ErrorStatistics], float]] = {
+    "rms": lambda errors: errors.rms,
+    "p95": lambda errors: errors.percentile(0.95),
+    "peak": lambda errors: errors.peak,
+}
 
 
 @dataclass

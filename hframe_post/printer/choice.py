@@ -30,6 +30,7 @@ DEMONSTRATIONS = ("paper", "paper-marlin", "paper-strong")
 OPTION = "option -p"
 PROGRAMS = ("PrusaSlicer", "SuperSlicer", "OrcaSlicer")
 PRESETS = ("*/*.ini", "user/*/*/*.json")  # of PrusaSlicer and SuperSlicer; of OrcaSlicer
+AGAIN = "run 'hframe-post setup PROFILE.TOML' again"
 MAX_PRESET_BYTES = 1 << 20  # bytes
 QUOTED = r'(?:\\*"(?P<quoted>[^"]+?)\\*"|(?P<plain>[^\s"\\;]+))'
 NOTE = re.compile(rf'{VARIABLE}\s*=\s*(?:\\+")?(?P<plain>(?:[^"\\\n]|\\+(?![nr"]))+)')
@@ -78,10 +79,10 @@ def _default() -> str | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as error:
-        raise HframeError(f"{path} cannot be read: {error}; run 'hframe-post use' again") from None
+        raise HframeError(f"{path} cannot be read: {error}; {AGAIN}") from None
     printer = document.get("printer")
     if not isinstance(printer, str):
-        raise HframeError(f"{path} has no line printer = \"…\": run 'hframe-post use' again")
+        raise HframeError(f'{path} has no line printer = "…": {AGAIN}')
     return printer
 
 
@@ -110,9 +111,9 @@ def choose(requested: str | None, environ: Mapping[str, str]) -> Choice:
         if os.path.isabs(default) and not Path(default).is_file():
             raise HframeError(
                 f"{default}: the default profile does not exist any more; choose another with "
-                "'hframe-post use'"
+                "'hframe-post setup PROFILE.TOML'"
             )
-        return Choice(default, "default set with 'hframe-post use'")
+        return Choice(default, "default set by 'hframe-post setup'")
     raise HframeError(
         "no printer is chosen: make its profile with 'hframe-post setup printer.cfg' (Marlin: "
         "m503.txt), or name one with -p (for a demonstration: -p paper)"
@@ -124,7 +125,7 @@ def verification_as_text(printer: Printer) -> list[str]:
     if (mark := printer.verified) is None:
         how = "print it, and the file as sliced, and compare"
         if printer.firmware.kind.records:
-            how += "; or 'hframe-post verify' measures it"
+            how += "; or 'hframe-post measure --for verify' measures it"
         return [] if printer.invented else [f"next             {how}"]
     less = f"{100.0 * mark.reduction:.0f} % less contour error measured on the printer"
     return [f"verified         {less}, {one_line(mark.date)}, {one_line(mark.firmware)}"]

@@ -38,7 +38,7 @@ class FirmwareTable:
     title: ClassVar[str]
     needs_steps: ClassVar[str] = ""
     records: ClassVar[bool] = False
-    measuring: ClassVar[tuple[str, str]] = ("play what 'hframe-post sweep' writes", "")
+    measuring: ClassVar[tuple[str, str]] = ("play what 'hframe-post measure' writes", "")
 
 
 T = TypeVar("T", bound=FirmwareTable)

@@ -204,17 +204,15 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     _check_tables(document)
     usual = {key: checked(kind, document.get(key, {}), key) for key, kind in USUAL.items()}
     given = {k: checked(kind, document[k], k) for k, kind in IF_GIVEN.items() if k in document}
-    stated = checked(Motors, document.get("motors", {}), "motors")
     limits, kinematics = usual["limits"], usual["kinematics"]
-    motors = stated.completed(
+    motors = checked(Motors, document.get("motors", {}), "motors").completed(
         kinematics, limits.velocity, limits.acceleration, limits.square_corner_velocity
     )
     model = _model_digest(document)
     printer = Printer(
         **usual, **given, **_measured(document["plant"], limits, kinematics), name=name,
-        description=document.get("description", ""), motors=motors,
-        stated=None if motors == stated else stated, firmware=load_firmware(document["firmware"]),
-        digest=digest, model=model, verified=_verified(document, model),
+        description=document.get("description", ""), motors=motors, digest=digest, model=model,
+        firmware=load_firmware(document["firmware"]), verified=_verified(document, model),
     )  # fmt: skip
     check_needs(printer.firmware, printer.steps is not None)
     return printer

@@ -136,6 +136,11 @@ class Motors:
     belt_velocity: float = within(1.0, 1e5, default=math.inf)
     belt_acceleration: float = within(1.0, 1e8, default=math.inf)
 
+    @property
+    def stated(self) -> Motors:
+        """Return the limits that somebody stated; infinite where there is a guess."""
+        return self
+
     def completed(
         self, kinematics: Kinematics, velocity: float, acceleration: float, corner: float
     ) -> Motors:
@@ -149,7 +154,20 @@ class Motors:
         turned = acceleration + corner / CORNER_S
         guess = round(belts * VELOCITY_HEADROOM * velocity, 1), round(belts * max(harder, turned))
         stated = self.belt_velocity, self.belt_acceleration
-        return Motors(*(s if s < math.inf else g for s, g in zip(stated, guess, strict=True)))
+        limits = [s if s < math.inf else g for s, g in zip(stated, guess, strict=True)]
+        return self if math.inf not in stated else GuessedMotors(limits[0], limits[1], guess)
+
+
+@dataclass(frozen=True, slots=True)
+class GuessedMotors(Motors):
+    """Limits of which a guess fills in those that nobody stated. Another value is stated."""
+
+    guess: tuple[float, float] = (math.inf, math.inf)
+
+    @property
+    def stated(self) -> Motors:
+        limits = self.belt_velocity, self.belt_acceleration
+        return Motors(*(math.inf if x == g else x for x, g in zip(limits, self.guess, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,11 +310,11 @@ class Verified:
 class Printer:
     """A whole profile.
 
-    motors: complete; stated: those that the profile states, None if it states all. digest:
-    identifies the contents, apart from ``verified``. verified: None unless this plant and
-    window were verified. invented: the plant was not measured on this printer. uncertainty: share
-    by which the printer may differ from its plant; None if it was not measured. measured: day of
-    the recordings, if known. model: digest of plant and window, which `verify` marks.
+    motors: complete. digest: identifies the contents, apart from ``verified``. verified: None
+    unless this plant and window were verified. invented: the plant was not measured on this
+    printer. uncertainty: share by which the printer may differ from its plant; None if it was not
+    measured. measured: day of the recordings, if known. model: digest of plant and window, which
+    `verify` marks.
     """
 
     name: str
@@ -319,7 +337,6 @@ class Printer:
     uncertainty: float | None = None
     measured: date | None = None
     model: str = ""
-    stated: Motors | None = None
 
     def uncertainty_on(self, day: date) -> float:
         """Return the uncertainty of the plant on a later day, at least the one it has."""

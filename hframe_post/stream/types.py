@@ -92,7 +92,7 @@ class ModalState:
     """The firmware's state as the file assumes it: modes, e (mm), feed (mm/s), G92 offsets (mm).
 
     advance, smooth_time: s of pressure advance, and of its averaging, that the file has set; None:
-    it has set none.
+    it has set none. acceleration: of travel, mm/s², as the firmware has it at this place.
     """
 
     absolute: bool
@@ -102,6 +102,7 @@ class ModalState:
     offset: tuple[float, float, float]
     advance: float | None = None
     smooth_time: float | None = None
+    acceleration: float = math.inf
 
 
 class Handling(Enum):

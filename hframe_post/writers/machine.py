@@ -238,8 +238,9 @@ class Machine:
             assert self._at is not None
             assert action.end is not None
             before, after = around
-            (x, y, z, _), (*_, e) = self._units.place(action.end), self._at
-            self._at = x, y, z, e
+            self.ledger.passed(action.filament)
+            x, y, z, _ = action.end
+            self._at = self._units.place((x, y, z, self.ledger.filament))
             yield LimitChange(b"%b%b\n%b" % (before, action.text, after))
             return
         if releases:

@@ -33,7 +33,7 @@ def test_one_failure_stops_no_other_and_the_bytes_are_those_of_single_runs(
     jobs: list[Path], tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    done = run("batch", *jobs, "-d", out, "-j", "2", "--json", tmp_path / "s.json")
+    done = run("batch", *jobs, "-o", out, "-j", "2", "--json", tmp_path / "s.json")
     assert done.returncode == 1
     assert b"2 converted, 0 skipped, 1 failed" in done.stderr
     run(jobs[0], "-o", tmp_path / "single.gcode")
@@ -57,7 +57,7 @@ def test_what_is_not_compensated_is_said_in_the_line_and_at_the_end(tmp_path: Pa
     for name, share in (("a", 32.9), ("b", 0.1)):
         lines = ("M83", "G1 X100 Y100 Z0.2 F6000", f"G1 X150 E{100 - share} F3000", "A_MACRO")
         (tmp_path / f"{name}.gcode").write_text("\n".join([*lines, f"G1 X160 E{share}\n"]))
-    done = run("batch", tmp_path, "-d", tmp_path / "out")
+    done = run("batch", tmp_path, "-o", tmp_path / "out")
     assert done.returncode == 0
     warning = "32.9 % of the extrusion is not compensated, mostly after A_MACRO"
     shown = done.stderr.decode().splitlines()
@@ -75,16 +75,16 @@ def test_a_folder_keeps_its_subfolders(tmp_path: Path) -> None:
         shutil.copy(RECTANGLE, jobs / name)
     converted = ["a.gcode", "x/a.GCO", "x/y/a.gcode"]
     for expected in (b"3 converted, 0 skipped", b"0 converted, 3 skipped"):
-        done = run("batch", jobs, "-d", out, "--resume")
+        done = run("batch", jobs, "-o", out, "--resume")
         assert done.returncode == 0, done.stderr
         assert expected in done.stderr
         files = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
         assert files == converted
-    nothing = run("batch", jobs / ".hidden" / "..", "-d", jobs)
+    nothing = run("batch", jobs / ".hidden" / "..", "-o", jobs)
     assert nothing.returncode == 2
     assert b"would replace the input" in nothing.stderr
     (tmp_path / "empty").mkdir()
-    nothing = run("batch", tmp_path / "empty", "-d", out)
+    nothing = run("batch", tmp_path / "empty", "-o", out)
     assert (nothing.returncode, b"empty holds no G-code" in nothing.stderr) == (2, True)
 
 
@@ -93,7 +93,7 @@ def test_two_files_of_one_name_are_both_named(tmp_path: Path) -> None:
     for path in paths:
         path.parent.mkdir()
         shutil.copy(RECTANGLE, path)
-    done = run("batch", *paths, "-d", tmp_path / "out")
+    done = run("batch", *paths, "-o", tmp_path / "out")
     assert done.returncode == 2
     assert f"{paths[0]} and {paths[1]} would both be written to" in done.stderr.decode()
     assert not (tmp_path / "out").exists()
@@ -108,7 +108,7 @@ def test_what_was_done_before_an_interruption_is_reported(
     shutil.copy(RECTANGLE, last)
     out, summary = tmp_path / "out", tmp_path / "s.json"
     with started(
-        "batch", jobs[0], jobs[1], long, last, "-d", out, "-j", "1", "--json", summary
+        "batch", jobs[0], jobs[1], long, last, "-o", out, "-j", "1", "--json", summary
     ) as batch:
         assert batch.stderr is not None
         while not batch.stderr.readline().startswith(b"failed"):
@@ -132,7 +132,7 @@ def test_resume_converts_what_is_missing_changed_or_of_other_settings(
     jobs: list[Path], tmp_path: Path
 ) -> None:
     del jobs[1]
-    again = partial(run, "batch", *jobs, "-d", tmp_path / "out", "--resume", "-j", "2")
+    again = partial(run, "batch", *jobs, "-o", tmp_path / "out", "--resume", "-j", "2")
     assert b"2 converted, 0 skipped" in again().stderr
     assert b"0 converted, 2 skipped" in again().stderr
     os.utime(jobs[0], (time.time() + 9, time.time() + 9))
@@ -149,7 +149,7 @@ def test_a_killed_process_is_a_failure_of_its_file_alone(jobs: list[Path], tmp_p
         lines = {int(pid): Path(f"/proc/{pid}/cmdline") for pid in text.split()}
         return [pid for pid, line in lines.items() if b"long.gcode" in line.read_bytes()]
 
-    with started("batch", long, jobs[0], "-d", tmp_path / "out", "-j", "2") as batch:
+    with started("batch", long, jobs[0], "-o", tmp_path / "out", "-j", "2") as batch:
         children = Path(f"/proc/{batch.pid}/task")
         until(lambda: bool(converting()))
         os.kill(converting()[0], signal.SIGKILL)
@@ -163,11 +163,11 @@ def test_a_killed_process_is_a_failure_of_its_file_alone(jobs: list[Path], tmp_p
 def test_wrong_usage(jobs: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
     for arguments in (
-        ("-d", out),
-        (jobs[0], "--watch", tmp_path, "-d", out),
-        (jobs[0], jobs[0].parent / ".." / "jobs" / "a.gcode", "-d", out),
-        (jobs[0], "-d", jobs[0].parent),
+        ("-o", out),
+        (jobs[0], "--watch", tmp_path, "-o", out),
+        (jobs[0], jobs[0].parent / ".." / "jobs" / "a.gcode", "-o", out),
+        (jobs[0], "-o", jobs[0].parent),
     ):
         assert run("batch", *arguments).returncode == 2
-    assert run("batch", jobs[0], "-d", out, "-p", "nobody").returncode == 1
+    assert run("batch", jobs[0], "-o", out, "-p", "nobody").returncode == 1
     assert jobs[0].read_bytes() == RECTANGLE.read_bytes()

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from hframe_post.cli.integrations import script
+from hframe_post.cli.connect import script
 from tests.command_line import run
 from tests.conftest import ROOT, SAMPLES
 
@@ -137,7 +137,7 @@ def test_a_failure_is_shown_and_the_file_is_marked(own: Any, data: list[str]) ->
 
 def test_it_is_installed_into_every_version(cura: object, tmp_path: Path) -> None:
     install = partial(
-        run, "cura-script", XDG_DATA_HOME=str(tmp_path), HOME=str(tmp_path), PYTHONHOME="",
+        run, "connect", "cura", XDG_DATA_HOME=str(tmp_path), HOME=str(tmp_path), PYTHONHOME="",
         LD_LIBRARY_PATH="",
     )  # fmt: skip
     assert install().returncode == 1

@@ -117,8 +117,8 @@ def test_a_marlin_owner_is_told_of_no_printer_cfg(tmp_path: Path) -> None:
     assert b"printer.cfg" not in done.stdout + shipped.stdout
     own.write_text('extends = "paper-marlin"\n[plant]\ninvented = false\n')
     for command in ("check", "verify"):
-        printed = run(command, "-p", own, "--gcode", tmp_path / "a.gcode")
+        printed = run("measure", "--for", command, "-p", own, "-o", tmp_path / "a.gcode")
         assert printed.returncode == 1
-        assert b"measure again: 'hframe-post sweep'" in printed.stderr
+        assert b"measure again: 'hframe-post measure'" in printed.stderr
     converted = run("sample_gcode/rectangle.gcode", "-n", "-p", own)
     assert b"next             print it, and the file as sliced, and compare\n" in converted.stderr

@@ -9,8 +9,10 @@ import sys
 
 import click
 import pytest
+from click.testing import CliRunner
 
-from hframe_post.cli.main import main
+from hframe_post.cli.main import GONE, GROUPS, main
+from tests.conftest import ROOT
 
 EXAMPLE = re.compile(r"^ *hframe-post (.+?)(?:  .*)?$", re.MULTILINE)
 
@@ -65,3 +67,21 @@ def test_help_has_an_example_and_says_what_options_do(name: str) -> None:
     for parameter in command.params:
         if isinstance(parameter, click.Option) and not parameter.hidden:
             assert parameter.help, parameter.name
+
+
+def test_help_and_the_man_page_name_every_command_in_a_screen() -> None:
+    """Thirty lines of 80 columns are a terminal's; the man page has the same words."""
+    man = (ROOT / "docs" / "man" / "hframe-post.1").read_text("utf-8")
+    for name, command in COMMANDS.items():
+        text = command.get_help(click.Context(command, info_name=name, max_content_width=80))
+        assert len(text.splitlines()) <= 30, name
+        summary = next(commands[name][1] for commands in GROUPS.values() if name in commands)
+        assert f".B {name}\n{summary}\n" in man
+    assert len(main.get_help(click.Context(main, info_name="hframe-post")).splitlines()) <= 30
+
+
+def test_a_former_command_says_the_new_one() -> None:
+    for name, instead in GONE.items():
+        done = CliRunner().invoke(main, [name, "file.gcode"])
+        assert done.exit_code == 2
+        assert f"{name!r} is gone: {instead}" in done.output

@@ -134,9 +134,9 @@ def test_names_that_begin_with_a_dash(part: Path, monkeypatch: pytest.MonkeyPatc
     behind = run("--", part.name, "-n")
     assert behind.returncode == 2
     assert b"Error: '-n' follows --: put options before it" in behind.stderr
-    behind = run("batch", "--", part.name, "-d", "out")
+    behind = run("batch", "--", part.name, "-o", "out")
     assert behind.returncode == 2
-    assert b"Error: '-d' follows --: put options before it" in behind.stderr
+    assert b"Error: '-o' follows --: put options before it" in behind.stderr
 
 
 def test_a_mistyped_command_is_answered_with_the_nearest(tmp_path: Path) -> None:

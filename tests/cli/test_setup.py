@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.cli.integrations import program
 from hframe_post.hosts.klipper.kernel_file import read
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Motors
+from hframe_post.process import program
 from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT
 from tests.printers import M503, REAL
@@ -56,7 +56,7 @@ def test_setup_writes_profile_and_macros_and_makes_the_profile_the_default(confi
     assert profile.invented
     home = str(config.parent / "config")
     at_home = partial(run, XDG_CONFIG_HOME=home, HFRAME_PRINTER="")
-    assert str(config.parent / "printer.toml") in at_home("use").stdout.decode()
+    assert str(config.parent / "printer.toml") in at_home("doctor").stdout.decode()
     assert at_home(RECTANGLE, "-n").returncode == 0
 
 
@@ -77,7 +77,7 @@ belt_acceleration = 31113       # 31113 (√2 × 22000, which compensation may n
     edited(own, "\n[steps]", motors)
     old = load(str(own))
     assert (old.limits.deceleration, old.limits.jerk) == (math.inf, 2e6)
-    assert old.stated == Motors()
+    assert old.motors.stated == Motors()
 
 
 def test_again_it_changes_nothing_and_says_what_differs(config: Path) -> None:
@@ -92,7 +92,7 @@ def test_again_it_changes_nothing_and_says_what_differs(config: Path) -> None:
     assert own.read_bytes() == before
     assert "limits.acceleration: 8000 (max_accel of [printer]), it has 10000" in printed
     assert "limits.z_velocity: 20" in printed
-    assert f"To write it anew: hframe-post setup {config} --reset" in printed
+    assert f"To overwrite it: hframe-post setup {config} --reset" in printed
     set_up(config, "--reset")
     profile = load(str(own))
     assert (profile.limits.acceleration, profile.firmware.harmless) == (8000.0, ())
@@ -288,7 +288,7 @@ def test_klipper_itself_compensates_where_it_is_found(config: Path, moonraker: P
         assert (klipper / ".git/info/exclude").read_text() == "/klippy/extras/hframe_live\n"
         assert config.read_text().count("\n[hframe_live]\nkernel: printer.kernel\n") == 1
         assert conf.read_text().count("[hframe_post]\nuploads: leave\n") == 1
-    assert read(config.with_name("printer.kernel").read_bytes()).names["kinematics"] == "corexy"
+    assert read(config.with_name("printer.kernel").read_bytes())["kinematics"] == "corexy"
     said = run(
         "doctor", "-p", config.with_name("printer.toml"), "--printer-cfg", config
     ).stdout.decode()

@@ -1,4 +1,4 @@
-"""simulate and tune as their users meet them: processes, files, exit statuses."""
+"""simulate as their users meet them: processes, files, exit statuses."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from click.testing import CliRunner
 
 from hframe_post.cli.main import main
 from hframe_post.cli.options import share
-from hframe_post.printer.model_file import model_path
-from hframe_post.printer.profile import load, shipped
 from tests.command_line import run
 from tests.conftest import SAMPLES
 
@@ -89,45 +87,13 @@ def test_simulate_under_model_error_on_steps_and_another_plant(tmp_path: Path) -
     assert b"median of 3 printers" in first.stderr  # standard output is the JSON's
 
 
-# ---------------------------------------------------------------------- tune
-
-
-def test_tune_recommends_and_writes_a_profile_that_loads(tmp_path: Path) -> None:
-    mine = tmp_path / "mine.toml"
-    text = shipped()["paper"]
-    mine.write_text(text, encoding="utf-8")
-    done = run(
-        "tune", "-p", mine, "-L", "10", "--effort", "30", "--effort", "300",
-        "--draws", "2", "--json", tmp_path / "t.json", "-o", mine,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr.decode()
-    assert "recommended: L = 10, n_C = 44, n_up = 22" in done.stdout.decode()
-    assert done.stdout.decode().count("→") == 2  # of the candidates, of the stops
-    summary = json.loads((tmp_path / "t.json").read_text())
-    assert (summary["draws"], summary["model_error"], len(summary["trials"])) == (2, 0.05, 2)
-    assert [each["stops"] for each in summary["stops"]] == ["fast", "exact"]
-    best = summary["recommended"]
-    assert best in summary["trials"]
-    x, y = load(str(mine)).compensation.windows
-    assert [x.L, x.n_C, x.n_up] == [best["L"], best["n_C"], best["n_up"]]
-    assert [x.effort, y.effort] == best["effort"]
-    assert load(str(mine)).invented
-    assert len(list(tmp_path.iterdir())) == 3
-
-
 # ---------------------------------------------------------------------- what goes wrong
 
 
 USAGE = [
     (["simulate", "--model-error", "many"], "'many' is not a share"),
     (["simulate", "--seed", "-1"], "--seed"),
-    (["tune", "-L", "1"], "-L"),
     (["simulate", "--draws", "0"], "--draws"),
-    (["tune", "--model-error", "200%"], "'200%' is not a share"),
-    (["tune", "--effort", "nan"], "'nan' is not a number"),
-    (["tune", "--figure", "a.pdf"], "--figure is gone: --json has the numbers"),
-    (["tune", "--keep-limits"], "--keep-limits is gone"),
-    (["tune", "--seed", "-1"], "--seed"),
 ]
 
 
@@ -151,13 +117,3 @@ def test_shares_are_percentages_or_numbers(text: str, value: float) -> None:
 def test_other_shares_are_refused(text: str) -> None:
     with pytest.raises(click.BadParameter, match="is not a share"):
         share(text)
-
-
-def test_tune_changes_its_own_profile_however_it_is_laid_out(tmp_path: Path) -> None:
-    mine = tmp_path / "mine.toml"
-    mine.write_text('extends = "paper" # mine\ncompensation.L = 5 # dotted\n')
-    done = run("tune", "-p", mine, *SMALL_TUNE, "-o", mine)
-    assert done.returncode == 0, done.stderr.decode()
-    assert mine.read_text() == 'model = "mine.model.toml"\nextends = "paper" # mine\n'
-    assert load(str(mine)).compensation.L == 10
-    assert sorted(tmp_path.iterdir()) == [model_path(mine), mine]

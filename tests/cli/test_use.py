@@ -25,13 +25,13 @@ def own(tmp_path: Path) -> Path:
 
 def test_a_chosen_profile_is_used_until_forgotten(own: Path, tmp_path: Path) -> None:
     at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"), HFRAME_PRINTER="")
-    assert at_home("use", own).returncode == 0
+    assert at_home("setup", own).returncode == 0
     used = at_home(RECTANGLE, "-n").stderr.decode()
-    assert f"\nprofile          {own} (default set with 'hframe-post use')\n" in used
-    assert str(own) in at_home("use").stdout.decode()
+    assert f"\nprofile          {own} (default set by 'hframe-post setup')\n" in used
+    assert str(own) in at_home("doctor").stdout.decode()
     summary = json.loads(at_home(RECTANGLE, "-n", "-q", "--json", "-").stdout)
     assert summary["profile"] == str(own)
-    assert at_home("use", "--forget").returncode == 0
+    (tmp_path / "config" / "hframe-post" / "config.toml").unlink()
     nothing = at_home(RECTANGLE, "-n")
     assert nothing.returncode == 1
     assert b"no printer is chosen: make its profile with 'hframe-post setup" in nothing.stderr
@@ -39,7 +39,7 @@ def test_a_chosen_profile_is_used_until_forgotten(own: Path, tmp_path: Path) -> 
 
 def test_the_more_specific_choice_wins(own: Path, tmp_path: Path) -> None:
     at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"), HFRAME_PRINTER="")
-    at_home("use", own)
+    at_home("setup", own)
     varied = partial(at_home, HFRAME_PRINTER="paper-marlin")
     noted = partial(varied, SLIC3R_PRINTER_NOTES=r"2021\nHFRAME_PRINTER=paper-strong\nblue")
     chosen = {
@@ -54,9 +54,9 @@ def test_the_more_specific_choice_wins(own: Path, tmp_path: Path) -> None:
 def test_a_bad_profile_is_refused_and_a_missing_one_is_an_error(own: Path, tmp_path: Path) -> None:
     at_home = partial(run, XDG_CONFIG_HOME=str(tmp_path / "config"), HFRAME_PRINTER="")
     (tmp_path / "bad.toml").write_text('extends = "paper"\nnonsense = 1\n')
-    assert at_home("use", tmp_path / "bad.toml").returncode == 1
+    assert at_home("setup", tmp_path / "bad.toml").returncode == 1
     assert not (tmp_path / "config").exists()
-    at_home("use", own)
+    at_home("setup", own)
     own.unlink()
     lost = at_home(RECTANGLE, "-n")
     assert lost.returncode == 1

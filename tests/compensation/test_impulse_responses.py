@@ -120,7 +120,7 @@ def test_a_filter_is_the_definition_wherever_its_input_is_cut(
 )
 def test_a_settled_filter_stands_still(G: ImpulseResponse, late: int) -> None:
     f = stream_filter(G, late)
-    f.settle(12.5)
+    f.state[:] = 12.5
     standing = f.run(np.full(50, 12.5))
     assert np.abs(standing - 12.5).max() < 1e-12  # mm
     assert np.array_equal(standing, np.full(50, 12.5))  # gain 1 at rest, exactly

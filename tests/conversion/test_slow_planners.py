@@ -70,7 +70,7 @@ def test_a_profile_of_setup_leaves_compensation_what_it_needs(
 
 def test_motors_that_the_owner_states_get_a_slower_path(tmp_path: Path) -> None:
     own = measured(set_up(tmp_path, "cartesian", 500))
-    own = replace(own, stated=None, motors=replace(own.motors, belt_acceleration=1250.0))
+    own = replace(own, motors=replace(own.motors, belt_acceleration=1250.0))
     with pytest.raises(LimitError, match="belt acceleration"):
         library.convert(LAYER, None, own, Options("racking", clamp=False))
     report = library.convert(LAYER, None, own, Options("racking", ("none", "racking")))

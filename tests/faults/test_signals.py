@@ -84,7 +84,7 @@ WAYS = {  # arguments, and what they make of which part
     "in place": (["part.gcode", "--jobs", "1"], {"part.gcode": "part"}),
     "two processes": (["spans.gcode", "--jobs", "2"], {"spans.gcode": "spans"}),
     "batch": (
-        ["batch", "part.gcode", "spans.gcode", "-d", "out", "-j", "2"],
+        ["batch", "part.gcode", "spans.gcode", "-o", "out", "-j", "2"],
         {"out/part.gcode": "part", "out/spans.gcode": "spans"},
     ),
 }

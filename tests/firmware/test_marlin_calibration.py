@@ -73,10 +73,13 @@ def test_no_limit_of_the_file_slows_it_down() -> None:
 
 def test_command_writes_the_file_and_prints_the_table(tmp_path: Path) -> None:
     out = tmp_path / "calibration.gcode"
-    done = run("calibrate-marlin", "-o", out, "-p", "paper-marlin")
+    done = run("measure", "--for", "planner", "-o", out, "-p", "paper-marlin")
     assert done.returncode == 0
     assert b'planner = "2.1-dev", timer_extra_tick = true' in done.stderr
     assert out.read_bytes().count(b"M31\n") == 3
     assert out.read_bytes().index(b"M494 T0 X0 Y0 Z0 E0\n") < out.read_bytes().index(b"G1 ")
     assert b"(its seconds - 19.1 at 115200 baud or 8.8 at 250000 baud)" in done.stderr
-    assert run("calibrate-marlin", "-o", tmp_path / "no.gcode", "-p", "paper").returncode == 1
+    assert (
+        run("measure", "--for", "planner", "-o", tmp_path / "no.gcode", "-p", "paper").returncode
+        == 1
+    )

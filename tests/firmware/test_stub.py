@@ -46,19 +46,17 @@ def command(folder: Path, line: str) -> Result:
 
 FAST = [
     "compare {folder}/out.gcode {folder}/out.gcode --firmware stub",
-    "sweep -o {folder}/sweep.gcode",
+    "measure -o {folder}/sweep.gcode",
     "doctor",
     "setup {folder}/stub.txt -o {folder}/new --bed 220,200",
 ]
 SLOW = [
-    "tune {print} --shaper",
     "simulate {print}",
     "simulate {print} --shapers",
-    "tune {print} --knots 10 --effort 10 --draws 0",
     "calibrate-print --heat 210,60 -o {folder}/tower.gcode",
     "calibrate-print --compare 6% --heat 210,60 -o {folder}/squares.gcode",
     "convert {print} -o {folder}/fast.gcode --max-error 100um",
-    "octoprint-plugin --folder {folder}",
+    "connect octoprint --folder {folder}",
 ]
 
 
@@ -74,8 +72,8 @@ def test_every_command_takes_the_firmware(folder: Path, line: str) -> None:
 
 
 @pytest.mark.parametrize("line", [
-    "measure -o {folder}/m.gcode", "check --gcode {folder}/c.gcode", "klipper-macros",
-    "verify --gcode {folder}/v.gcode", "calibrate-marlin -o {folder}/a.gcode",
+    "measure --for check -o {folder}/c.gcode", "connect klipper",
+    "measure --for verify -o {folder}/v.gcode", "measure --for planner -o {folder}/a.gcode",
 ])  # fmt: skip
 def test_what_is_for_another_firmware_says_so(folder: Path, line: str) -> None:
     done = command(folder, line)
@@ -92,7 +90,7 @@ def test_output_has_its_lines_and_the_page_its_shaper(folder: Path) -> None:
 
 
 def test_moves_of_a_sweep_are_those_of_its_command(folder: Path) -> None:
-    assert command(folder, "sweep -o {folder}/moves.gcode --axis x").exit_code == 0
+    assert command(folder, "measure -o {folder}/moves.gcode").exit_code == 0
     for moves in folder.glob("moves.*.gcode"):
         places = [line for line in moves.read_text().splitlines() if line.startswith("G1 X")]
         x = read_command(moves.with_suffix(".csv"))[:, 0]

@@ -26,5 +26,8 @@ def test_the_guess_follows_the_file(line: bytes) -> None:
 
 
 def test_what_the_owner_states_stays() -> None:
-    stated = replace(load("example-corexy"), motors=Motors(500.0, 9000.0), stated=None)
+    guessed = load("example-corexy")
+    stated = replace(guessed, motors=Motors(500.0, 9000.0))
     assert with_motors([ASKS[0]], stated, "file")[1] is stated
+    weaker = replace(guessed, motors=replace(guessed.motors, belt_acceleration=9000.0))
+    assert with_motors([ASKS[0]], weaker, "file")[1].motors.belt_acceleration == 9000.0

@@ -43,24 +43,24 @@ me: {{active: true, apikey: null, groups: [admins], password: {SECRET}, permissi
 
 @pytest.mark.slow
 def test_the_plugin_is_installed_for_a_measured_printer(tmp_path: Path) -> None:
-    done = run("octoprint-plugin", "-p", PROFILE, "--folder", tmp_path)
+    done = run("connect", "octoprint", "-p", PROFILE, "--folder", tmp_path)
     plugin = (tmp_path / "plugins/hframe_post/__init__.py").read_text()
     assert done.stdout.decode().startswith(f"{tmp_path}/plugins/hframe_post\n")
     assert f"PROFILE = '{PROFILE}'\n" in plugin
-    refused = run("octoprint-plugin", "-p", "paper", "--folder", tmp_path)
+    refused = run("connect", "octoprint", "-p", "paper", "--folder", tmp_path)
     assert refused.returncode == 1
     assert b"not measured" in refused.stderr
     marlin = tmp_path / "marlin.toml"
     text = 'extends = "paper-marlin"\nplant.invented = false\nfirmware.marlin.baud = '
     marlin.write_text(f"{text}0\n")
-    for_sd = run("octoprint-plugin", "-p", marlin, "--folder", tmp_path)
+    for_sd = run("connect", "octoprint", "-p", marlin, "--folder", tmp_path)
     assert for_sd.returncode == 1
     assert b"firmware.marlin.baud: OctoPrint prints over a serial line" in for_sd.stderr
-    missing = run("octoprint-plugin", "-p", PROFILE, HOME=str(tmp_path))
+    missing = run("connect", "octoprint", "-p", PROFILE, HOME=str(tmp_path))
     assert b".octoprint does not exist" in missing.stderr
     assert (tmp_path / "plugins/hframe_post/__init__.py").read_text() == plugin
     marlin.write_text(f"{text}115200\n")
-    assert run("octoprint-plugin", "-p", marlin, "--folder", tmp_path).returncode == 0
+    assert run("connect", "octoprint", "-p", marlin, "--folder", tmp_path).returncode == 0
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def octoprint(tmp_path: Path) -> Iterator[Server]:
     (tmp_path / "config.yaml").write_text(CONFIG)
     (tmp_path / "users.yaml").write_text(USER)
     shutil.copy(PROFILE, tmp_path / "printer.toml")
-    run("octoprint-plugin", "-p", tmp_path / "printer.toml", "--folder", tmp_path)
+    run("connect", "octoprint", "-p", tmp_path / "printer.toml", "--folder", tmp_path)
     plugin = tmp_path / "plugins/hframe_post/__init__.py"
     waits = ", ".join(map(repr, waiting_for(tmp_path / "gate")))
     plugin.write_text(plugin.read_text().replace("COMMAND = [", f"COMMAND = [{waits}, ", 1))

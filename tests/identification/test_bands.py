@@ -117,7 +117,7 @@ def test_the_command_takes_shaketune_and_writes_the_profile(tmp_path: Path) -> N
         for name, table in measurements(PRINTER, np.arange(20.0, 70.0, 2.0))
     ]
     (tmp_path / "vibrationsprofile_20251101.stdata").write_text("\n".join(lines))
-    call = ["bands", "-p", str(profile), str(tmp_path), "-o", str(profile), "--json", "-"]
+    call = ["identify", "-p", str(profile), str(tmp_path), "-o", str(profile), "--json", "-"]
     result = CliRunner().invoke(main, call)
     assert result.exit_code == 0, result.stderr
     avoid = json.loads(result.stdout)["avoid"]

@@ -157,7 +157,11 @@ def folder(tmp_path: Path) -> Path:
 
 
 def invoked(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(main, ["check", *map(str, arguments)])
+    words = [*map(str, arguments)]
+    if "--gcode" in words:
+        words[words.index("--gcode")] = "-o"
+        return CliRunner().invoke(main, ["measure", "--for", "check", *words])
+    return CliRunner().invoke(main, ["check", *words])
 
 
 def record(folder: Path, machine: Machine, day: str = "2026-07-01") -> None:

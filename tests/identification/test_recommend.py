@@ -11,14 +11,14 @@ from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.printer.profile import load
-from hframe_post.printer.settings import Motors, Printer
+from hframe_post.printer.settings import GuessedMotors, Printer
 from tests.modes import deviation_of_mode
 
 
 def corexy(belt_acceleration: float) -> Printer:
     printer = load("example-corexy")
     motors = replace(printer.motors, belt_acceleration=belt_acceleration, belt_velocity=1000.0)
-    return replace(printer, motors=motors, stated=None)
+    return replace(printer, motors=motors)
 
 
 PLANT = Plant(
@@ -29,13 +29,14 @@ PLANT = Plant(
 )
 
 
-@pytest.mark.parametrize("stated", [None, Motors()], ids=["stated", "guessed"])
+@pytest.mark.parametrize("guessed", [False, True], ids=["stated", "guessed"])
 @pytest.mark.parametrize("belts", [60000.0, 5300.0])
-def test_measured_responses_get_one_window_whatever_the_belts(
-    belts: float, stated: Motors | None
-) -> None:
+def test_measured_responses_get_one_window_whatever_the_belts(belts: float, guessed: bool) -> None:
     """The path is kept within stated motors; a guess grows with the file that is converted."""
-    found = recommend(PLANT, replace(corexy(belts), stated=stated), 0.03)
+    printer = corexy(belts)
+    if guessed:
+        printer = replace(printer, motors=GuessedMotors(1000.0, belts, (1000.0, belts)))
+    found = recommend(PLANT, printer, 0.03)
     assert found is not None
     window = Window(5, 88, 44, 10.0)
     assert found.windows == (window, window)

@@ -146,7 +146,11 @@ def test_another_printers_profile_fails() -> None:
 
 
 def invoked(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(main, ["verify", *map(str, arguments)])
+    words = [*map(str, arguments)]
+    if "--gcode" in words:
+        words[words.index("--gcode")] = "-o"
+        return CliRunner().invoke(main, ["measure", "--for", "verify", *words])
+    return CliRunner().invoke(main, ["check", *words])
 
 
 def record(held: Path, machine: Machine) -> list[Path]:
@@ -168,7 +172,7 @@ def test_a_good_profile_is_marked(tmp_path: Path) -> None:
     mine.write_text(with_plant("paper", STRANGER.exact(), windows, []))
     done = invoked("-p", mine, "--gcode", held / "v.gcode")
     assert done.exit_code == 0, done.output
-    assert f"  hframe-post verify -p {mine} {held}/*verify-plain*.csv " in done.output
+    assert f"  hframe-post check -p {mine} {held}/*verify-plain*.csv " in done.output
     files, report = record(held, STRANGER), tmp_path / "report.html"
     done = invoked("-p", mine, held, "-o", marked, "--report", report)
     assert done.exit_code == 0, done.output
@@ -187,7 +191,7 @@ def test_a_good_profile_is_marked(tmp_path: Path) -> None:
     files[1].unlink()
     done = invoked("-p", mine, held)
     assert done.exit_code == 1
-    assert "not both recordings of 'hframe-post verify --gcode'" in done.output
+    assert "not both recordings of 'hframe-post measure --for verify'" in done.output
 
 
 def test_a_print_is_a_test_motion(tmp_path: Path) -> None:
@@ -235,5 +239,4 @@ def test_a_mark_holds_for_its_model_alone(tmp_path: Path) -> None:
 
 
 def test_usage(tmp_path: Path) -> None:
-    assert invoked().exit_code == 2
     assert invoked("-p", "missing", "--gcode", tmp_path / "v.gcode").exit_code == 1

@@ -156,7 +156,7 @@ def test_a_marlin_owner_measures_a_bed_slinger(tmp_path: Path) -> None:
     home = str(tmp_path / "config")
     for words in (
         ("setup", M503, "-o", tmp_path),
-        ("sweep", "-p", own, "-o", tmp_path / "sweep.gcode"),
+        ("measure", "-p", own, "-o", tmp_path / "sweep.gcode"),
     ):
         done = run(*words, XDG_CONFIG_HOME=home)
         assert done.returncode == 0, done.stderr

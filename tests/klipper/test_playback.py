@@ -227,7 +227,7 @@ def test_klipper_keeps_the_limit_of_the_belts_over_5_ms(
     limits = replace(printer.limits, acceleration=acceleration, deceleration=acceleration)
     compensation = replace(printer.compensation, effort=effort or printer.compensation.effort)
     motors = replace(printer.motors, belt_acceleration=limit)
-    printer = replace(printer, limits=limits, compensation=compensation, motors=motors, stated=None)
+    printer = replace(printer, limits=limits, compensation=compensation, motors=motors)
     options = Options("racking", limits="printer", clamp=True)
     turn = (f"G1 X{120 + 8 * math.cos(k):.3f} Y{120 + 8 * math.sin(k):.3f} F12000" for k in ARC)
     lines = [*hops(1, 8), *(line.encode() + b"\n" for line in turn)]

@@ -52,7 +52,7 @@ def wanted(playback: Playback, printer: Printer, t: np.ndarray) -> np.ndarray:
 
     The first begins in a corner of the bed, which the command may not leave.
     """
-    command = live_kernel(printer).command(playback.position(t)[:, :2])
+    command = live_kernel(printer)[0].command(playback.position(t)[:, :2])
     return printer.kinematics.belts(*spline(np.maximum(command, 0.0)).T)
 
 
@@ -145,7 +145,7 @@ def test_what_is_wrong_at_the_start_is_an_error_with_the_next_step(
     kernel: Path, tmp_path: Path
 ) -> None:
     damaged = tmp_path / "damaged.kernel"
-    damaged.write_bytes(kernel.read_bytes().replace(b"x = 80", b"x = 60"))
+    damaged.write_bytes(kernel.read_bytes().replace(b"10000", b"20000"))
     cases = (
         (damaged, "", "was edited: write it again with 'hframe-post identify'"),
         (kernel, "[printer]\nkinematics: cartesian\n", "write it with this printer's profile"),

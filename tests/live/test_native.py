@@ -12,7 +12,6 @@ import pytest
 from hframe_post.firmware.klipper.live import kernel_file, live_kernel
 from hframe_post.hosts.klipper.kernel_file import read
 from hframe_post.hosts.klipper.native import Native
-from hframe_post.model.kernel import Kernel
 from hframe_post.printer.profile import load
 
 STRUCTS = """
@@ -29,30 +28,18 @@ BEGIN = 10.0  # s, of the first move
 class Stepper:
     """A motor of x, or of y, behind our kinematics."""
 
-    def __init__(self, made: Kernel, data: bytes, axis: str, travel: float = 1e4) -> None:
+    def __init__(self, data: bytes, axis: str, travel: float = 1e4) -> None:
         chelper = importlib.import_module("klippy.chelper")
         self.main, self.main_lib = chelper.get_ffi()
         self.native, found = Native(chelper), read(data)
-        lib, ffi = self.native.lib, self.native.ffi
-        ffi.cdef(STRUCTS)
-        self.taps = self.native.freed(lib.hframe_kernel_alloc())
-        for number, taps in enumerate((found.x, found.y)):
-            weights = ffi.new("double[]", taps.weights)
-            size = len(taps.weights)
-            assert not lib.hframe_kernel_axis(
-                self.taps, number, -travel, travel, taps.ahead, size, weights
-            )
-        for each in found.couplings:
-            weights = ffi.new("double[]", each.taps.weights)
-            assert not lib.hframe_kernel_coupling(
-                self.taps, *each[:4], each.taps.ahead, len(each.taps.weights), weights
-            )
+        self.native.ffi.cdef(STRUCTS)
+        self.taps = self.native.kernel(found, [(-travel, travel)] * 2)
         self.orig = self.main_lib.cartesian_stepper_alloc(axis.encode())
         self.trapq = self.main_lib.trapq_alloc()
         self.main_lib.itersolve_set_trapq(self.orig, self.trapq)
-        pointer = lib.hframe_live_alloc(self.native.ours(self.orig), self.taps)
-        self.pointer = self.native.freed(pointer)
-        self.sk = ffi.cast("struct kinematics *", self.pointer)
+        self.pointer = self.native.behind(self.orig, self.taps)
+        self.native.lib.hframe_live_reset(self.pointer)
+        self.sk = self.native.ffi.cast("struct kinematics *", self.pointer)
 
     def append(self, time: float, phases: tuple[float, float, float], start: Any, way: Any,
                speeds: tuple[float, float, float]) -> None:  # fmt: skip
@@ -116,8 +103,8 @@ def test_the_c_is_the_kernel_at_all_times(name: str, order: str) -> None:
     printer = replace(load(name), invented=False)
     data = kernel_file(printer)
     assert data is not None
-    made = live_kernel(printer)
-    steppers = [Stepper(made, data, axis) for axis in "xy"]
+    made, _ = live_kernel(printer)
+    steppers = [Stepper(data, axis) for axis in "xy"]
     t, path = drawn(1, steppers)
     wanted = made.command(path)
     at = np.random.default_rng(2).uniform(9.0, t[-1] - 0.3, 300)
@@ -131,8 +118,7 @@ def test_travel_limits_the_command_but_not_the_path() -> None:
     printer = replace(load("example-corexy"), invented=False)
     data = kernel_file(printer)
     assert data is not None
-    made = live_kernel(printer)
-    stepper = Stepper(made, data, "x", travel=150.0)
+    stepper = Stepper(data, "x", travel=150.0)
     way = (1.0, 0.0)
     stepper.append(BEGIN, (0.05, 0.15, 0.05), (120.0, 50.0), way, (0.0, 150.0, 3000.0))  # to 150
     at = np.arange(BEGIN, BEGIN + 1.0, 2e-4)
@@ -147,7 +133,7 @@ def test_before_the_begin_nothing_moves() -> None:
     printer = replace(load("example-corexy"), invented=False)
     data = kernel_file(printer)
     assert data is not None
-    stepper = Stepper(live_kernel(printer), data, "x")
+    stepper = Stepper(data, "x")
     for k, start in enumerate((10.0, 40.0)):
         time = BEGIN + 0.5 * k
         stepper.append(time, (0.05, 0.15, 0.05), (start, 50.0), (1.0, 0.0), (0.0, 150.0, 3000.0))
@@ -162,6 +148,6 @@ def test_a_command_at_a_coordinate_is_klippers() -> None:
     printer = replace(load("example-corexy"), invented=False)
     data = kernel_file(printer)
     assert data is not None
-    stepper = Stepper(live_kernel(printer), data, "y")
+    stepper = Stepper(data, "y")
     klippers = stepper.native.klippers(stepper.pointer)
     assert stepper.main_lib.itersolve_calc_position_from_coord(klippers, 3.0, 4.0, 5.0) == 4.0

@@ -19,7 +19,7 @@ from tests.matrix.material import (
 )
 from tests.matrix.owners import OWNERS, PROFILE
 
-NO_PROFILE = ("use", "setup", "printers", "compare")  # commands without -p
+NO_PROFILE = ("setup", "compare")  # commands without -p
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,8 @@ def _expanded(word: str, cell: Cell, home: Path) -> list[str]:
         return put_print(kind, printer)
     if word == "{recordings}":
         return put_recordings(kind, home / "recordings")
-    if word == "{run}":
-        return put_run(command, kind, printer)
+    if word in ("{checked}", "{verified}"):
+        return put_run({"{checked}": "check"}.get(word, "verify"), kind, printer)
     if word == "{form}":
         return put_form(kind, printer)
     if word == "{config}":

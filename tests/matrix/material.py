@@ -53,7 +53,7 @@ def put_run(command: str, kind: str, printer: str) -> list[str]:
     if printer not in OWNERS:  # whose plant is not measured, so that there is no run
         (Path("held") / "adxl345-check-x.csv").write_bytes(STL)
         return ["held"]
-    done = run(command, "-p", PROFILE, "--gcode", f"held/{command}.gcode")
+    done = run("measure", "--for", command, "-p", PROFILE, "-o", f"held/{command}.gcode")
     if not OWNERS[printer].has_klipper:  # Marlin has no such run
         assert done.returncode == 1
         (Path("held") / "adxl345-check-x.csv").write_bytes(STL)

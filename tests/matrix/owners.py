@@ -106,7 +106,7 @@ def record_tests(owner: Owner) -> None:
 
 def record_sweeps(owner: Owner) -> None:
     """Write what a sensor next to a Marlin board records of `sweep`, started by hand."""
-    _done("sweep", "-p", PROFILE, "-q", "-o", "sweep.gcode")
+    _done("measure", "-p", PROFILE, "-q", "-o", "sweep.gcode")
     for seed, command in enumerate(sorted(Path().glob("sweep.*.csv"))):
         name = command.stem.removeprefix("sweep.")
         record(owner, command, Path(f"recordings/{name}.csv"), seed, in_g=True, lead=3.0)

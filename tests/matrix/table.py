@@ -23,7 +23,6 @@ OUTCOMES = {
     "differ": (1, r"the same up to there: .* moves"),
     "marlin": (1, r"Error: .* firmware\.dialect: marlin "),
     "baud": (1, r"Error: .* firmware\.marlin\.baud: OctoPrint prints over a serial line"),
-    "records": (1, r"Error: .* firmware\.dialect: Klipper records by itself what "),
     "klippr": (1, r"Error: .* firmware\.dialect: this profile is for klipper; only boards that"),
     "cut": (1, r"Error: .*(was cut|shows no resonance test|not two of each)"),
     "norec": (1, r"Error: .*not a Klipper accelerometer file"),
@@ -53,23 +52,24 @@ NAMES = r"(x|y)-at-[\d_]+"
 DONE = {
     "convert {print} -o out.gcode": Done(SUMMARY, "out.gcode"),
     "{print}": Done(SUMMARY, "my part.gcode"),
-    "batch {print} -d out": Done("1 converted, 0 skipped, 0 failed", "out/my part.gcode"),
+    "batch {print} -o out": Done("1 converted, 0 skipped, 0 failed", "out/my part.gcode"),
     "compare {print} good.gcode": Done("same: at most 0 µm apart; "),
     "simulate {print}": Done(r"1( +[\d.]+){3}"),
     "simulate": Done(r"0( +[\d.]+){3}"),
     "simulate --shapers": Done("."),
     "speed {print}": Done(r"At the error that the file has today: "),
-    "tune {print}": Done("."),
-    "tune": Done("."),
-    "tune --shaper": Done(r"damping_ratio_y: 0\.|M500 ; saves it"),
-    "verify --gcode v.gcode --motion {print}": Done(
+    "measure --for verify -o v.gcode --motion {print}": Done(
         "", r"v\.gcode v\.verify-compensated\.csv v\.verify-plain\.csv"
     ),
-    "verify --gcode v.gcode": Done("", r"v\.gcode v\.verify-compensated\.csv v\.verify-plain\.csv"),
-    "verify {run}": Done("VERDICT"),
-    "check --gcode c.gcode": Done("", r"((c\.check-[-\w]+\.csv|c-[xy]\.gcode) ?)+(c\.gcode)?"),
+    "measure --for verify -o v.gcode": Done(
+        "", r"v\.gcode v\.verify-compensated\.csv v\.verify-plain\.csv"
+    ),
+    "check {verified}": Done("Nothing is written. To keep it"),
+    "measure --for check -o c.gcode": Done(
+        "", r"((c\.check-[-\w]+\.csv|c-[xy]\.gcode) ?)+(c\.gcode)?"
+    ),
     "check": Done("uncertainty  ±"),
-    "check {run}": Done("uncertainty  ±"),
+    "check {checked}": Done("Nothing is written. To keep it"),
     "identify {recordings} -o mine.toml": Done(".", WITH_MODEL),
     "calibrate-print --heat 210,60 -o t.gcode": Done("Print t.gcode.", "t.form.toml t.gcode"),
     "calibrate-print --form {form} -o n.toml": Done(
@@ -82,19 +82,18 @@ DONE = {
         r"config/hframe-post/config\.toml( new/hframe\.cfg)? new/printer\.toml",
     ),
     "doctor": Done("no problems found"),
-    "use": Done("setting     /"),
-    "printers": Done("paper  "),
-    "printers show paper": Done(""),
     "measure -o m.gcode": Done(
         "", r"(m(-x|-y)?\.gcode ){1,2}(m\.measure(-x|-y)?-at-\d+\.csv ?){1,3}"
     ),
-    "bands --gcode b.gcode": Done("  hframe-post bands -p ", r"(b(-[xy])?\.gcode ?){1,2}"),
-    "sweep -o s.gcode": Done("", rf"(s\.gcode )?(s\.{NAMES}\.(csv|gcode) ?)+"),
-    "klipper-macros": Done("    _HFRAME_CANCEL_PRINT {rawparams}"),
-    "calibrate-marlin -o c.gcode": Done("The part .lines. is 10000", "c.gcode"),
-    "slicer-line": Done(".*hframe.post"),
-    "cura-script --folder {folder}": Done("Restart Cura, then: ", "there/HframePost.py"),
-    "octoprint-plugin --folder {folder}": Done(
+    "measure --for bands -o b.gcode": Done(
+        "  hframe-post identify -p ", r"(b(-[xy])?\.gcode ?){1,2}"
+    ),
+    "measure -o s.gcode": Done("", rf"(s\.gcode )?(s\.{NAMES}\.(csv|gcode) ?)+"),
+    "connect klipper": Done("    _HFRAME_CANCEL_PRINT {rawparams}"),
+    "measure --for planner -o c.gcode": Done("The part .lines. is 10000", "c.gcode"),
+    "connect slicer": Done("OrcaSlicer: Process"),
+    "connect cura --folder {folder}": Done("Restart Cura, then: ", "there/HframePost.py"),
+    "connect octoprint --folder {folder}": Done(
         "Restart OctoPrint.", r"(there/plugins/hframe_post/\S+ ?){4}"
     ),
 }

@@ -15,8 +15,7 @@ from hframe_post.errors import HframeError
 from hframe_post.model.shapers import compared, most_damping, shaper
 
 
-@pytest.mark.parametrize("name", compared())
-@given(hz=st.floats(10.0, 150.0), share=st.floats(0.0, 1.0))
+@given(st.sampled_from(compared()), st.floats(10.0, 150.0), st.floats(0.0, 1.0))
 def test_a_shaper_is_a_mean_without_delay(name: str, hz: float, share: float) -> None:
     s = shaper(name, hz, share * min(0.5, most_damping(name)))
     assert (s.A >= 0.0).all()

@@ -99,6 +99,9 @@ def right() -> dict[str, Arguments]:
             floats(62), zeros(5), floats(5),
         ],
         "least_squares": [*stop],
+        "finite_filter": [
+            floats(4), 4, floats(12), 12, 7, 2, 1.0, 0.5, floats(10), floats(7),
+        ],
         "lower_moves": [floats(5, 4), 4, floats(13), floats(4), floats(4)],
         "run_seconds": [
             floats(6), 6, numbers(0, 2, 5), floats(3), floats(2), floats(2), 2, floats(2),

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, E, Z
 from hframe_post.planner import lookahead
-from hframe_post.planner.lookahead import BATCH, LONGEST_QUEUE, plan
+from hframe_post.planner.lookahead import BATCH, LONGEST_QUEUE, Z_SHARE, plan
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     FileLimits,
@@ -134,10 +134,10 @@ def move_limits(step: Array, speed: float, asked: float) -> tuple[float, float]:
     cruise, a = min(speed, LIMITS.velocity), min(asked, LIMITS.acceleration)
     if step[Z]:
         cruise = min(cruise, LIMITS.z_velocity * length / abs(step[Z]))
-        a = min(a, LIMITS.z_acceleration / 3.0 * length / abs(step[Z]))
+        a = min(a, Z_SHARE * LIMITS.z_acceleration * length / abs(step[Z]))
     if step[E] < 0.0:
         cruise = min(cruise, LIMITS.extruder_velocity * length / -step[E])
-        a = min(a, LIMITS.extruder_acceleration / 3.0 * length / -step[E])
+        a = min(a, Z_SHARE * LIMITS.extruder_acceleration * length / -step[E])
     elif step[E]:
         cruise = min(cruise, lookahead.MELTED * length / step[E])
     return cruise, a

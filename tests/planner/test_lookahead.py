@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hframe_post.arrays import Array
 from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.native.lookahead import greatest_speeds
-from hframe_post.planner.lookahead import plan
+from hframe_post.planner.lookahead import Z_SHARE, plan
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
@@ -164,17 +164,17 @@ def test_file_never_raises_the_printers_limits() -> None:
     assert limited((50, 0, 0, 2), speed=1e5, acceleration=1e9) == (300.0, 1e4)
 
 
-def test_rise_limits_speed_and_a_third_of_acceleration() -> None:
+def test_rise_limits_speed_and_a_share_of_acceleration() -> None:
     cruise, acceleration = limited((10, 0, 1, 0), speed=300.0)
     assert cruise == pytest.approx(20.0 * math.sqrt(101.0))
-    assert acceleration == pytest.approx(500.0 / 3.0 * math.sqrt(101.0))
+    assert acceleration == pytest.approx(Z_SHARE * 500.0 * math.sqrt(101.0))
     assert limited((10, 0, -1, 0), speed=300.0) == (cruise, acceleration)
 
 
 def test_retraction_while_moving_is_limited() -> None:
     cruise, acceleration = limited((10, 0, 0, -5), speed=300.0)
     assert cruise == pytest.approx(60.0 * 2.0)
-    assert acceleration == pytest.approx(2000.0 / 3.0 * 2.0)
+    assert acceleration == pytest.approx(Z_SHARE * 2000.0 * 2.0)
 
 
 def test_extrusion_while_moving_is_limited_only_by_what_melts() -> None:

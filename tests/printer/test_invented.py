@@ -19,7 +19,7 @@ STARTS = ("example-voron", "example-ender", "example-hbot")
 @pytest.mark.parametrize("name", shipped())
 def test_no_shipped_plant_and_no_copy_of_one_is_the_users(name: str) -> None:
     assert load(name).invented
-    copied = run("printers", "show", name).stdout.decode()
+    copied = shipped()[name]
     assert parse(copied, "copy").invented
     assert parse(f'extends = "{name}"\n', "own").invented
 
@@ -47,8 +47,8 @@ def test_a_start_is_refused_until_it_is_identified(name: str, tmp_path: Path) ->
 def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Path) -> None:
     out, folder = tmp_path / "out.gcode", tmp_path / "many"
     line = (RECTANGLE, "-o", out, "-p", "example-corexy")
-    for refused in (run(*line), run("batch", RECTANGLE, "-d", folder, "-p", "example-corexy"),
-                    run("verify", "-p", "example-corexy", "--gcode", out)):  # fmt: skip
+    for refused in (run(*line), run("batch", RECTANGLE, "-o", folder, "-p", "example-corexy"),
+                    run("measure", "--for=verify", "-o", out, "-p", "example-corexy")):  # fmt: skip
         assert refused.returncode == 1
         assert b"plant.invented: this plant was not measured on your printer" in refused.stderr
         advice = (
@@ -58,13 +58,12 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
         assert b"sweep" not in refused.stderr
         assert b"--force" not in refused.stderr
     marlin = run(RECTANGLE, "-o", out, "-p", "example-ender")
-    assert b"'hframe-post sweep' writes with an accelerometer" in marlin.stderr
+    assert b"'hframe-post measure' writes with an accelerometer" in marlin.stderr
     assert not out.exists()
     assert not folder.exists()
     assert run(*line, "-c", "none").returncode == 0
     assert run(*line, "--force").returncode == 0
-    done = run("batch", RECTANGLE, "-d", folder, "-p", "example-corexy", "--force")
+    done = run("batch", RECTANGLE, "-o", folder, "-p", "example-corexy", "--force")
     assert done.returncode == 0, done.stderr
     assert run(RECTANGLE, "-n", "-p", "example-corexy").returncode == 0  # nothing is written
-    assert b"[example: not measured on a printer]" in run("printers").stdout
     assert b"its plant is not measured" in run("doctor", "-p", "example-corexy").stdout

@@ -9,15 +9,14 @@ import pytest
 from hframe_post import library
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
+from hframe_post.studies.tuning.tune import tune
 from tests.random_printers import cube
 
 
 @pytest.mark.parametrize("path", ["rectangle", "cube"])
 def test_tune_simulate_and_convert_agree(paper: Printer, tmp_path: Path, path: str) -> None:
     lines = rectangle(paper) if path == "rectangle" else cube()
-    x, _ = paper.compensation.windows
-    tuned = library.tune(lines, paper, knots=[x.L], efforts=[x.effort], draws=0)
-    (trial,) = tuned.trials
+    (trial,) = tune(list(lines), paper, [paper.compensation.windows], [])
     simulated = library.simulate(lines, paper).parts.whole["racking"]
     converted = library.convert(lines, tmp_path / "out.gcode", paper).peaks
     assert converted.belt_acceleration > 1000.0

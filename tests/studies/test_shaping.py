@@ -19,14 +19,13 @@ from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.model.shapers import AxisShaping, Shaping, most_damping, shaper
 from hframe_post.prediction.best_shaper import Paths, error, guess, quadratic_form, ranked
+from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.shapers.search import (
-    calibrated_with,
-    shapings_as_text,
-)
+from hframe_post.studies.shapers.comparison import ShaperComparison, comparison_as_text
+from hframe_post.studies.shapers.search import calibrated_with
 from tests.command_line import run
 from tests.conftest import SAMPLES
 
@@ -112,6 +111,16 @@ def test_the_calibrated_shaper_is_that_of_todays_klipper(name: str, among: tuple
     assert chosen == list(CALIBRATED[name]), "Hz"
 
 
+def compared(*shapings: Shaping) -> list[ShaperComparison]:
+    """Comparisons as of a print; their errors are those of the shapings."""
+    found = []
+    for each in shapings:
+        errors = ContourErrors()
+        errors.all.add(np.array([each.rms]))
+        found.append(ShaperComparison(each.x.name, each, errors, ErrorStatistics(), 1.0))
+    return found
+
+
 def test_a_shaper_that_needs_a_newer_klipper_is_a_comment() -> None:
     known, newer = (
         Shaping(each, each, rms)
@@ -121,15 +130,14 @@ def test_a_shaper_that_needs_a_newer_klipper_is_a_comment() -> None:
         )
     )
     klipper = FIRMWARES["klipper"]
-    text = shapings_as_text([newer, known], known, klipper)
+    text = comparison_as_text(compared(newer, known), klipper)
     section = configparser.ConfigParser(comment_prefixes="#")
     section.read_string(text[text.index("[input_shaper]") :])
     assert section["input_shaper"]["shaper_type_x"] == "mzv"
     assert "# 40.0 µm, on Klipper of 27 April 2026 or newer only:" in text
     assert "# shaper_type_x: mzv(n=5,t=1.1)" in text
-    assert "newer" not in shapings_as_text(
-        [replace(known, rms=0.041), newer], known, FIRMWARES["klipper"]
-    )
+    near = compared(newer, replace(known, rms=0.041))
+    assert "newer" not in comparison_as_text(near, klipper)
 
 
 @pytest.mark.slow
@@ -154,4 +162,4 @@ def test_simulate_compares_input_shapers(tmp_path: Path) -> None:
 )
 def test_the_settings_are_those_of_the_firmware(name: str, shown: str) -> None:
     mzv, zv = (Shaping(each, each) for each in (AxisShaping(n, 40.0, 0.1) for n in ("mzv", "zv")))
-    assert shown in shapings_as_text([mzv, zv], mzv, FIRMWARES[name])
+    assert shown in comparison_as_text(compared(mzv, zv), FIRMWARES[name])

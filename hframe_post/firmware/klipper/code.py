@@ -60,25 +60,26 @@ class KlipperCode(Code):
         start = [STAND, *([macro] if macro else self.limits_of_stream), *self.averaging_of_stream]
         return [line.encode() for line in [*start, "G90", "M83", *coordinates(offset, at)]]
 
-    @property
-    def users_limits(self) -> str:
+    def users_limits(self, acceleration: float = math.inf) -> str:
+        """Return the command that sets the user's limits. acceleration: the file's, if known."""
         table = self.table
-        corner, cruise = table.square_corner_velocity, table.minimum_cruise_ratio
-        return _limit(table.velocity, table.acceleration, corner, cruise)
+        a = acceleration if acceleration < math.inf else table.acceleration
+        return _limit(table.velocity, a, table.square_corner_velocity, table.minimum_cruise_ratio)
 
     def around(self, move: Passthrough) -> tuple[bytes, bytes] | None:
         """Return lines that change limits alone: turning shaping on and off takes 40 ms each."""
         state = move.state
-        if move.end is None or not state.absolute or move.filament or any(state.offset):
+        if move.end is None or not state.absolute or any(state.offset):
             return None
-        if b"E" in move.text.partition(b";")[0].upper():  # absolute, perhaps
-            return None
-        before = f"{STAND}\n{self.users_limits}\nG1 F{plain(state.feed * 60.0, 1)}\n"
-        return before.encode(), f"{STAND}\n{self.limits_of_stream[1]}\n".encode()
+        if state.absolute_e and b"E" in move.text.partition(b";")[0].upper():
+            return None  # the stream's E is relative
+        limits, feed = self.users_limits(state.acceleration), plain(state.feed * 60.0, 1)
+        before, after = f"{STAND}\n{limits}\nG1 F{feed}\n", f"{STAND}\n{self.limits_of_stream[1]}\n"
+        return before.encode(), after.encode()
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
         table, names = self.table, coordinates(state.offset, at[:E] - state.offset)
-        stop = [self.users_limits]
+        stop = [self.users_limits()]
         shaped = table.shaper_freq_x, table.shaper_freq_y, table.shaper_freq_z
         if any(shaped):
             stop.append(_shaper(shaped))

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hframe_post.arrays import X, Y
 from hframe_post.errors import ArgumentError
 from hframe_post.firmware.base import Finding
 from hframe_post.firmware.klipper.code import table_of
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.hosts.klipper.kernel_file import read
-from hframe_post.model.kernel import Bounds, Kernel, kernel
+from hframe_post.hosts.klipper.kernel_file import FIGURES, LIMITS, read, signed
+from hframe_post.model.kernel import Bounds, Figures, Kernel, kernel
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 
@@ -26,9 +27,9 @@ def name_of(profile: Path) -> Path:
     return profile.with_suffix(".kernel")
 
 
-def live_kernel(printer: Printer) -> Kernel:
+def live_kernel(printer: Printer) -> tuple[Kernel, Figures]:
     """Return the kernel for Klipper's own limits. Raises ArgumentError if no motor suffices."""
-    return kernel(printer.plant, printer.kinematics, _bounds(printer))
+    return kernel(printer.plant, printer.kinematics, bounds_of(printer))
 
 
 def by_itself(printer: Printer, name: str) -> dict[str, Kernel]:
@@ -36,12 +37,12 @@ def by_itself(printer: Printer, name: str) -> dict[str, Kernel]:
     if printer.firmware.klipper is None:
         return {}
     try:
-        return {name: live_kernel(printer)}
+        return {name: live_kernel(printer)[0]}
     except ArgumentError:  # the motors cannot follow
         return {}
 
 
-def _bounds(printer: Printer) -> Bounds:
+def bounds_of(printer: Printer) -> Bounds:
     table, motors, travel = table_of(printer), printer.motors, printer.travel
     return Bounds(
         table.velocity,
@@ -60,18 +61,30 @@ def kernel_file(printer: Printer) -> bytes | None:
     """
     if printer.firmware.dialect != "klipper" or printer.invented:
         return None
-    measured = printer.measured.isoformat() if printer.measured else "on an unknown day"
-    kind = printer.kinematics.type
-    names = {
-        "profile": printer.name,
-        "made_by": f"hframe-post {__version__}",
-        "measured": measured,
-        "kinematics": klipper_name(kind),
-    }
+    bounds = bounds_of(printer)
     try:
-        return live_kernel(printer).as_text(names, _bounds(printer))
+        made, figures = live_kernel(printer)
     except ArgumentError as error:
         return f"no kernel: {error}\n".encode()
+    return signed(
+        {
+            "profile": printer.name,
+            "made_by": f"hframe-post {__version__}",
+            "measured": printer.measured.isoformat() if printer.measured else "on an unknown day",
+            "kinematics": klipper_name(printer.kinematics.type),
+            "limits": dict(
+                zip(LIMITS, (bounds.velocity, bounds.acceleration, bounds.corner), strict=True)
+            ),
+            **{name: float(f"{getattr(figures, name):.6g}") for name in FIGURES},
+            "x": made.axes[X].tolist(),
+            "y": made.axes[Y].tolist(),
+            "couplings": [
+                (its.answer, its.command, -1 if its.along is None else its.along, its.centre,
+                 h.tolist())
+                for its, h in made.couplings
+            ],
+        }
+    )  # fmt: skip
 
 
 def klipper_name(kind: str) -> str:
@@ -95,20 +108,16 @@ def check_live(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
     except (OSError, ValueError) as error:
         yield Finding(True, f"{path}: {error}")
         return
-    wanted = live_kernel(printer)
-    weights = [taps.h for taps in (*wanted.axes, *(taps for _, taps in wanted.couplings))]
-    there = [found.x, found.y, *(each.taps for each in found.couplings)]
-    same = len(weights) == len(there) and all(
-        len(h) == len(taps.weights) and np.allclose(h, taps.weights, rtol=0.0, atol=SAME)
-        for h, taps in zip(weights, there, strict=True)
-    )
-    if not same:
+    wanted, _ = live_kernel(printer)
+    weights = [*wanted.axes, *(h for _, h in wanted.couplings)]
+    there = [found["x"], found["y"], *(row[4] for row in found["couplings"])]
+    if np.shape(there) != np.shape(weights) or np.abs(np.subtract(there, weights)).max() > SAME:
         yield Finding(True, f"{path} is not of this profile as it is now: {again}")
     days = ""
     if printer.measured is not None:
         days = f", {(datetime.now(UTC).date() - printer.measured).days} days ago"
     yield Finding(
         False,
-        f"{path}: {found.names['made_by']}, measured {found.names['measured']}{days}; leaves "
-        f"{1e3 * found.numbers['leaves']:.1f} µm",
+        f"{path}: {found['made_by']}, measured {found['measured']}{days}; leaves "
+        f"{1e3 * found['leaves']:.1f} µm",
     )

@@ -40,7 +40,7 @@ _BUILTIN = "\n[pause_resume]\n"
 _FORGET = "SET_GCODE_VARIABLE MACRO=_HFRAME_LEAVE VARIABLE=stream VALUE=None"
 _ASKED = (
     "hframe-post writes the motion to record. If nothing follows, Moonraker has not started with "
-    "it: run hframe-post setup --moonraker on the printer's computer, then restart Moonraker"
+    "it: run hframe-post connect moonraker on the printer's computer, then restart Moonraker"
 )
 _LIMITS = f"""
 [gcode_macro {BEGIN}]
@@ -69,7 +69,7 @@ SHAPER_FREQ_Z={{own.input_shaper.shaper_freq_z|default(0)}}
     {{% endif %}}
 @own_averaging
 
-# The next three ask hframe-post in Moonraker: 'hframe-post setup --moonraker' connects it
+# The next three ask hframe-post in Moonraker: 'hframe-post connect moonraker' connects it
 [gcode_macro HFRAME_CALIBRATE]
 description: Measure this printer; where the bed moves, AXIS=Y once the sensor is on the bed
 gcode:

@@ -246,9 +246,8 @@ class KlipperSource(Source):
         return f"""
 Next:
   1. {first}
-  2. Restart Klipper, and run hframe-post measure -o measure.gcode. It says what to print and what
-     to fetch then. Recordings of TEST_RESONANCES (OUTPUT=raw_data) do, too.
-  3. With all recordings in a folder recordings, and measure.*.csv with them, run
+  2. Restart Klipper, and run hframe-post measure -o recordings/measure.gcode, which says how to go
+     on. Or, with recordings of TEST_RESONANCES (OUTPUT=raw_data) in the folder recordings:
      hframe-post identify recordings --printer-cfg {quoted(self.path)} -o {quoted(target)}"""
 
 

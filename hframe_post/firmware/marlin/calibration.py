@@ -28,6 +28,9 @@ from hframe_post.stream.types import ModalState
 
 SECONDS = 120.0  # of each part, about
 LINES, LINE = 10_000, "G1 F3000"
+# bits of such a line with number, checksum and line feed, and of its ok
+LINE_BITS = 10 * (len(f"N{LINES} {LINE}*99\n") + len("ok\n"))
+BAUDS = (115_200, 250_000)
 EDGE = 10.0  # mm of travel that stay unused on either side
 STEPS = 24  # of x in a block of ``uneven``
 
@@ -53,6 +56,35 @@ class Calibration:
     parts: tuple[str, ...]
     durations: dict[str, tuple[float, ...]]
     table: MarlinTable
+
+    def as_text(self) -> str:
+        """Return how to print the file, and the table in which to look its durations up."""
+        boards = [
+            f"{board:44s}" + "".join(f"{seconds:9.2f}s" for seconds in durations)
+            for board, durations in self.durations.items()
+        ]
+        sent = " or ".join(f"{LINES * LINE_BITS / baud:.1f} at {baud} baud" for baud in BAUDS)
+        usual = LINES / self.table.lines_per_second
+        classic = (
+            "Built with CLASSIC_JERK, only the steady part is as in the table: it shows the timer."
+        )
+        return "\n".join(
+            [
+                "Home the printer, print the file from SD without filament, and note how long each "
+                "part takes: M31",
+                "reports it after the part, or take it from a stopwatch or the host's log. The row "
+                "with both durations",
+                "shows the keys for [firmware.marlin]:",
+                " " * 44 + "".join(f"{part:>10s}" for part in self.parts),
+                *boards,
+                "If the steady part is shorter than in every row, the board smooths steps: set "
+                "firmware.marlin.adaptive_step_smoothing.",
+                *([classic] if self.table.classic_jerk else []),
+                f"The part 'lines' is {LINES} lines. From SD: if it takes more than {usual:.0f} s, "
+                f"set lines_per_second to {LINES} / its seconds. Over a serial line: set latency "
+                f"to (its seconds - {sent}) / {LINES}.",
+            ]
+        )
 
 
 def calibration(printer: Printer) -> Calibration:

@@ -197,7 +197,7 @@ class MarlinSettings:
         if not self.planner:
             found.append(
                 f'the firmware\'s version is not known, so planner = "{ASSUMED}" is assumed. Add '
-                "the answer to M115, or find out with 'hframe-post calibrate-marlin'"
+                "the answer to M115, or find out with 'hframe-post measure --for planner'"
             )
         return found
 
@@ -399,9 +399,8 @@ class MarlinSource(Source):
         if not profile.invented:
             return ""
         return f"""
-Next: measure the printer (docs/start.md#marlin).
-  With an accelerometer: hframe-post sweep -o sweep.gcode, record while the printer plays it, and
-  hframe-post identify recordings -o {quoted(target)}
-  With a ruler only: hframe-post calibrate-print --heat 210,60 -o tower.gcode
+Next, with an accelerometer: hframe-post measure -o sweep.gcode, which says how to go on, and
+hframe-post identify recordings -o {quoted(target)}
+With a ruler only: hframe-post calibrate-print --heat 210,60 -o tower.gcode
 A compensated print that you stop midway leaves its limits in the board: send M501 and M82 then. Let
 OctoPrint do that: put both into GCODE Scripts, After print job is cancelled."""

@@ -1,96 +1,56 @@
-"""The file of a kernel: lines of text that end with a digest of all before it.
+"""The file of a kernel: a line with the format, a digest of all after it, and JSON.
 
-::
-
-    hframe-post kernel 1
-    profile = voron.toml (9f8e7d6c)          who made it, of what, when
-    kinematics = corexy                      Klipper's name
-    acceleration = 10000                     the limits for which its figures hold
-    x = 60 0.00012 …                         samples ahead; taps, the furthest ahead first
-    coupling = y x x 140 60 …                answer, command, lever's axis or -, its centre, taps
-    sha256 = …
+====================  ==========================================================================
+key                   value
+====================  ==========================================================================
+profile, made_by,     whose it is, what wrote it, the day of the measurement
+measured
+kinematics            Klipper's name
+limits, reserve       Klipper's limits of the path for which the figures hold; factor on those of
+                      acceleration and corners up to which the motors can follow
+leaves, …             the other figures, mm and s
+x, y                  ``TAPS`` weights of the path, 1 ms apart; the first is ``AHEAD`` ms later
+couplings             rows: answering and commanding axis, axis of the lever or −1, its centre, taps
+====================  ==========================================================================
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import math
-from typing import NamedTuple
+from typing import Any
 
-FORMAT = b"hframe-post kernel 1\n"
-DIGEST = b"sha256 = "
-NAMES = ("profile", "made_by", "measured", "kinematics")
-NUMBERS = ("velocity", "acceleration", "leaves", "without", "deviation", "belt_velocity",
-           "belt_acceleration")  # fmt: skip
-AXES = {"x": 0, "y": 1, "-": -1}
-MOST_TAPS = 1024  # as in hframe_live.c
-
-
-class Taps(NamedTuple):
-    """Weights of the path, a millisecond apart; the first is that of ``ahead`` ms later."""
-
-    ahead: int
-    weights: list[float]
+FORMAT = b"hframe-post kernel 2\n"
+AHEAD, TAPS, COUPLINGS = 100, 501, 8  # as in hframe_live.h
+LIMITS = ("max_velocity", "max_accel", "square_corner_velocity")
+FIGURES = ("leaves", "without", "deviation", "belt_velocity", "belt_acceleration", "reserve")
+KEYS = {"profile", "made_by", "measured", "kinematics", "limits", *FIGURES, "x", "y", "couplings"}
+AGAIN = "write it again with 'hframe-post identify', then restart Klipper"
 
 
-class Coupling(NamedTuple):
-    """Taps from one axis to another, times the distance from ``centre`` along an axis, or 1."""
-
-    answer: int
-    command: int
-    along: int
-    centre: float
-    taps: Taps
+def signed(kernel: dict[str, Any]) -> bytes:
+    """Return the file of a kernel with all keys."""
+    body = json.dumps(kernel, indent=0).encode()
+    return FORMAT + hashlib.sha256(body).hexdigest().encode() + b"\n" + body
 
 
-class KernelFile(NamedTuple):
-    names: dict[str, str]
-    numbers: dict[str, float]
-    x: Taps
-    y: Taps
-    couplings: list[Coupling]
-
-
-def signed(text: str) -> bytes:
-    """Return the file for these lines: with the format before and the digest after them."""
-    body = FORMAT + text.encode()
-    return body + DIGEST + hashlib.sha256(body).hexdigest().encode() + b"\n"
-
-
-def read(data: bytes) -> KernelFile:
-    """Return what a file holds. Raises ValueError, with the cause and the next step."""
+def read(data: bytes) -> dict[str, Any]:
+    """Return the kernel of a file. Raises ValueError, with the cause and the next step."""
     if not data.startswith(FORMAT):
-        raise ValueError(
-            "it is not a kernel of this version of hframe-post: write it again with 'hframe-post "
-            "identify', then restart Klipper"
-        )
-    body, _, digest = data.rpartition(DIGEST)
-    if digest != hashlib.sha256(body).hexdigest().encode() + b"\n":
-        raise ValueError("it is damaged or was edited: write it again with 'hframe-post identify'")
-    names, numbers = dict[str, str](), dict[str, float]()
-    axes, couplings = dict[str, Taps](), list[Coupling]()
-    for line in body[len(FORMAT) :].decode().splitlines():
-        key, _, value = line.partition(" = ")
-        if key in NAMES:
-            names[key] = value
-        elif key in NUMBERS:
-            numbers[key] = float(value)
-        elif key in ("x", "y"):
-            axes[key] = _taps(value.split())
-        elif key == "coupling":
-            answer, command, along, centre, *taps = value.split()
-            couplings.append(
-                Coupling(AXES[answer], AXES[command], AXES[along], float(centre), _taps(taps))
-            )
-        else:
-            raise ValueError(f"unknown key {key[:40]!r}: update hframe-post")
-    if {*names} != {*NAMES} or {*numbers} != {*NUMBERS} or {*axes} != {"x", "y"}:
-        raise ValueError("a key is missing: write it again with 'hframe-post identify'")
-    return KernelFile(names, numbers, axes["x"], axes["y"], couplings)
-
-
-def _taps(words: list[str]) -> Taps:
-    ahead, weights = int(words[0]), [float(word) for word in words[1:]]
-    if not 0 <= ahead < len(weights) <= MOST_TAPS or not all(map(math.isfinite, weights)):
-        raise ValueError("its taps are out of range: write it again with 'hframe-post identify'")
-    return Taps(ahead, weights)
+        raise ValueError(f"it is not a kernel of this version of hframe-post: {AGAIN}")
+    digest, _, body = data[len(FORMAT) :].partition(b"\n")
+    if digest != hashlib.sha256(body).hexdigest().encode():
+        raise ValueError(f"it is damaged or was edited: {AGAIN}")
+    try:
+        kernel: dict[str, Any] = json.loads(body)
+        rows = kernel["couplings"]
+        taps = [kernel["x"], kernel["y"], *(h for _, _, _, _, h in rows)]
+        axes = all({*row[:2]} <= {0, 1} and row[2] in (-1, 0, 1) for row in rows)
+        numbers = all(len(h) == TAPS and math.isfinite(sum(map(abs, h))) for h in taps)
+        known = {*kernel} == KEYS and {*kernel["limits"]} == {*LIMITS} and len(rows) <= COUPLINGS
+    except (ValueError, LookupError, TypeError):
+        known = False
+    if not (known and axes and numbers):
+        raise ValueError(f"it holds something else than a kernel: {AGAIN}")
+    return kernel

@@ -3,20 +3,21 @@
 It is on if the owner has it on and nothing that needs the bare motion is running: homing, probing,
 tests of resonances, and files that turn the input shaper off, as converted files and measurements
 of hframe-post do. It changes at rest only, with all steps made: then both kinematics have every
-motor at the same place.
+motor at the same place. Moves that ask for more than the motors can follow are slowed down.
 """
 
 from __future__ import annotations
 
 import importlib
 import logging
+import math
 import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from .kernel_file import KernelFile, Taps, read
+from .kernel_file import FIGURES, LIMITS, read
 from .native import Native
 
 NAME = "hframe_live"
@@ -34,14 +35,14 @@ class HframeLive:
     """Kernel and state of ``[hframe_live]``. Raises config.error, with the next step."""
 
     def __init__(self, config: Any) -> None:
-        self.printer, self.name = config.get_printer(), config.get_name()
+        self.printer = config.get_printer()
         folder = Path(self.printer.get_start_args().get("config_file", "")).parent
         self.path = folder / os.path.expanduser(config.get("kernel", "printer.kernel"))
         self.enabled = config.getboolean("enabled", True)
         self.reasons, self.tower = set[str](), ""
-        self.active = self.unshaped = False
+        self.active = self.unshaped = self.limited = False
         self.motors: list[tuple[Any, Any, Any]] = []  # stepper, Klipper's kinematics, ours
-        self.kernel: KernelFile | None = None
+        self.kernel: dict[str, Any] | None = None
         if self.path.is_file():
             try:
                 self._load(config)
@@ -72,48 +73,53 @@ class HframeLive:
             self.printer.register_event_handler(event, handler)
 
     def _load(self, config: Any) -> None:
-        kernel = read(self.path.read_bytes())
-        printer = config.getsection("printer")
-        kinematics, most = printer.get("kinematics"), kernel.numbers["acceleration"]
+        kernel, printer = read(self.path.read_bytes()), config.getsection("printer")
+        kinematics = printer.get("kinematics")
         if kinematics not in KINEMATICS or config.has_section("dual_carriage"):
             what = "a second carriage" if kinematics in KINEMATICS else f"kinematics {kinematics}"
             raise ValueError(f"{what} is not supported: convert files instead")
-        if kinematics != kernel.names["kinematics"]:
+        if kinematics != kernel["kinematics"]:
             raise ValueError(
-                f"it is for kinematics {kernel.names['kinematics']}, and this printer has "
-                f"{kinematics}: write it with this printer's profile"
+                f"it is for kinematics {kernel['kinematics']}, and this printer has {kinematics}: "
+                "write it with this printer's profile"
             )
-        if printer.getfloat("max_accel") > 1.001 * most:
-            raise ValueError(
-                f"it is for max_accel up to {most:g}, which is now "
-                f"{printer.getfloat('max_accel'):g}: run 'hframe-post setup', then 'hframe-post "
-                "identify'"
-            )
+        factors = (1.0, kernel["reserve"], kernel["reserve"])
+        self.most = [kernel["limits"][name] * k for name, k in zip(LIMITS, factors, strict=True)]
+        for name, most in zip(LIMITS, self.most, strict=True):
+            if (now := printer.getfloat(name, 5.0)) > 1.001 * most:
+                raise ValueError(
+                    f"it is for {name} up to {most:g}, which is now {now:g}: run 'hframe-post "
+                    "setup', then 'hframe-post identify'"
+                )
         package = __name__.split(".", maxsplit=1)[0]
         parent = "klippy." if package == "klippy" else ""  # Kalico's is a package
         self.native = Native(importlib.import_module(f"{parent}chelper"))
-        lib, ffi = self.native.lib, self.native.ffi
-        self.taps = self.native.freed(lib.hframe_kernel_alloc())
-        refused = 0
-
-        def given(taps: Taps) -> tuple[int, int, Any]:
-            return taps.ahead, len(taps.weights), ffi.new("double[]", taps.weights)
-
-        for axis, taps in enumerate((kernel.x, kernel.y)):
-            stepper = config.getsection(f"stepper_{'xy'[axis]}")
-            travel = stepper.getfloat("position_min", 0.0), stepper.getfloat("position_max")
-            refused |= lib.hframe_kernel_axis(self.taps, axis, *travel, *given(taps))
-        for each in kernel.couplings:
-            where = each.answer, each.command, each.along, each.centre
-            refused |= lib.hframe_kernel_coupling(self.taps, *where, *given(each.taps))
-        if refused:
-            raise ValueError("it has too many taps: write it again with 'hframe-post identify'")
-        self.kernel = kernel
+        steppers = [config.getsection(f"stepper_{axis}") for axis in "xy"]
+        travel = [
+            (one.getfloat("position_min", 0.0), one.getfloat("position_max")) for one in steppers
+        ]
+        self.taps, self.kernel = self.native.kernel(kernel, travel), kernel
 
     def _connect(self) -> None:
         self.toolhead = self.printer.lookup_object("toolhead")
         self.queuing = self.printer.lookup_object("motion_queuing", None)
+        self.kinematics = self.toolhead.get_kinematics()
+        self.kinematics.check_move = partial(self._check_move, self.kinematics.check_move)
         self._update()
+
+    def _check_move(self, former: Callable[[Any], Any], move: Any) -> None:
+        """Keep a move, as Klipper does those of z, within what the motors can follow."""
+        former(move)
+        if not self.active:
+            return
+        velocity, acceleration, corner = self.most
+        beyond = move.accel > 1.001 * acceleration and any(move.axes_d[:2])
+        move.limit_speed(velocity, acceleration)
+        deviation = corner**2 * (math.sqrt(2.0) - 1.0) / move.accel
+        move.junction_deviation = min(move.junction_deviation, deviation)
+        if beyond and not self.limited:
+            self.limited = True
+            self.gcode.respond_info(f"{NAME}: acceleration limited to {acceleration:g} mm/s^2")
 
     def _ready(self) -> None:
         for name in BARE:
@@ -127,23 +133,18 @@ class HframeLive:
 
     def _bare(self, name: str, former: Callable[[Any], Any], gcmd: Any) -> None:
         """Run a command with the kernel off and the input shaper as it is without it."""
-        self.reasons.add("command")
-        self._update()
+        self._set("command", True)
         try:
             former(gcmd)
-            if name == SET_SHAPER:
-                self._note_shaper(gcmd)
+            if name == SET_SHAPER:  # a file that turns the shaper off is to move as it is
+                hz = [gcmd.get_float(f"SHAPER_FREQ_{axis}", None) for axis in "XY"]
+                if any(each is not None for each in hz):
+                    (self.reasons.discard if any(hz) else self.reasons.add)("unshaped file")
         finally:
             self._set("command", False)
 
-    def _note_shaper(self, gcmd: Any) -> None:
-        """Leave the motion bare from a command on that turns the input shaper off."""
-        hz = [gcmd.get_float(f"SHAPER_FREQ_{axis}", None) for axis in "XY"]
-        if any(each is not None for each in hz):
-            (self.reasons.discard if any(hz) else self.reasons.add)("unshaped file")
-
     def _next_file(self) -> None:
-        self.tower = ""
+        self.tower, self.limited = "", False
         self._set("unshaped file", False)
 
     def _set(self, reason: str, off: bool) -> None:
@@ -162,48 +163,43 @@ class HframeLive:
             self._give_back()
         if self.shaper is not None and unshaped != self.unshaped:
             (self.shaper.disable_shaping if unshaped else self.shaper.enable_shaping)()
-        self.unshaped = unshaped
         if active and not self.active:
             self._take()
-        self.active = active
+        self.active, self.unshaped = active, unshaped
 
     def _take(self) -> None:
-        lib, former = self.native.lib, {id(one[0]): one for one in self.motors}
-        motors = []
-        for stepper in self.toolhead.get_kinematics().get_steppers():
+        former, self.motors = {id(one[0]): one for one in self.motors}, []
+        for stepper in self.kinematics.get_steppers():
+            if not any(map(stepper.is_active_axis, "xy")):
+                continue
             theirs = stepper.get_stepper_kinematics()
             _, known, ours = former.get(id(stepper), (None, None, None))
             if known != theirs:
-                ours = lib.hframe_live_alloc(self.native.ours(theirs), self.taps)
-                if ours != self.native.ffi.NULL:
-                    ours = self.native.freed(ours)
-                elif any(map(stepper.is_active_axis, "xy")):
-                    raise self.printer.config_error(
-                        f"[{NAME}] cannot move {stepper.get_name()}: convert files instead"
-                    )
-                else:
-                    continue  # a motor of z
-            motors.append((stepper, theirs, ours))
-        for stepper, _, ours in motors:
-            lib.hframe_live_begin(ours)
+                ours = self.native.behind(theirs, self.taps)
+            if ours is None:
+                raise self.printer.config_error(
+                    f"[{NAME}] cannot move {stepper.get_name()}: convert files instead"
+                )
+            self.motors.append((stepper, theirs, ours))
+        for stepper, theirs, ours in self.motors:
+            self.native.lib.hframe_live_hand_over(self.native.ours(theirs), ours)
+            self.native.lib.hframe_live_reset(ours)
             stepper.set_stepper_kinematics(self.native.klippers(ours))
-        self.motors = motors
         self._note_window(on=True)
 
     def _give_back(self) -> None:
         for stepper, theirs, ours in self.motors:
-            self.native.lib.hframe_live_end(ours)
+            self.native.lib.hframe_live_hand_over(ours, self.native.ours(theirs))
             stepper.set_stepper_kinematics(theirs)
         self._note_window(on=False)
 
     def _note_window(self, on: bool) -> None:
         """Tell Klipper how far steps depend on the path around them."""
-        if self.queuing is not None and hasattr(self.queuing, "check_step_generation_scan_windows"):
+        if hasattr(self.queuing, "check_step_generation_scan_windows"):
             self.queuing.check_step_generation_scan_windows()
         elif self.motors:
-            window = max(self.native.lib.hframe_live_window(one[2]) for one in self.motors)
-            old_and_new = (window, 0.0) if on else (0.0, window)
-            self.toolhead.note_step_generation_scan_time(*old_and_new)
+            window = self.native.lib.hframe_live_window(self.motors[0][2])
+            self.toolhead.note_step_generation_scan_time(*(window, 0.0)[:: 1 if on else -1])
 
     def _forget(self) -> None:
         for _, _, ours in self.motors if self.active else ():
@@ -224,21 +220,23 @@ class HframeLive:
         if self.kernel is None:
             return f"off: no kernel {self.path} yet. Measure the printer: HFRAME_CALIBRATE"
         if self.active:
-            numbers = self.kernel.numbers
+            leaves, without, deviation = (self.kernel[key] for key in FIGURES[:3])
             return (
-                f"on: {1e3 * numbers['leaves']:.1f} um where {1e3 * numbers['without']:.0f} would "
-                f"be, at most {numbers['deviation']:.2f} mm off the path"
+                f"on: {1e3 * leaves:.1f} um where {1e3 * without:.0f} would be, at most "
+                f"{deviation:.2f} mm off the path"
             )
         return f"off: {', '.join(sorted(self.reasons)) or self.tower or 'ENABLE=0'}"
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
         status: dict[str, Any] = {
             "enabled": self.enabled, "active": self.active, "off": sorted(self.reasons),
-            "kernel": str(self.path) if self.kernel is not None else "",
+            "limited": self.limited,
         }  # fmt: skip
         if self.kernel is not None:
+            status |= {
+                key: self.kernel[key] for key in ("profile", "made_by", "measured", *FIGURES)
+            }
             clamped = [self.native.lib.hframe_live_clamped(one[2]) for one in self.motors]
-            status |= {**self.kernel.names, **self.kernel.numbers}
             status["clamped"] = max(clamped, default=0)  # ms for which travel limited it
         return status
 

@@ -5,29 +5,17 @@ from __future__ import annotations
 import hashlib
 import os
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 SOURCE = Path(__file__).resolve().with_name("hframe_live.c")
+DECLARED = SOURCE.with_suffix(".h")  # for cffi, too
 HEADERS = ("itersolve.h", "trapq.h", "list.h")
 GCC = ("gcc", "-O3", "-shared", "-fPIC", "-Wall", "-Werror")
 # sums of a window in vectors: in any order, without looking for NaN
 SUMS = ("-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math", "-fno-math-errno")
-DECLARED = """
-    void *hframe_kernel_alloc(void);
-    int hframe_kernel_axis(void *k, int axis, double least, double most, int ahead, int count,
-                           const double *h);
-    int hframe_kernel_coupling(void *k, int answer, int command, int along, double centre,
-                               int ahead, int count, const double *h);
-    void *hframe_live_alloc(void *orig, void *k);
-    void hframe_live_begin(void *sk);
-    void hframe_live_end(void *sk);
-    void hframe_live_reset(void *sk);
-    double hframe_live_window(void *sk);
-    int64_t hframe_live_clamped(void *sk);
-    void free(void *p);
-"""
 
 
 def compiled(headers: Path, folder: Path = SOURCE.parent) -> Path:
@@ -36,7 +24,9 @@ def compiled(headers: Path, folder: Path = SOURCE.parent) -> Path:
     Raises ValueError, with what the compiler said.
     """
     try:
-        parts = [SOURCE.read_bytes(), *((headers / name).read_bytes() for name in HEADERS)]
+        parts = [
+            each.read_bytes() for each in (SOURCE, DECLARED, *(headers / name for name in HEADERS))
+        ]
     except OSError as error:
         raise ValueError(f"{error.filename}: {error.strerror}: this Klipper is not known") from None
     digest = hashlib.sha256(repr((parts, GCC, SUMS)).encode()).hexdigest()[:16]
@@ -46,9 +36,10 @@ def compiled(headers: Path, folder: Path = SOURCE.parent) -> Path:
     made = folder / f"{library.stem}.{os.getpid()}.tmp"
     command = [*GCC, *SUMS, "-I", str(headers), "-o", str(made), str(SOURCE), "-lm"]
     try:
-        done = subprocess.run([*command, "-march=native"], capture_output=True, timeout=120)
-        if done.returncode:  # some processors have no "native"
-            done = subprocess.run(command, capture_output=True, timeout=120)
+        for faster in (["-march=native"], []):  # some processors have no "native"
+            done = subprocess.run([*command, *faster], capture_output=True, timeout=120)
+            if not done.returncode:
+                break
         if done.returncode:
             said = done.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
             raise ValueError(f"{SOURCE.name} does not compile with this Klipper: {said[0][:200]}")
@@ -63,25 +54,32 @@ def compiled(headers: Path, folder: Path = SOURCE.parent) -> Path:
 
 
 class Native:
-    """The library, whose pointers are those of Klipper's own C."""
+    """The library, and Klipper's pointers to the same structures."""
 
     def __init__(self, chelper: ModuleType) -> None:
         import cffi  # Klipper has it; nothing else needs it
 
         self._main, _ = chelper.get_ffi()
         self.ffi = cffi.FFI()
-        self.ffi.cdef(DECLARED)
+        self.ffi.cdef(DECLARED.read_text())
         assert chelper.__file__ is not None
         self.lib = self.ffi.dlopen(str(compiled(Path(chelper.__file__).resolve().parent)))
 
-    def freed(self, pointer: Any) -> Any:
-        """Return a pointer of ours that is freed with its last use. Raises MemoryError."""
-        if pointer == self.ffi.NULL:
-            raise MemoryError
-        return self.ffi.gc(pointer, self.lib.free)
+    def kernel(self, kernel: dict[str, Any], travel: Sequence[tuple[float, float]]) -> Any:
+        """Return a kernel of ``read`` for the C; travel: of x and y, mm."""
+        least, most = zip(*travel, strict=True)
+        rows = [(*row[:4], row[4][::-1]) for row in kernel["couplings"]]
+        axes = [kernel["x"][::-1], kernel["y"][::-1]]
+        return self.ffi.new("struct hframe_kernel *", (least, most, axes, len(rows), rows))
+
+    def behind(self, klippers: Any, kernel: Any) -> Any:
+        """Return our kinematics behind Klipper's, or None if it cannot have one."""
+        ours = self.lib.hframe_live_alloc(self.ours(klippers), kernel)
+        return None if ours == self.ffi.NULL else self.ffi.gc(ours, self.lib.free)
 
     def ours(self, pointer: Any) -> Any:
-        return self.ffi.cast("void *", int(self._main.cast("uintptr_t", pointer)))
+        kind = "struct stepper_kinematics *"
+        return self.ffi.cast(kind, int(self._main.cast("uintptr_t", pointer)))
 
     def klippers(self, pointer: Any) -> Any:
         kind = "struct stepper_kinematics *"

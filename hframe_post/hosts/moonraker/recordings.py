@@ -21,10 +21,11 @@ from typing import Any
 from .conversion import PAGE, Interface, Settings, said
 from .disk import FOLDER, Event, FailureError, add, cause, events
 
-WRITING = {  # a command's words before the file of G-code
+WRITING = {  # the words of a command before the file of G-code
     "calibration": ("measure", "-q", "--times", "2", "-o"),
-    "check": ("check", "--gcode"),
+    "check": ("measure", "-q", "--for", "check", "-o"),
 }
+JOBS = {"calibration": "measure", "check": "check"}  # how the files of G-code are called
 MEASURING_S = 15.0 * 60.0  # s that such a command may take on a slow host
 ENDS_RECORDING = re.compile(r"^ACCELEROMETER_MEASURE CHIP=\S+ NAME=(\S+)$", re.MULTILINE)
 WRITING_S = 120.0  # s for Klipper to write its recordings, which it does in the background
@@ -52,7 +53,7 @@ def prepare(settings: Settings, kind: str, axis: str = "") -> int:
         os.utime(folder)  # the time of the last check
         if kind == "calibration" or not _is_written(folder, profile):
             command, *words = WRITING[kind]
-            target = str(folder / f"{command}.gcode")
+            target = str(folder / f"{JOBS[kind]}.gcode")
             said([*program, command, "-p", str(profile), *words, target], MEASURING_S)
     except (FailureError, OSError) as error:
         interface.report(f"nothing is measured: {cause(error)}", failed=True)

@@ -1,7 +1,7 @@
 """OctoPrint's plugin: convert each file of G-code that is uploaded, before it is stored.
 
 Two ways lead here: ``pip install hframe-post`` in OctoPrint's own environment, whose plugins it
-finds by their entry point, and ``hframe-post octoprint-plugin``, which copies this folder into
+finds by their entry point, and ``hframe-post connect octoprint``, which copies this folder into
 OctoPrint's folder of plugins, with COMMAND and PROFILE, for a hframe-post that lives elsewhere.
 """
 

@@ -86,7 +86,7 @@ class Converted:
         """Convert the file in its place and return the summary. Raises RefusalError."""
         command, nice = self._settings.command, self._settings.nice
         if shutil.which(command[0]) is None:
-            advice = "run 'hframe-post octoprint-plugin' again"
+            advice = "run 'hframe-post connect octoprint' again"
             raise RefusalError(f"{command[0]} cannot be run: {advice}")
         if nice and shutil.which("nice"):  # OctoPrint may be printing
             command = ["nice", "-n", str(nice), *command]

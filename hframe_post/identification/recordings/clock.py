@@ -252,7 +252,7 @@ def not_found() -> IdentificationError:
     return IdentificationError(
         "the recording does not follow the command. Check that it is of this motion, complete, and "
         "of a sensor that moves with this axis. With Marlin also check the planner of the profile: "
-        "'hframe-post calibrate-marlin'"
+        "'hframe-post measure --for planner'"
     )
 
 

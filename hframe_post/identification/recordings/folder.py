@@ -35,7 +35,7 @@ WAITING = 120.0  # s before and after the motion, in a recording that was starte
 UNUSABLE = {
     "axes map": "a test of the sensor's axes, which the other recordings show as well",
     "vibrations": "a test at constant speeds, which excites no band of frequencies; 'hframe-post "
-    "bands' reads it",
+    "identify' reads them alone",
     "constant frequency": "a test at a constant frequency, which excites no band of frequencies",
 }
 EXPLICIT = "or name it with its command: 'hframe-post identify --nozzle COMMAND RECORDING'"
@@ -161,7 +161,7 @@ def read_files(
             f"{', '.join(map(str, paths))}: no recordings here. They have names such as "
             "raw_data_x_….csv, adxl345-….csv or ….stdata. To record with Klipper, print what "
             "'hframe-post measure' writes, or run TEST_RESONANCES AXIS=X OUTPUT=raw_data, and "
-            "AXIS=Y; it writes to /tmp of its host. With Marlin, print what 'hframe-post sweep' "
+            "AXIS=Y; it writes to /tmp of its host. With Marlin, print what 'hframe-post measure' "
             "writes"
         )
     read = [each for path, label in files.items() for each in _read(path, label, columns)]

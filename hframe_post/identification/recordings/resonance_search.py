@@ -374,7 +374,7 @@ def _found(recording: Recording, expected: ResonanceTest) -> Found:
     if line.score < LEAST_SCORE or line.last - line.first < 5.0:
         raise IdentificationError(
             "the recording shows no resonance test, whose frequency grows steadily. If it is of "
-            "a sweep, put the CSV file that 'hframe-post sweep' wrote next to it"
+            "a sweep, put the CSV file that 'hframe-post measure' wrote next to it"
         )
     hz_per_sec, drift = _rate(line.slope, expected.hz_per_sec)
     hz, level = _levels(a, line)

@@ -175,7 +175,7 @@ def check_records(printer: Printer) -> None:
     if not printer.firmware.kind.records:
         raise PrinterError(
             f"{printer.firmware.dialect} records no accelerometers, which this run needs. To find "
-            "out what drifted, measure again: 'hframe-post sweep', then identify. To see what "
+            "out what drifted, measure again: 'hframe-post measure', then identify. To see what "
             "compensation brings, print a part with and without it (-c none)",
             "firmware.dialect", printer.name,
         )  # fmt: skip

@@ -8,7 +8,7 @@ The axis travels to and fro around its place, and while it travels its speed pul
 
 So the acceleration is +a, 0, −a, 0 … at a frequency that grows. The axis stops only where it
 turns, so friction, and the first step from rest, which Marlin delays, hardly count. The command is
-what the firmware makes of the moves, of Marlin each step (``firmware.written_moves``).
+what the firmware makes of the moves, of Marlin each step (``firmware.motion``).
 
 Any program may record it: start and clock are found from the motion (``self_alignment``).
 """

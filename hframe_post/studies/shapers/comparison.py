@@ -19,10 +19,11 @@ from hframe_post.compensation.shape import LIVE, Shapes, shape
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain, SampleStream
 from hframe_post.conversion.sliced_errors import SlicedFile
+from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.firmware.klipper.live import by_itself
 from hframe_post.model.plant import Plant
-from hframe_post.model.shapers import Shaping
+from hframe_post.model.shapers import WITH_PARAMETERS, Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.error_meter import ErrorMeter
@@ -32,6 +33,7 @@ from hframe_post.stream.running import one_blas_thread
 from hframe_post.studies.shapers.search import calibrated_with, search
 from hframe_post.writers.print_time import duration
 
+WORTH = 0.95  # of a shaper's error, below which one that needs a newer Klipper is shown
 CALIBRATED = " as calibrated"  # appended to the name of a shaper with Klipper's frequencies
 
 
@@ -92,7 +94,8 @@ def comparison_as_json(found: list[ShaperComparison]) -> list[dict[str, Any]]:
     ]
 
 
-def comparison_as_text(found: list[ShaperComparison]) -> str:
+def comparison_as_text(found: list[ShaperComparison], firmware: Firmware | type[Firmware]) -> str:
+    """Return a table, and the settings of the best shaper that the firmware has."""
     lines = [
         "",
         f"{'comparison':22s}{'x, Hz (damping)':>17s}{'y, Hz (damping)':>17s}"
@@ -105,4 +108,13 @@ def comparison_as_text(found: list[ShaperComparison]) -> str:
             f"{compared.name:22s}{axes[0]:>17s}{axes[1]:>17s}{um['rms']:9.1f}{um['p95']:8.1f}"
             f"{um['peak']:7.0f}{100.0 * compared.width.rms:9.1f}{duration(compared.seconds):>13s}"
         )
+    shapers = [(one.contour.rms, one.shaping) for one in found if one.shaping is not None]
+    rms, best = next(each for each in shapers if each[1].x.name in firmware.shapers)
+    lines += ["", firmware.shaper_settings(best)]
+    least, newer = next(
+        (each for each in shapers if each[1].x.name in WITH_PARAMETERS), (rms, best)
+    )
+    if firmware.newer_versions and least < WORTH * rms:
+        lines += ["", f"# {1e3 * least:.1f} µm, on {firmware.newer_versions} only:"]
+        lines += [f"# {line}" for line in firmware.shaper_settings(newer).splitlines()]
     return "\n".join(lines)

@@ -8,18 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from hframe_post.arrays import TS
 from hframe_post.errors import HframeError
-from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import (
-    WITH_PARAMETERS,
     AxisShaping,
     Shaper,
     Shaping,
@@ -27,8 +24,6 @@ from hframe_post.model.shapers import (
     shaper,
 )
 from hframe_post.prediction.best_shaper import Paths, ranked
-
-WORTH = 0.95  # of the error of a shaper, with which one that needs a newer Klipper is shown
 
 # Klipper's calibration, as of November 2025 (klippy/extras/shaper_calibrate.py)
 KLIPPER_HZ = np.arange(5.0, 135.0, 0.5)  # that its test shakes with
@@ -138,36 +133,3 @@ def _smoothing(tried: Shaper) -> float:
     by_corner = float((tried.A * (KLIPPER_CORNER + half * T) * T)[late].sum())
     back = float((tried.A * half * T * T).sum())
     return max(by_corner * float(np.sqrt(2.0)), back)
-
-
-# ---------------------------------------------------------------------- reports
-
-
-def shapings_as_json(found: list[Shaping], usual: Shaping) -> dict[str, Any]:
-    """Return the shapers, the best first, and the choice of Klipper's calibration; µm."""
-    *shapers, calibration = (
-        s.as_json() | {"contour_error_rms_um": round(s.rms * 1e3, 4)} for s in (*found, usual)
-    )
-    return {"shapers": shapers, "klipper_calibration": calibration}
-
-
-def shapings_as_text(
-    found: list[Shaping], usual: Shaping, firmware: Firmware | type[Firmware]
-) -> str:
-    """Return a table, and the settings of the best shaper that the firmware has."""
-    lines = [f"{'shaper':16s}{'x, Hz (damping)':>18s}{'y, Hz (damping)':>18s}{'µm RMS':>10s}"]
-    lines += [_row(s.x.name, s) for s in found]
-    names = "/".join(dict.fromkeys((usual.x.name, usual.y.name)))
-    lines += [_row(f"Klipper's calibration: {names}", usual)]
-    best = next(s for s in found if s.x.name in firmware.shapers)
-    newer = next((s for s in found if s.x.name in WITH_PARAMETERS), best)
-    lines += ["", firmware.shaper_settings(best)]
-    if firmware.newer_versions and newer.rms < WORTH * best.rms:
-        lines += ["", f"# {newer.rms * 1e3:.1f} µm, on {firmware.newer_versions} only:"]
-        lines += [f"# {line}" for line in firmware.shaper_settings(newer).splitlines()]
-    return "\n".join(lines)
-
-
-def _row(name: str, s: Shaping) -> str:
-    (x, y), wrapped = s.as_text(), f"{name}\n{'':16s}" if len(name) > 16 else f"{name:16s}"
-    return f"{wrapped}{x:>18s}{y:>18s}{s.rms * 1e3:10.1f}"

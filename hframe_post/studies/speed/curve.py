@@ -7,7 +7,7 @@ error that the file has today, it is converted; ``prints`` estimates the others.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import cast
@@ -37,6 +37,7 @@ from hframe_post.studies.speed.trial import Measure
 BOUNDS = 5  # of the curve, in addition to today's error
 LOOSEST = 2.0  # times today's error
 GENTLE = 1e3  # mm/s² whose error is about the least bound
+Progress = Callable[[float], object]
 SAME = 0.004  # share of the time; a smaller gain is not shown
 
 
@@ -68,14 +69,19 @@ class Curve:
 
 
 @one_blas_thread()
-def curve(lines: Source, printer: Printer, options: Options) -> Curve:
-    """Return the curve of a file. options: resolved. Raises HframeError."""
-    found = _traced(lines, printer, options)
+def curve(
+    lines: Source, printer: Printer, options: Options, progress: Progress | None = None
+) -> Curve:
+    """Return the curve of a file. options: resolved. Raises HframeError.
+
+    progress: called with the share of the work that was done since the last call.
+    """
+    found = _traced(lines, printer, options, progress or (lambda share: None))
     release_memory()
     return found
 
 
-def _traced(lines: Source, printer: Printer, options: Options) -> Curve:
+def _traced(lines: Source, printer: Printer, options: Options, progress: Progress) -> Curve:
     speed, printer = printer.known_speed, with_slicer_limits(printer, lines())
     measure, width = cast(Measure, speed.error_measure), speed.max_width_error or math.inf
     freedom = freedom_of(speed, printer)
@@ -102,6 +108,7 @@ def _traced(lines: Source, printer: Printer, options: Options) -> Curve:
     found = dict[float, Step]()
     # the least and today's first: what is converted there tells the others
     for level in sorted(levels, key=lambda one: one not in (levels[0], _rounded(today))):
+        progress(1.0 / (1 + len(levels)))
         bound = Bound(level, measure=measure, width=width)
         with suppress(HframeError):  # the whole print may have more than the excerpt
             found[level] = Step(level, *(each.within(bound) for each in prints))

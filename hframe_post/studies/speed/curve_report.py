@@ -72,25 +72,15 @@ def shown_feature(found: Curve) -> str:
 def curve_as_text(found: Curve) -> str:
     """Return the table, and what to do about that which binds."""
     name, before = shown_feature(found), found.original
-    heads = (
-        "permitted",
-        "print time",
-        name,
-        "shaper",
-        "width",
-        "limited by",
-        "speed-up",
-        "width",
-        "limited by",
-    )
+    shaper = f"best shaper ({found.shaping.x.name})" if found.shaping else "best shaper"
+    heads = ("--max-error", "print time", name, shaper, "with --speed-up max")
     rows = [
-        ["as sliced", duration(before.seconds), _um(before.errors, name), *6 * [""]],
-        ["its speed", duration(found.own.seconds), *_errors(found.own, name), *4 * [""]],
+        ["as sliced", duration(before.seconds), _um(before.errors, name), "", ""],
+        ["compensated", duration(found.own.seconds), *_errors(found.own, name), ""],
         *(
             [
-                f"{1e3 * step.bound:.3g} µm", _time(step.kept, before.seconds),
-                *_errors(step.kept, name), causes(step.kept),
-                _time(step.raised, before.seconds), _width(step.raised), causes(step.raised),
+                f"{1e3 * step.bound:.3g}um", _time(step.kept, before.seconds),
+                *_errors(step.kept, name), _time(step.raised, before.seconds),
             ]
             for step in found.steps
         ),
@@ -100,22 +90,8 @@ def curve_as_text(found: Curve) -> str:
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in (heads, *rows)
     ]
-    shaper = f" ({found.shaping.x.name})" if found.shaping else ""
-    return "\n".join([
-        *lines,
-        "",
-        "permitted: by 'hframe-post convert --max-error', for all features and with model "
-        f"uncertainty. {name}, shaper: predicted error ({MEASURES[found.measure]}) at that speed, "
-        f"compensated and with the best input shaper{shaper}. width: of the line, off RMS"
-        f"{_permitted(found)}",
-        *advice(found),
-    ])  # fmt: skip
-
-
-def _permitted(found: Curve) -> str:
-    if math.isinf(found.width):
-        return ""
-    return f"; at most {100.0 * found.width:g} % ({MEASURES[found.measure]}) of each feature"
+    held = f"Errors are predicted, {MEASURES[found.measure]}; --max-error holds for each feature."
+    return "\n".join([*lines, "", held, *advice(found)])
 
 
 def advice(found: Curve) -> list[str]:
@@ -130,8 +106,8 @@ def advice(found: Curve) -> list[str]:
     gain = 1.0 - step.raised.seconds / found.original.seconds
     faster = f"{100.0 * gain:.0f} % faster" if gain > 0.0 else "no faster"
     lines.append(
-        f"At the error that the file has today: {faster} with 'hframe-post convert "
-        f"--max-error {1e3 * step.bound:.3g}um --speed-up max'"
+        f"Next, as exact as the file today and {faster}: hframe-post convert "
+        f"--max-error {1e3 * step.bound:.3g}um --speed-up max"
     )
     return list(dict.fromkeys(lines))
 
@@ -164,11 +140,7 @@ def _time(point: Point, before: float) -> str:
 
 def _errors(point: Point, name: str) -> list[str]:
     errors = point.errors
-    return [_um(errors.ours, name), _um(errors.shaped, name), _width(point)]
-
-
-def _width(point: Point) -> str:
-    return f"{100.0 * point.errors.width:.1f} %"
+    return [_um(errors.ours, name), _um(errors.shaped, name)]
 
 
 def _um(errors: dict[str, float], name: str) -> str:

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from itertools import product, zip_longest
+from itertools import product
 from statistics import median
 
 import numpy as np
 
 from hframe_post.arrays import TS, Z
 from hframe_post.compensation.guard import check_model, max_deviation
-from hframe_post.conversion.ledger import SampleNotes
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain, Stages
 from hframe_post.model.kinematics import Differences, Kinematics
@@ -27,8 +26,7 @@ from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Compensation, Motors, Printer
 from hframe_post.stream.chunks import branches
-from hframe_post.stream.features import Place
-from hframe_post.stream.types import Planned, Samples
+from hframe_post.stream.types import Samples
 
 KNOTS = (5, 8, 10, 20)  # L, samples between knots
 EFFORTS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)  # λ of x
@@ -84,19 +82,6 @@ class Trial:
         )
 
 
-@dataclass
-class StopsTrial:
-    """One setting of ``compensation.stops``, with the profile's own window.
-
-    samples: all; resting: those where the path waits for the command.
-    """
-
-    name: str
-    samples: int = 0
-    resting: int = 0
-    contour: ContourErrors = field(default_factory=ContourErrors)
-
-
 def candidates(
     compensation: Compensation, knots: Iterable[int] = KNOTS, efforts: Iterable[float] = EFFORTS
 ) -> list[tuple[Window, Window]]:
@@ -117,33 +102,17 @@ def tune(
     grid: list[tuple[Window, Window]],
     drawn: list[Plant],
     options: Options = RACKING,
-    stops: Iterable[StopsTrial] = (),
 ) -> list[Trial]:
-    """Return a trial of every candidate, in one pass over the print. Raises HframeError.
-
-    stops: settings to try in the same pass, if the profile's own window can be used.
-    """
-    check_model(printer.plant, printer.compensation.windows, printer.travel, printer.limits)
-    try:
-        usual = Compensator(printer.plant, printer.compensation.windows)
-        stops = list(stops)
-    except ValueError:  # of the profile's window, which may be why it is tuned
-        stops = []
-    items, *others = branches(Chain(printer, options).planned(lines), 1 + len(stops))
-    in_step = [
-        _stopped(trial, usual, each, printer) for trial, each in zip(stops, others, strict=True)
-    ]
-    return tried(Chain(printer, options).sampled(items), printer, grid, drawn, in_step)
+    """Return a trial of every candidate, in one pass over the print. Raises HframeError."""
+    chain = Chain(printer, options)
+    return tried(chain.sampled(chain.planned(lines)), printer, grid, drawn)
 
 
 def tried(
     samples: Iterable[Samples], printer: Printer, grid: list[tuple[Window, Window]],
-    drawn: list[Plant], in_step: Iterable[Iterator[None]] = (),
+    drawn: list[Plant],
 ) -> list[Trial]:  # fmt: skip
-    """Return a trial of every candidate on samples of a path, in one pass. Raises HframeError.
-
-    in_step: iterators that are advanced in the same pass, a chunk at a time.
-    """
+    """Return a trial of every candidate on samples of a path, in one pass. Raises HframeError."""
     check_model(printer.plant, printer.compensation.windows, printer.travel, printer.limits)
     trials = [Trial(windows) for windows in grid]
     compensators: list[tuple[Trial, Compensator]] = []
@@ -156,9 +125,7 @@ def tried(
         _tried(*pair, branch, printer, drawn)
         for pair, branch in zip(compensators, branches(samples, len(compensators)), strict=True)
     )
-    for _ in zip_longest(
-        *in_step, *running
-    ):  # so that no branch falls behind and chunks need not wait
+    for _ in zip(*running, strict=True):  # so that no branch falls behind
         pass
     furthest = max_deviation(printer.plant, printer.limits)
     for trial in trials:
@@ -200,18 +167,6 @@ def _tried(
 
 def _contour(meter: ErrorMeter) -> ContourErrors:
     return meter.contour.get("racking", ContourErrors())  # none if nothing moves
-
-
-def _stopped(
-    trial: StopsTrial, compensator: Compensator, items: Iterable[Planned], printer: Printer
-) -> Iterator[None]:
-    printer = replace(printer, compensation=replace(printer.compensation, stops=trial.name))
-    samples = Chain(printer, RACKING).sampled(items)
-    commands = Stages(Chain(printer, RACKING), compensator).compensated(samples)
-    clock, meter = SampleNotes("racking", Place(), None), ErrorMeter(printer.plant)
-    for _ in meter.samples(clock.samples(commands)):
-        yield
-    trial.samples, trial.resting, trial.contour = clock.end, clock.resting, _contour(meter)
 
 
 def _rated(chunks: Iterable[Samples], trial: Trial, kinematics: Kinematics) -> Iterator[Samples]:
