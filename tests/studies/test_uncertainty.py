@@ -14,7 +14,7 @@ from hframe_post.arrays import Array
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer import profile
-from hframe_post.studies.simulation.uncertainty import draws, perturbed
+from hframe_post.studies.uncertainty import draws, perturbed
 from tests.coupled import coupled_plant
 
 PLANT = profile.load("paper").plant
