@@ -1,8 +1,14 @@
 """Feedforward compensation of racking and ringing for H-frame 3D printers.
 
-The library: what ``__all__`` names, imported when it is first used. Arrays in, arrays out:
-``compensate``, ``predict``, ``contour_error``. Files in, files out: ``convert``, ``simulate``,
-``tune``, ``identify``. Lengths are mm, times s, one sample is 1 ms.
+Lengths are mm, times s, one sample is 1 ms. ``help(hframe_post.convert)`` and so on say more.
+
+    load_printer(name_or_path)      a shipped profile or a TOML file, checked: a Printer
+    compensate(xy, printer)         path (n, 2) -> command for the motors
+    predict(command, printer)       command -> where the nozzle goes
+    contour_error(nozzle, path)     distance of the nozzle to the path
+    convert(source, target, ...)    G-code file -> G-code, steps or samples; a Report
+    simulate(source, printer, ...)  predicted errors of every strategy for a print
+    identify(runs, settings)        recordings -> the printer's plant
 
     >>> import hframe_post as hp
     >>> hp.load_printer("paper").plant.Gxx.order

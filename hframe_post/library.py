@@ -45,8 +45,8 @@ from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:
-    from hframe_post.studies.simulation.simulate import SimulationReport
-    from hframe_post.studies.speed.curve import Curve
+    from hframe_post.studies.simulation import SimulationReport
+    from hframe_post.studies.speed_curve import Curve
 
 DEFAULT = Options()
 SHAPED_LINES = 20_000  # of a file, from which a page's input shaper is chosen; 2 % off at most
@@ -194,8 +194,8 @@ def simulate(
     motor steps first. page, title, notes, outputs, progress: as in ``convert``. The source is read
     twice; one that can be read only once is kept in memory. Raises HframeError, OSError.
     """
-    from hframe_post.studies.simulation import simulate as simulation
-    from hframe_post.studies.simulation.uncertainty import draws as drawn
+    from hframe_post.studies import simulation
+    from hframe_post.studies.uncertainty import draws as drawn
 
     if steps and printer.steps is None:
         raise PrinterError("the table is missing: whole steps need it", "steps", printer.name)
@@ -236,7 +236,7 @@ def speed_curve(
     source: is read several times. options: limits and extrusion, which say how it is read. Raises
     HframeError, OSError.
     """
-    from hframe_post.studies.speed.curve import curve
+    from hframe_post.studies.speed_curve import curve
 
     if options.max_width_error is not None:
         speed = replace(printer.speed, max_width_error=options.max_width_error)
@@ -268,8 +268,7 @@ def _converted(
     """
     if options.speed is None:
         return files.convert(given.lines(progress), target, printer, options), printer, options
-    from hframe_post.studies.speed.report import with_speed
-    from hframe_post.studies.speed.search import find_fastest
+    from hframe_post.studies.speed_search import find_fastest, with_speed
 
     shown = [progress]  # once, if there are several trials
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from hframe_post.firmware.registry import firmware_named
 from hframe_post.gcode.lines import lines_of
-from hframe_post.studies.comparison.compare import Comparison, Tolerance, compare
+from hframe_post.studies.print_comparison import Comparison, Tolerance, compare
 
 Gcode = str | PathLike[str] | bytes  # a file's path, or a file's content
 

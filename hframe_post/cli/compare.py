@@ -12,8 +12,8 @@ from hframe_post.cli.options import files_read, number, typed
 from hframe_post.conversion.options import known_firmware
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.lines import lines_of
-from hframe_post.studies.comparison.compare import Tolerance
-from hframe_post.studies.comparison.compare import compare as compare_files
+from hframe_post.studies.print_comparison import Tolerance
+from hframe_post.studies.print_comparison import compare as compare_files
 from hframe_post.writers.outputs import Outputs
 
 LENGTHS = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "mm": 1.0}

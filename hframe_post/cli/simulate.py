@@ -23,7 +23,7 @@ from hframe_post.conversion.options import Options
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.lines import Input
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.shapers.comparison import (
+from hframe_post.studies.shaping import (
     compare_shapers,
     comparison_as_json,
     comparison_as_text,

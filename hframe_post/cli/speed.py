@@ -42,7 +42,7 @@ def speed(
       hframe-post speed part.gcode -p my.toml --report speed.html
     """
     from hframe_post.page.speed_page import speed_page
-    from hframe_post.studies.speed.curve_report import curve_as_json, curve_as_text
+    from hframe_post.studies.speed_curve import curve_as_json, curve_as_text
 
     profile, choice = library.load_printer(printer), chosen_printer()
     with Outputs(files_read(source, printer)) as outputs:

@@ -15,9 +15,9 @@ from hframe_post.prediction.doubts import Doubts
 from hframe_post.printer.settings import Motors, Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.simulation.simulate import SimulationReport, Study, simulate
-from hframe_post.studies.simulation.uncertainty import draws
-from hframe_post.studies.tuning.tune import KNOTS, Trial, candidates, recommended, tune
+from hframe_post.studies.simulation import SimulationReport, Study, simulate
+from hframe_post.studies.tuning import KNOTS, Trial, candidates, recommended, tune
+from hframe_post.studies.uncertainty import draws
 
 RANDOM = 10  # printers around the model
 # λ of measured responses, √λ being how far Q is off in another session, besides a drift of its

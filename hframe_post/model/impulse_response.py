@@ -29,11 +29,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from hframe_post.arrays import Array, Complex
+from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import ArgumentError
 from hframe_post.model.transfer_function import TransferFunction
 
 LONGEST = 4000  # samples of a response: a bed at 18 Hz whose damping is 0.03 rings for 3400
+SETTLED = 1e-3  # of a mode's largest deviation: what is less has settled
 ENDED = 1e-5  # share of all deviation after the end: 0.01 µm of a strong acceleration's
 AROUND = 4  # samples on either side from which one in between is interpolated
 MOST_PLACES = 16
@@ -117,6 +118,21 @@ class ImpulseResponse:
                 )
             if one.G.elsewhere or one.G.rest != self.rest:
                 raise ArgumentError("a place has one response, with the same gain at rest")
+
+    @classmethod
+    def from_mode(cls, hz: float, damping: float) -> ImpulseResponse:
+        """Return an axis that rings in one mode, exact for a command of straight lines.
+
+        damping: ratio, above 0 and below 1. Raises ArgumentError if it rings for too long.
+        """
+        if not (0.0 < hz < 0.5 / TS and 0.0 < damping < 1.0):
+            raise ArgumentError(f"a mode of {hz:g} Hz with damping {damping:g} is not a printer's")
+        s = 2.0 * math.pi * hz * TS * complex(-damping, math.sqrt(1.0 - damping**2))
+        residue = abs(s) ** 2 / (2j * s.imag) / s**2
+        q = np.asarray(2.0 * (residue * np.exp(s * np.arange(LONGEST))).real)
+        q[0] = 0.0  # a lag begins one sample later
+        lasting = np.flatnonzero(np.abs(q) > SETTLED * np.abs(q).max())
+        return cls(q[: lasting[-1] + 1], 0, lag=-2.0 * (1.0 / s).real)
 
     @classmethod
     def from_transfer_function(cls, G: TransferFunction, rest: float) -> ImpulseResponse:

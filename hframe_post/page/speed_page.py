@@ -9,14 +9,14 @@ import numpy as np
 
 from hframe_post.page.charts import Card, Chart, Curve, Section, page
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.speed import curve as speeds
-from hframe_post.studies.speed.curve_report import (
+from hframe_post.studies import speed_curve as speeds
+from hframe_post.studies.speed_curve import (
     advice,
     causes,
     recommended,
     shown_feature,
 )
-from hframe_post.studies.speed.prints import Point
+from hframe_post.studies.speed_prints import Point
 from hframe_post.writers.print_time import duration
 
 TODAY = "as sliced, today"

@@ -37,7 +37,7 @@ from hframe_post.stream.types import (
     StopRules,
 )
 
-SAMPLES_PER_CHUNK = 1 << 15
+SAMPLES_PER_CHUNK = 1 << 14  # half as many take 8 % more CPU, twice as many 20 MB more
 RUNS_AT_ONCE = 1000  # runs whose profiles are found together
 SLOW = 2.0  # mm/s at which a motion excites nothing, so that its samples can be left out
 FEWEST = 2000  # samples that are left out at once

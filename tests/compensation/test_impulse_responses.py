@@ -25,7 +25,7 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join, smaller
 from hframe_post.stream.types import Samples
-from hframe_post.studies.simulation.uncertainty import draws, perturbed
+from hframe_post.studies.uncertainty import draws, perturbed
 from tests.gcode_tools import planned
 from tests.gcode_tools import strokes as printed_strokes
 from tests.modes import axis_mode, coupling_mode, damped_by_the_frame, deviation_of_mode

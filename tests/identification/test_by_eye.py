@@ -16,9 +16,9 @@ from hframe_post.identification.by_eye.tower import SIDE, bands, squares, tower
 from hframe_post.identification.by_eye.waves import (
     Band,
     Reading,
-    mode_response,
     printed_mode,
 )
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests import ruler
@@ -92,7 +92,10 @@ def test_modes_answer_straight_lines_exactly() -> None:
     s = 2j * np.pi * (hz[:, None] + np.arange(-50, 51) / TS)  # and the images of the samples
     lines = (2.0 * np.sin(np.pi * hz[:, None] * TS) / (np.abs(s) * TS)) ** 2
     s /= 2.0 * np.pi * 40.0
-    axis, wanted = mode_response(40.0, 0.05), (lines / (s * s + 0.1 * s + 1.0)).sum(axis=1)
+    axis, wanted = (
+        ImpulseResponse.from_mode(40.0, 0.05),
+        (lines / (s * s + 0.1 * s + 1.0)).sum(axis=1),
+    )
     off = np.abs(axis.response(2.0 * np.pi * hz * TS) - wanted)
     assert off.max() < 2e-3 * np.abs(wanted).max()
     assert axis.lag == pytest.approx(0.1 / (2.0 * np.pi * 40.0 * TS))

@@ -8,7 +8,7 @@ import pytest
 from hframe_post.model.nozzle import Response
 from hframe_post.model.responses import Plants
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.simulation.uncertainty import draws
+from hframe_post.studies.uncertainty import draws
 from tests.coupled import coupled_plant
 from tests.paths import walk
 

@@ -14,7 +14,7 @@ from hframe_post.conversion.options import TOLERANCE
 from hframe_post.errors import GcodeError
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.comparison.compare import Comparison, Tolerance, compare
+from hframe_post.studies.print_comparison import Comparison, Tolerance, compare
 from tests.conftest import SAMPLES
 
 KLIPPER, MARLIN = (FIRMWARES[name].dialect for name in ("klipper", "marlin"))

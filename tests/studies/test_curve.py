@@ -10,8 +10,7 @@ from hframe_post.conversion.options import Options
 from hframe_post.library import convert, speed_curve
 from hframe_post.page.speed_page import speed_page
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.speed.curve import Curve
-from hframe_post.studies.speed.curve_report import curve_as_json, curve_as_text, recommended
+from hframe_post.studies.speed_curve import Curve, curve_as_json, curve_as_text, recommended
 from tests.conftest import SAMPLES
 
 pytestmark = pytest.mark.slow

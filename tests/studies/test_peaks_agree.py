@@ -9,7 +9,7 @@ import pytest
 from hframe_post import library
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.tuning.tune import tune
+from hframe_post.studies.tuning import tune
 from tests.random_printers import cube
 
 

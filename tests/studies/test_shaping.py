@@ -24,8 +24,7 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.shapers.comparison import ShaperComparison, comparison_as_text
-from hframe_post.studies.shapers.search import calibrated_with
+from hframe_post.studies.shaping import ShaperComparison, calibrated_with, comparison_as_text
 from tests.command_line import run
 from tests.conftest import SAMPLES
 

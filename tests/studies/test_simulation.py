@@ -15,8 +15,8 @@ from hframe_post.planner import sampling
 from hframe_post.prediction.statistics import BEFORE, TRAVEL
 from hframe_post.printer import profile
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.simulation.simulate import Group, SimulationReport, Study, simulate
-from hframe_post.studies.simulation.uncertainty import draws
+from hframe_post.studies.simulation import Group, SimulationReport, Study, simulate
+from hframe_post.studies.uncertainty import draws
 from tests.conftest import SAMPLES
 
 ALL = tuple(STRATEGIES)

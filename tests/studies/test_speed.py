@@ -20,17 +20,16 @@ from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Extruder, Printer
 from hframe_post.stream.features import kind
-from hframe_post.studies.simulation.uncertainty import draws
-from hframe_post.studies.speed.drive import Drive
-from hframe_post.studies.speed.report import speed_as_text
-from hframe_post.studies.speed.search import Fastest, search
-from hframe_post.studies.speed.steps import LIMIT, NEAR, Bound, Searches
-from hframe_post.studies.speed.trial import (
+from hframe_post.studies.speed_drive import Drive
+from hframe_post.studies.speed_search import Fastest, search, speed_as_text
+from hframe_post.studies.speed_steps import LIMIT, NEAR, Bound, Searches
+from hframe_post.studies.speed_trial import (
     JUDGED_EVERY,
     Freedom,
     SpeedSettings,
     TrialPrint,
 )
+from hframe_post.studies.uncertainty import draws
 from tests.command_line import run
 from tests.conftest import SAMPLES
 from tests.quantities import below

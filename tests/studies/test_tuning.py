@@ -17,9 +17,8 @@ from hframe_post.planner import sampling
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Motors, Printer
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.simulation.simulate import Study, simulate
-from hframe_post.studies.simulation.uncertainty import draws
-from hframe_post.studies.tuning.tune import (
+from hframe_post.studies.simulation import Study, simulate
+from hframe_post.studies.tuning import (
     EFFORTS,
     KNOTS,
     PREVIEW,
@@ -29,6 +28,7 @@ from hframe_post.studies.tuning.tune import (
     recommended,
     tune,
 )
+from hframe_post.studies.uncertainty import draws
 
 EFFORT = (1.0, 10.0, 100.0, 1000.0)
 SLACK = 1.03  # of numbers that should be in order

@@ -23,7 +23,7 @@ from scipy.signal import find_peaks
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
 from hframe_post.model.filters import FiniteFilter
-from hframe_post.model.impulse_response import LONGEST, ImpulseResponse
+from hframe_post.model.impulse_response import ImpulseResponse
 
 RULER = 0.3  # mm by which a distance may be read wrong
 MISCOUNT = 0.6  # waves by which their number may be
@@ -36,7 +36,6 @@ PLAUSIBLE_HZ = (8.0, 120.0)
 SECOND_CREST = 1.25
 FREQUENCIES, HALVINGS = (1.0, 2000.0), 40  # Hz within which a reading's is sought
 CANDIDATES = 400
-SETTLED = 1e-3  # of the largest deviation: what is less has settled
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,22 +70,7 @@ class PrintedMode:
     seen_from: float
 
     def response(self) -> ImpulseResponse:
-        return mode_response(self.hz, self.damping)
-
-
-def pole(hz: float, damping: float) -> complex:
-    """Return the pole of a mode above the real axis, per sample."""
-    return 2.0 * math.pi * hz * TS * complex(-damping, math.sqrt(1.0 - damping**2))
-
-
-def mode_response(hz: float, damping: float) -> ImpulseResponse:
-    """Return a mode that follows its command at rest, for a command of straight lines."""
-    s = pole(hz, damping)
-    residue = abs(s) ** 2 / (2j * s.imag) / s**2
-    q = np.asarray(2.0 * (residue * np.exp(s * np.arange(LONGEST))).real)
-    q[0] = 0.0  # a lag begins one sample later
-    lasting = np.flatnonzero(np.abs(q) > SETTLED * np.abs(q).max())
-    return ImpulseResponse(q[: lasting[-1] + 1], 0, lag=-2.0 * (1.0 / s).real)
+        return ImpulseResponse.from_mode(self.hz, self.damping)
 
 
 def travel(length: float, speed: float, ends: float, up: float, down: float) -> Array:
@@ -169,7 +153,10 @@ def _fading(readings: Sequence[Reading], hz: float, a: float, side: float) -> tu
     for one in readings:
         path, corner = corner_path(one.band, a, side)
         for row, damping in zip(cost, DAMPING.tolist(), strict=True):
-            x = FiniteFilter(mode_response(hz, damping), 0).run(path[:, 0] + side) - side
+            x = (
+                FiniteFilter(ImpulseResponse.from_mode(hz, damping), 0).run(path[:, 0] + side)
+                - side
+            )
             heights, _ = half_waves(x[corner:])
             seen = (heights > SEEN_FROM[:, None]).sum(axis=1) / 2.0
             row += ((seen - one.seen) / MISCOUNT) ** 2

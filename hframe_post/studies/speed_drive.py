@@ -26,7 +26,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
 from hframe_post.stream.types import Item, Moves, Samples
 from hframe_post.studies.inputs import SECONDS, Piece, Section, excerpt, sections, useful_feeds
-from hframe_post.studies.speed.trial import (
+from hframe_post.studies.speed_trial import (
     JUDGED_EVERY,
     Freedom,
     Measure,

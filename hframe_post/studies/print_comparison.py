@@ -19,7 +19,7 @@ from hframe_post.errors import GcodeError, one_line
 from hframe_post.firmware.dialect import Dialect
 from hframe_post.gcode.lexer import Line, command, numbers
 from hframe_post.gcode.state import AXES
-from hframe_post.studies.comparison.motion_file import MoveSection, sections
+from hframe_post.studies.motion_file import MoveSection, sections
 
 MAX_DRIFT = 1e-4  # of the time of all motion, to which rounded feed rates may add up
 VERTICES_AT_ONCE = 1 << 16

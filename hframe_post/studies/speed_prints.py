@@ -23,12 +23,10 @@ from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import Piece
-from hframe_post.studies.speed.cooling import LayerTimes
-from hframe_post.studies.speed.drive import Convert, Drive
-from hframe_post.studies.speed.excerpt import ExcerptSearch
-from hframe_post.studies.speed.search import fastest_whole
-from hframe_post.studies.speed.steps import LIMIT, Bound
-from hframe_post.studies.speed.trial import (
+from hframe_post.studies.speed_drive import Convert, Drive
+from hframe_post.studies.speed_search import LayerTimes, fastest_whole
+from hframe_post.studies.speed_steps import LIMIT, Bound, ExcerptSearch
+from hframe_post.studies.speed_trial import (
     JUDGED_EVERY,
     Measure,
     SpeedSettings,

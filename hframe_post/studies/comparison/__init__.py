@@ -1,1 +1,0 @@
-"""Comparison of the motion of two G-code files."""

@@ -1,1 +1,0 @@
-"""Input shapers on the same print, for comparison."""

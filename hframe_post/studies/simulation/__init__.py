@@ -1,1 +1,0 @@
-"""Predicted errors of every strategy for one print."""

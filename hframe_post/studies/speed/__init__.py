@@ -1,1 +1,0 @@
-"""The fastest print within an error bound."""

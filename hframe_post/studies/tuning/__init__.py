@@ -1,1 +1,0 @@
-"""Choice of window, effort, acceleration and jerk."""
