@@ -40,7 +40,7 @@ AFTER = 436  # samples in which it decays; modes may ring for longer
 LONGEST = 1900  # samples of q
 SILENT = 2e-3  # of the largest q
 NOISE_HZ = 4.0  # over which the noise is alike
-NOISE = 0.1  # share of command and response that counts as noise at first, at the least
+NOISE = 0.1  # share of command and response that counts as noise at first
 LEAST_NOISE = 2e-3  # and at least
 LAG_SD = 10.0  # samples
 LEAST_FREQUENCIES = 50
@@ -109,10 +109,14 @@ def _regressed(
     least = power * (np.abs(H) ** 2 + 1.0) / measured.averages
     own = np.maximum(power * (measured.noise * np.abs(H)) ** 2, LEAST_NOISE**2 * least)
     left = np.zeros(len(H))
-    for noise in (np.maximum(NOISE**2 * least, own), own, own):
+    sought = prior is None and bool((own > NOISE**2 * least).any())
+    for noise in (NOISE**2 * least, own, own):
         weight = np.sqrt(2.0 * power / _smoothed(noise + left, measured.hz))
         data = linear.data(weight, sensor[1])
         found = regress(data, prior)
+        if sought and prior is not None:  # what looked like modes at first may be noise
+            again, sought = regress(data), False
+            found = again if again.cost < found.cost - LEAST_GAIN else found
         prior, modelled = found.prior, linear.modelled(found)
         # what no linear model explains counts as noise, which in a sweep does not average out
         if noise is own or not swept:
