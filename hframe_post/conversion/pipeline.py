@@ -306,7 +306,7 @@ class PlannedFile:
         """Return what was noted of the file so far."""
         notes, own, slowed = self._notes, self._sliced.own, self._following
         return Ledger(
-            read=notes.read, path=notes.path, ramps=own.standing + notes.ramps,
+            read=notes.read, path=notes.path, ramps=notes.ramps,
             slowed=self._within.share, sliced_s=own.seconds, elsewhere=own.elsewhere,
             seconds=self._times.seconds,
             following=None if slowed is None else (slowed.share, slowed.least),

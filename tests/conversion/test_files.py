@@ -107,7 +107,7 @@ def test_report_counts_what_is_in_the_file(paper: Printer) -> None:
     for motor in MOTORS:
         count = sum(row[1] == motor.encode() for row in steps)
         assert report.steps.motors[motor] == count
-    assert report.steps.ticks == round(report.time.after * report.steps.clock_hz)
+    assert report.steps.ticks == round(report.duration * report.steps.clock_hz)
     assert "steps " in report.as_text()
     assert report.as_json()["steps"]["motors"] == report.steps.motors
     assert report.filament_after == pytest.approx(report.read.filament, abs=0.0025)
