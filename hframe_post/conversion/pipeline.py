@@ -33,9 +33,9 @@ from hframe_post.conversion.report import AdvanceReport, BandReport, Plastic, Re
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
-from hframe_post.firmware.advance import Advance
+from hframe_post.firmware.dialect import Advance
 from hframe_post.firmware.registry import firmware
-from hframe_post.gcode.motors import with_motors
+from hframe_post.gcode.limits import with_motors
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator

@@ -114,7 +114,7 @@ class MarlinTable(FirmwareTable):
     s_curve_acceleration: bool = False
     bed_levelling: bool = False
     soft_endstops: tuple[tuple[float, float], ...] = field(
-        default=(), metadata={"count": 3, "ascending": True}
+        default=(), metadata={"count": 3, "ascending": True, "least": -1e4, "most": 1e4}
     )
 
     def __post_init__(self) -> None:

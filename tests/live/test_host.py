@@ -42,7 +42,7 @@ def kernel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def played(
     lines: list[str], folder: Path, kernel: Path | None, more: str = "", limits: Limits = LIMITS
 ) -> Playback:
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     # in batch mode a host stops before the end of a motion
     lines = ["G28", "G90", "M83", *lines, "M400", "G4 P1500", ""]
     (file := folder / "file.gcode").write_text("\n".join(lines))
@@ -187,6 +187,47 @@ def test_no_step_is_lost_and_no_motor_outrun(
         t = np.arange(live.start, live.end, 5e-3)
         speed = np.abs(np.diff(trains.position(t))).max() / 5e-3
         assert speed <= PRINTER.motors.belt_velocity
+
+
+def objects(excluded: int) -> Iterator[str]:
+    """Yield a print of four objects, one of which is excluded in its second layer."""
+    rng = random.Random(excluded)
+    yield from (f"EXCLUDE_OBJECT_DEFINE NAME=part{k}" for k in range(4))
+    for layer in range(3):
+        yield f"G1 Z{layer + 1} F600"
+        for k in range(4):
+            yield f"EXCLUDE_OBJECT_START NAME=part{k}"
+            for _ in range(20):
+                x, y = (80 + 60 * each + rng.uniform(0.0, 30.0) for each in divmod(k, 2))
+                yield f"G1 X{x:.3f} Y{y:.3f} E0.1 F9000"
+                if layer == 1 and k == excluded and rng.random() < 0.1:
+                    yield f"EXCLUDE_OBJECT NAME=part{k}"
+            yield f"EXCLUDE_OBJECT_END NAME=part{k}"
+    yield "G1 X100 Y100"
+
+
+RESONANCES = (
+    "\n[adxl345]\nrate: 3200\n[resonance_tester]\nprobe_points: 100,100,5\naccel_chip: adxl345\n"
+    "max_freq: 8\n"
+)
+
+
+@pytest.mark.slow
+@pytest.mark.klipper
+def test_objects_and_resonance_tests_leave_every_motor_where_it_was(
+    kernel: Path, tmp_path: Path
+) -> None:
+    test = [*drawn(7, 20, 30.0, 0.0), "TEST_RESONANCES AXIS=X OUTPUT=raw_data"]
+    for number, lines in enumerate([*map(list, map(objects, range(4))), [*test, *test]]):
+        folder = tmp_path / str(number)
+        live, bare = (
+            played(lines, folder / name, path, RESONANCES)
+            for name, path in (("live", kernel), ("bare", None))
+        )
+        assert live.warnings == bare.warnings
+        for motor in "ABze":
+            both = [int(each.steps()[motor].direction.astype(int).sum()) for each in (live, bare)]
+            assert both[0] == both[1]
 
 
 @pytest.mark.slow
