@@ -19,7 +19,7 @@ from hframe_post.firmware.dialect import Dialect
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.firmware.written_moves import WrittenMoves
 from hframe_post.model.shapers import Shaping
-from hframe_post.native.corners import square_corner_velocity
+from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.firmware_tables import FirmwareTable
 from hframe_post.printer.settings import Limits, Printer
 from hframe_post.stream.types import FileLimits

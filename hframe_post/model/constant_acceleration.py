@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.native.sampling import distance
+from hframe_post.native.planning import distance
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.firmware.motion import VELOCITY_HEADROOM
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.native.corners import junction_deviation
+from hframe_post.native.planning import junction_deviation
 from hframe_post.printer.settings import Limits, Motors
 
 SQUARE_CORNER_VELOCITY = 20.0  # mm/s; the stream makes its own corners

@@ -21,12 +21,14 @@ from hframe_post.firmware.marlin.code import JUNCTION_DEVIATION, MarlinCode
 from hframe_post.firmware.marlin.planner import Planner
 from hframe_post.firmware.motion import SPARED, MotionRules, NextTo, Stroke, Way
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.native.blocks import BlockLimits, Blocks, blocks_between
 from hframe_post.native.ramps import speeds, whole_feeds
-from hframe_post.native.slow_segments import slow_segment_ends
 from hframe_post.native.whole_steps import (
+    BlockLimits,
+    Blocks,
+    blocks_between,
     motor_places,
     segment_ends,
+    slow_segment_ends,
     with_late_starts,
     without_reversals,
 )

@@ -11,8 +11,7 @@ from hframe_post.firmware.code import plain
 from hframe_post.firmware.marlin.code import TRAPEZOIDS, MarlinCode
 from hframe_post.firmware.written_moves import WrittenMoves
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.native.blocks import Blocks
-from hframe_post.native.whole_steps import most_steps, motor_steps
+from hframe_post.native.whole_steps import Blocks, most_steps, motor_steps
 
 # With CLASSIC_JERK, planners up to 2.1 compare the speed of a block with that of the one before,
 # although the faster one need not begin at its own. So M205 allows every speed, and the axis turns
