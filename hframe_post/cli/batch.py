@@ -181,10 +181,10 @@ def _convert(jobs: list[Job], converter: Converter, stop: Event, results: Result
 
     with click.progressbar(
         length=sum(sizes.values()), file=sys.stderr, hidden=results.quiet or not terminal,
-        item_show_func=count,
+        item_show_func=count, show_eta=False,
     ) as bar:  # fmt: skip
         for job in run(jobs, converter, stop):
             results.show(job, CLEAR_LINE * terminal)
+            bar.show_eta = bar.pos + sizes[job.source] > FORESEEN * sum(sizes.values())
             bar.update(sizes[job.source], job)
-            bar.show_eta = bar.pos > FORESEEN * sum(sizes.values())
     results.add(jobs)

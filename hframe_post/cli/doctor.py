@@ -16,12 +16,11 @@ import click
 from hframe_post.cli.options import coloured, files_read, quoted
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
-from hframe_post.firmware.configuration import Finding
-from hframe_post.firmware.klipper.check import check
+from hframe_post.firmware.base import Finding
+from hframe_post.firmware.klipper.check import check, log_of
 from hframe_post.firmware.klipper.live import check_live
 from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.klipper.version import log_of
 from hframe_post.firmware.registry import firmware
 from hframe_post.hosts.moonraker.disk import events
 from hframe_post.page.history import STALE_DAYS, history_page

@@ -16,7 +16,7 @@ from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.moonraker import RESTART, Moonraker, agreed, find_printer_cfg, make
 from hframe_post.cli.options import files_read, number, quoted, write_kernel
 from hframe_post.errors import HframeError
-from hframe_post.firmware.configuration import Source
+from hframe_post.firmware.base import Source
 from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.registry import source_of
 from hframe_post.printer.choice import PROFILE, VARIABLE, set_default

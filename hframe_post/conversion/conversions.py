@@ -23,7 +23,7 @@ from hframe_post.conversion.pipeline import Chain, PlannedFile, SampleStream, St
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import HframeError, PrinterError
-from hframe_post.gcode.motors import with_motors
+from hframe_post.gcode.limits import with_motors
 from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.windows import WHOLE
 from hframe_post.printer.settings import Printer

@@ -21,6 +21,7 @@ from hframe_post.compensation.guard import Peaks
 from hframe_post.firmware.dialect import object_label
 from hframe_post.model.kinematics import Differences
 from hframe_post.planner.bands import OUTER_WALL, MotorBands, TimeInBands
+from hframe_post.planner.profiles import ProfileAtRest
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics, Labels
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.features import Place, kind
@@ -319,10 +320,14 @@ class FileNotes:
         self._path.filament += filament
 
     def plans(self, plans: Iterable[Planned]) -> Iterator[Planned]:
-        """Note the time of plans if nothing limited their jerk."""
+        """Note the time of what is planned if nothing limited its jerk."""
         for item in plans:
             if isinstance(item, Plan):
                 self.ramps += float(item.seconds.sum())
+            elif isinstance(item, MoveAtRest):
+                self.ramps += ProfileAtRest.from_move(item, self._limits).trapezoid.seconds
+            elif isinstance(item, Passthrough) and (item.end or not item.cause):
+                self.ramps += item.seconds
             yield item
 
 

@@ -33,9 +33,9 @@ from hframe_post.conversion.report import AdvanceReport, BandReport, Plastic, Re
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
-from hframe_post.firmware.advance import Advance
+from hframe_post.firmware.dialect import Advance
 from hframe_post.firmware.registry import firmware
-from hframe_post.gcode.motors import with_motors
+from hframe_post.gcode.limits import with_motors
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
@@ -306,7 +306,7 @@ class PlannedFile:
         """Return what was noted of the file so far."""
         notes, own, slowed = self._notes, self._sliced.own, self._following
         return Ledger(
-            read=notes.read, path=notes.path, ramps=own.standing + notes.ramps,
+            read=notes.read, path=notes.path, ramps=notes.ramps,
             slowed=self._within.share, sliced_s=own.seconds, elsewhere=own.elsewhere,
             seconds=self._times.seconds,
             following=None if slowed is None else (slowed.share, slowed.least),

@@ -33,7 +33,8 @@ COSTS = {  # causes of a longer print, for people
     "jerk": "smoother acceleration",
     "stops": "rests at stops",
 }
-WORTH_SAYING = 2e-3  # of the print's time
+WORTH_SAYING = 5e-3  # of the print's time, which no owner notices
+FASTER = 0.02  # of the print's time: won by a speed that was asked for, and so is worth a stream
 REMEDIES = {  # of extrusion that is not compensated, by causes that are no commands
     START_OF_FILE: "because its place is not known: begin with a move to X, Y and Z",
     CHANGE_OF_OBJECT: "because an object begins without a travel to it",
@@ -71,19 +72,23 @@ class PrintTime:
         }
 
     @property
-    def _motors(self) -> str:
-        return f" ([motors]: {percent(self.slowed)} of the path)" if self.slowed else ""
+    def change(self) -> float:
+        """Return by which share the print takes longer."""
+        return self.after / self.before - 1.0 if self.before else 0.0
 
     def as_text(self) -> str:
-        """Return both times, and what costs the difference."""
-        change = 100.0 * (self.after / self.before - 1.0) if self.before else 0.0
-        text = f"{duration(self.before)} → {duration(self.after)} ({change:+.1f} %)"
+        """Return both times, and what costs the difference if it is worth a word."""
+        text = f"{duration(self.before)} → {duration(self.after)} ({100.0 * self.change:+.1f} %)"
+        if self.change < WORTH_SAYING:
+            return text
+        motors = f"the limits in [motors], on {percent(self.slowed)} of the path"
+        names = COSTS | {"limits": motors} if self.slowed else COSTS
         causes = [
-            f"{s:.0f} s for {COSTS[cause]}{self._motors if cause == 'limits' else ''}"
+            f"{s:.0f} s for {names[cause]}"
             for cause, s in sorted(self.costs.items(), key=lambda each: -each[1])
             if s >= max(0.5, WORTH_SAYING * self.before)
         ]
-        return f"{text}: {', '.join(causes)}" if causes and change > 0.0 else text
+        return f"{text}: {', '.join(causes)}" if causes else text
 
 
 @dataclass(frozen=True, slots=True)
@@ -432,15 +437,15 @@ class Report(Ledger):
             return []
         before, ours = self.printed("none"), self.printed(self.strategy)
         shaper = self.printed(SHAPER) if SHAPER in self.contour else math.inf
+        use_it = "use it instead ('hframe-post simulate --shapers' prints its settings)"
+        if self.time.change < -FASTER:
+            return []  # a shaper could not print as fast as this
         if ours >= before:
             text = "this print is better as sliced"
+        elif ours > NO_GAIN * shaper:
+            text = f"the best input shaper does as well: {use_it}"
         elif before < VISIBLE:
             text = "hardly worth it: errors as small as these are not seen on a print"
-        elif ours > NO_GAIN * shaper:
-            text = (
-                "the best input shaper does as well: use it instead "
-                "('hframe-post simulate --shapers' prints its settings)"
-            )
         else:
             return []
         return [f"advice           {text}"]

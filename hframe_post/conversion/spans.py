@@ -14,7 +14,7 @@ from itertools import accumulate
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.firmware.advance import NO_ADVANCE, Advance
+from hframe_post.firmware.dialect import NO_ADVANCE, Advance
 from hframe_post.stream.features import Place
 from hframe_post.stream.types import (
     Handling,

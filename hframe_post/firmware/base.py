@@ -12,17 +12,62 @@ from typing import ClassVar
 import numpy as np
 
 from hframe_post.arrays import Array, Z
-from hframe_post.firmware.advance import Advance
 from hframe_post.firmware.code import Code
-from hframe_post.firmware.configuration import Finding, Source
-from hframe_post.firmware.dialect import Dialect
-from hframe_post.firmware.motion import MotionRules
-from hframe_post.firmware.written_moves import WrittenMoves
+from hframe_post.firmware.dialect import Advance, Dialect
+from hframe_post.firmware.motion import MotionRules, WrittenMoves
 from hframe_post.model.shapers import Shaping
 from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.firmware_tables import FirmwareTable
+from hframe_post.printer.new_profile import Tables
 from hframe_post.printer.settings import Limits, Printer
 from hframe_post.stream.types import FileLimits
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A difference from the profile. wrong: the printer would not move as computed."""
+
+    wrong: bool
+    text: str
+
+
+class Source(ABC):
+    """Files that describe a printer. possible: its kinematics, the safest first; decided: why.
+
+    warnings: what the owner must know before a print. sensors: accelerometers that are known.
+    alone: why `setup` takes a single file and no --bed, if it does. no_travel: why the ranges of x
+    and y are not known, if they are not.
+    """
+
+    path: Path
+    possible: tuple[str, ...]
+    decided: str
+    warnings: list[str]
+    sensors: str
+    alone: str = ""
+    no_travel: str = ""
+
+    @abstractmethod
+    def tables(self, kinematics: str, bed: tuple[float, float] | None) -> Tables:
+        """Return the settings of a new profile. Raises HframeError if a number is missing.
+
+        bed: width and depth, mm, if the owner said them.
+        """
+
+    def companions(self, profile: Printer) -> dict[str, str]:
+        """Return texts by name of the files that the printer needs next to its own."""
+        return {}
+
+    @abstractmethod
+    def next_steps(self, profile: Printer, target: Path, quoted: Callable[[Path], str]) -> str:
+        """Return what to do after `setup` has written the profile.
+
+        quoted: returns a path as a shell takes it.
+        """
+
+
+# ----------------------------------------------------------------------
+# What a firmware is: what it reads, how it moves, its input shapers, its own files.
 
 ROUNDED = 5e-3  # share by which `setup` rounds the speed through a right angle
 UNLIMITED_DEVIATION = 1e3  # mm, more than any board has: it tells that the board has one

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hframe_post.errors import HframeError
-from hframe_post.firmware.base import Firmware
-from hframe_post.firmware.configuration import Source
+from hframe_post.firmware.base import Firmware, Source
 from hframe_post.firmware.klipper.firmware import Klipper
 from hframe_post.firmware.marlin.firmware import Marlin
 from hframe_post.printer.firmware_tables import named

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.gcode.lexer import Line, Words
+from hframe_post.gcode.commands import Line, Words
 from hframe_post.gcode.state import State
 from hframe_post.stream.types import Position
 

@@ -11,7 +11,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError
 from hframe_post.firmware.dialect import Dialect
-from hframe_post.gcode.lexer import Line, command, numbers_among, parameters
+from hframe_post.gcode.commands import Line, command, numbers_among, parameters
 from hframe_post.printer.settings import Retraction
 
 

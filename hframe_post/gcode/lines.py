@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import IO, cast
 
 from hframe_post.errors import ArgumentError, GcodeError, HframeError, install_advice
-from hframe_post.gcode.lexer import Line
+from hframe_post.gcode.commands import Line
 
 MAGIC = b"GCDE"
 NOT_TEXT = {  # first bytes of files that are taken for G-code

@@ -31,9 +31,7 @@ from hframe_post.gcode.batching import (
     ItemBuilder,
     PlainMoves,
 )
-from hframe_post.gcode.curves import FARTHEST, curve
-from hframe_post.gcode.extrusion import FirmwareRetraction, is_absolute
-from hframe_post.gcode.lexer import (
+from hframe_post.gcode.commands import (
     Line,
     Words,
     command,
@@ -43,9 +41,10 @@ from hframe_post.gcode.lexer import (
     parameters,
     uncommented,
 )
+from hframe_post.gcode.curves import FARTHEST, curve
+from hframe_post.gcode.extrusion import FirmwareRetraction, is_absolute
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.objects import Objects
-from hframe_post.gcode.state import Extent, ReadOptions, State
+from hframe_post.gcode.state import Extent, Objects, ReadOptions, State
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.stream.types import Handling, Item, MoveAtRest, Passthrough, Position
 

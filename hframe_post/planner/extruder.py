@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from hframe_post.arrays import Array, E, lengths
-from hframe_post.firmware.advance import Advance, ExtruderLimits
+from hframe_post.firmware.dialect import Advance, ExtruderLimits
 from hframe_post.model.advance import steepest
 from hframe_post.stream.types import Item, Mark, Moves, Passthrough, frozen
 

@@ -19,6 +19,7 @@ from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.native.planning import STEEP, smoothed_runs
 from hframe_post.planner.bands import MotorBands, OuterWalls, TimeInBands
 from hframe_post.planner.lookahead import Lookahead
+from hframe_post.planner.profiles import ProfileAtRest
 from hframe_post.planner.sampling import sample
 from hframe_post.stream.types import (
     Handling,
@@ -36,8 +37,7 @@ from hframe_post.stream.types import (
 class AsSliced:
     """The firmware's own plan of a file. ``seconds``: of all items that were planned.
 
-    standing: what of them x and y rest. elsewhere: estimate for moves from unknown places, not in
-    them.
+    elsewhere: an estimate for moves from unknown places, not in them.
     in_bands: the outer walls' time, and what of it a motor spends in these bands.
     """
 
@@ -47,7 +47,7 @@ class AsSliced:
         steep = math.inf if self._lifts else STEEP
         self._queue = Lookahead(rules.limits, z_share=1.0, steep=steep)
         self._last: Moves | None = None  # moves before the item
-        self.seconds = self.standing = self.elsewhere = 0.0
+        self.seconds = self.elsewhere = 0.0
         self._bands, self._walls, self.in_bands = bands, OuterWalls(), TimeInBands()
         self._outer = list[Flags]()  # which of the queued moves are outer walls
         self._ratio = list[Array]()  # cruise ratios of the queued moves
@@ -82,20 +82,19 @@ class AsSliced:
         if isinstance(item, Passthrough) and item.handling is Handling.CARRY:
             if self._queue.count:
                 self._queue.mark(item.text)
-                self._stand(item.seconds)
+                self.seconds += item.seconds
                 return
         else:
             yield from map(self._timed, self._queue.stop())
         if isinstance(item, Passthrough) and item.cause and item.end is None:
             self.elsewhere += item.seconds
             yield item
-        elif item is not None:
-            self._stand(item.seconds if isinstance(item, Passthrough) else self._at_rest(item))
+        elif isinstance(item, Passthrough):
+            self.seconds += item.seconds
             yield item
-
-    def _stand(self, seconds: float) -> None:
-        self.seconds += seconds
-        self.standing += seconds
+        elif item is not None:
+            self.seconds += ProfileAtRest.from_move(item, self._rules.limits).trapezoid.seconds
+            yield item
 
     def _lift(self, lift: MoveAtRest, before: Moves) -> Moves:
         """Return a lift as a move, with the limits of the moves before it."""
@@ -148,19 +147,6 @@ class AsSliced:
         shares = bands.share(v.min(axis=0), v.max(axis=0), way[:, :Z] / lengths(way)[:, None])
         self.in_bands.total += float(seconds.sum())
         self.in_bands.inside += float((seconds * shares).sum())
-
-    def _at_rest(self, move: MoveAtRest) -> float:
-        limits, delta = self._rules.limits, np.abs(np.subtract(move.end, move.start))
-        z = delta[Z] > 0.0
-        d, v, a = (
-            (delta[Z], limits.z_velocity, limits.z_acceleration)
-            if z
-            else (delta[E], limits.extruder_velocity, limits.extruder_acceleration)
-        )
-        if not d:
-            return 0.0
-        top = min(move.speed, v, math.sqrt(a * d))
-        return float(d / top + top / a)
 
 
 def _joined(parts: list[Any]) -> Any:

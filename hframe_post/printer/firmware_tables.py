@@ -31,14 +31,12 @@ class FirmwareTable:
 
     holds, title: what they are, in an error and in a new profile. needs_steps: the reason why the
     profile must have ``[steps]``, if it must. records: it records accelerometers by itself.
-    measuring: how a printer is recorded, and the options of `identify` for that.
     """
 
     holds: ClassVar[str]
     title: ClassVar[str]
     needs_steps: ClassVar[str] = ""
     records: ClassVar[bool] = False
-    measuring: ClassVar[tuple[str, str]] = ("play what 'hframe-post measure' writes", "")
 
 
 T = TypeVar("T", bound=FirmwareTable)
@@ -56,7 +54,6 @@ class KlipperTable(FirmwareTable):
     holds: ClassVar[str] = "Klipper's own limits"
     title: ClassVar[str] = "limits before and after a print"
     records: ClassVar[bool] = True
-    measuring: ClassVar[tuple[str, str]] = ("run TEST_RESONANCES", "--printer-cfg printer.cfg ")
 
     velocity: float = positive(most=FASTEST)
     acceleration: float = positive(most=HARDEST)
@@ -117,7 +114,7 @@ class MarlinTable(FirmwareTable):
     s_curve_acceleration: bool = False
     bed_levelling: bool = False
     soft_endstops: tuple[tuple[float, float], ...] = field(
-        default=(), metadata={"count": 3, "ascending": True}
+        default=(), metadata={"count": 3, "ascending": True, "least": -1e4, "most": 1e4}
     )
 
     def __post_init__(self) -> None:

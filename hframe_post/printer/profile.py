@@ -274,12 +274,10 @@ def played_by(printer: Printer, dialect: str) -> Printer:
 def check_identified(printer: Printer) -> None:
     """Raise PrinterError if the plant was not measured on this printer."""
     if printer.invented:
-        record, more = printer.firmware.kind.measuring
         raise PrinterError(
-            "this plant was not measured on your printer, so nothing is compensated with it. To "
-            f"measure yours, {record} with an accelerometer, then type 'hframe-post identify "
-            f"recordings {more}-o printer.toml' (docs/start.md; without a sensor: 'hframe-post "
-            "calibrate-print'). If it is your printer's, write invented = false below [plant]",
+            "this printer is not measured yet, so nothing is compensated. Next, with an "
+            "accelerometer: 'hframe-post measure -o measure.gcode', which says how to go on; "
+            "without one: 'hframe-post calibrate-print' (docs/start.md)",
             "plant.invented", printer.name,
         )  # fmt: skip
 

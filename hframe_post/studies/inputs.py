@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from hframe_post.arrays import Array, E
-from hframe_post.firmware.advance import NO_ADVANCE, Advance
+from hframe_post.firmware.dialect import NO_ADVANCE, Advance
 from hframe_post.planner.pacing import NAMES, Labeller, PieceStart
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL

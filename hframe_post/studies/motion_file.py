@@ -18,9 +18,19 @@ from hframe_post.arrays import Array, E, Integers, Z, lengths
 from hframe_post.errors import GcodeError
 from hframe_post.firmware.dialect import Dialect
 from hframe_post.gcode.batching import MOVES_PER_ITEM, PlainMoves
-from hframe_post.gcode.commands import LIMIT_PARAMETERS, LIMITS, MODAL, MOTION_WORDS, STAMP
+from hframe_post.gcode.commands import (
+    LIMIT_PARAMETERS,
+    LIMITS,
+    MODAL,
+    MOTION_WORDS,
+    STAMP,
+    Line,
+    Words,
+    command,
+    numbers,
+    parameters,
+)
 from hframe_post.gcode.curves import curve
-from hframe_post.gcode.lexer import Line, Words, command, numbers, parameters
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.state import Extent, State
 from hframe_post.native import ramps

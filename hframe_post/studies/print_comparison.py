@@ -17,7 +17,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError, one_line
 from hframe_post.firmware.dialect import Dialect
-from hframe_post.gcode.lexer import Line, command, numbers
+from hframe_post.gcode.commands import Line, command, numbers
 from hframe_post.gcode.state import AXES
 from hframe_post.studies.motion_file import MoveSection, sections
 

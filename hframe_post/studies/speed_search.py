@@ -23,7 +23,7 @@ from hframe_post.conversion import files
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError
-from hframe_post.gcode.slicer_settings import slicer_settings
+from hframe_post.gcode.limits import slicer_settings
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.running import one_blas_thread, release_memory

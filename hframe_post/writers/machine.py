@@ -12,7 +12,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Integers, X, Y, Z
 from hframe_post.firmware.code import Code
 from hframe_post.firmware.motion import MotionRules
-from hframe_post.gcode.lexer import Line, name_and_arguments
+from hframe_post.gcode.commands import Line, name_and_arguments
 from hframe_post.stream.types import (
     Dwell,
     Handling,

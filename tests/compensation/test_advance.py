@@ -13,7 +13,7 @@ from hframe_post.arrays import Array
 from hframe_post.compensation.advance import Advancing
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
-from hframe_post.firmware.advance import Advance, ExtruderLimits, klipper_advance, marlin_advance
+from hframe_post.firmware.dialect import Advance, ExtruderLimits, klipper_advance, marlin_advance
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Extruder
 from hframe_post.stream.chunks import smaller

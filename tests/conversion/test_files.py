@@ -23,17 +23,13 @@ from hframe_post.writers.outputs import Outputs
 from hframe_post.writers.tables import MOTORS, as_csv, inlined
 from tests.command_line import run
 from tests.conftest import SAMPLES, few
+from tests.gcode_tools import layers
 
 RECTANGLE = SAMPLES / "rectangle.gcode"
 TURN = [
     b"M107\n", b"G28\n", b"G1 X100 Y100 Z1 F6000\n", b";TYPE:WALL\n", b"G1 X102 E0.1\n",
     b"M106 S128\n", b"G1 X103 Y101 E0.2\n", b"G4 P5\n", b"G1 Z1.2 F900\n", b"G1 X100 F6000\n",
 ]  # fmt: skip
-
-
-def cube(last: int) -> list[bytes]:
-    lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
-    return lines[: lines.index(b";LAYER:%d\n" % last)]
 
 
 def converted(lines: list[bytes], printer: Printer, kind: Kind, strategy: str = "racking") -> bytes:
@@ -53,7 +49,7 @@ def test_output_does_not_depend_on_how_the_stream_is_cut(
 ) -> None:
     for lines, cuts in (
         (TURN, [(1, 1), (7, 7), (100, 100), (10_000, 10_000)]),
-        (cube(1), [(1, 100), (7, 10_000), (10_000, 1000)]),
+        (layers("cube.gcode", 1), [(7, 1000)]),
     ):
         whole = converted(lines, paper, kind)
         for moves, samples in cuts:
@@ -101,7 +97,7 @@ def assert_same(kind: Kind, now: bytes, then: bytes) -> None:
 
 
 def test_report_counts_what_is_in_the_file(paper: Printer) -> None:
-    pieces = StepConversion(iter(cube(1)), paper, Options("racking"))
+    pieces = StepConversion(iter(layers("cube.gcode", 1)), paper, Options("racking"))
     rows = b"".join(piece for piece in pieces if isinstance(piece, bytes)).splitlines()
     report = pieces.report()
     steps = [row.split(b",") for row in rows if row[:1].isdigit()]
@@ -111,7 +107,7 @@ def test_report_counts_what_is_in_the_file(paper: Printer) -> None:
     for motor in MOTORS:
         count = sum(row[1] == motor.encode() for row in steps)
         assert report.steps.motors[motor] == count
-    assert report.steps.ticks == round(report.time.after * report.steps.clock_hz)
+    assert report.steps.ticks == round(report.duration * report.steps.clock_hz)
     assert "steps " in report.as_text()
     assert report.as_json()["steps"]["motors"] == report.steps.motors
     assert report.filament_after == pytest.approx(report.read.filament, abs=0.0025)
@@ -150,7 +146,7 @@ def test_a_conversion_to_the_same_target_replaces_what_an_earlier_one_wrote(
     tmp_path: Path, paper: Printer, name: str
 ) -> None:
     options = with_format(Options("racking", force=True), paper, tmp_path / name, None)
-    for folder, sources in (("once", [TURN]), ("again", [cube(1), TURN])):
+    for folder, sources in (("once", [TURN]), ("again", [layers("cube.gcode", 1), TURN])):
         (tmp_path / folder).mkdir()
         out = tmp_path / folder / name
         with Outputs() as outputs:

@@ -14,9 +14,8 @@ from typing import ClassVar
 import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, lengths
-from hframe_post.firmware.base import Firmware
+from hframe_post.firmware.base import Firmware, Source
 from hframe_post.firmware.code import Code, coordinates, modes, plain
-from hframe_post.firmware.configuration import Source
 from hframe_post.firmware.dialect import Accelerations, Dialect, Words
 from hframe_post.firmware.motion import MotionRules, NextTo
 from hframe_post.firmware.registry import FIRMWARES

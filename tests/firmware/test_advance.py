@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hframe_post.firmware.advance import Advance, klipper_advance, marlin_advance
+from hframe_post.firmware.dialect import Advance, klipper_advance, marlin_advance
 from hframe_post.firmware.registry import firmware
 from hframe_post.printer.profile import load, parse, shipped
 

@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, Flags
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.klipper.code import KlipperCode
+from hframe_post.firmware.klipper.code import KlipperCode, StreamLimits
 from hframe_post.firmware.klipper.motion import KlipperMotion
-from hframe_post.firmware.klipper.ramps import StreamLimits
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Extruder, Limits, Motors, Printer

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.report import NO_GAIN
 from hframe_post.errors import GcodeError, PrinterError
 from hframe_post.firmware.marlin.code import MarlinCode
 from hframe_post.firmware.marlin.motion import MarlinMotion
@@ -348,8 +349,11 @@ def test_a_print_that_whole_steps_spoil_is_reported(marlin: Printer) -> None:
     for printer, slow in ((coarse, True), (ender, False), (marlin, False)):
         report = converted(layers("cube.gcode", 1), printer, options)[1]
         assert ("better as sliced" in report.as_text()) == slow
-        um = report.as_json()["contour_error_um"]
-        assert (um["none"]["with_steps"] <= um["racking"]["with_steps"]) == slow
+        um, shaper = report.as_json()["contour_error_um"], report.as_json()["against"][0]
+        ours, shaped = um["racking"]["with_steps"], shaper["contour_error_um"]["with_steps"]
+        assert (um["none"]["with_steps"] <= ours) == slow
+        assert ("input shaper does as well" in report.as_text()) == (printer is ender)
+        assert (ours > NO_GAIN * shaped) == (printer is not marlin)
 
 
 @pytest.mark.parametrize("planner", MARLIN_PLANNERS)

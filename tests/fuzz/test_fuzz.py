@@ -23,7 +23,7 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.firmware.klipper.check import check
-from hframe_post.firmware.klipper.macro_check import check_macros
+from hframe_post.firmware.klipper.macros import check_macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin
 from hframe_post.gcode.lines import as_binary, lines_of

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.errors import GcodeError
-from hframe_post.gcode.commands import LIMIT_PARAMETERS
-from hframe_post.gcode.lexer import Line, command, parameters, uncommented
+from hframe_post.gcode.commands import LIMIT_PARAMETERS, Line, command, parameters, uncommented
 
 
 def stripped(text: bytes) -> bytes:

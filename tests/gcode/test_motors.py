@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from hframe_post.gcode.motors import with_motors
+from hframe_post.gcode.limits import with_motors
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Motors
 

@@ -17,8 +17,7 @@ from pygcode import Machine
 from pygcode.words import text2words
 
 from hframe_post.firmware.registry import FIRMWARES
-from hframe_post.gcode.commands import MOTION_WORDS
-from hframe_post.gcode.lexer import Line, command, numbers, uncommented
+from hframe_post.gcode.commands import MOTION_WORDS, Line, command, numbers, uncommented
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.stream.types import MoveAtRest, Moves

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hframe_post.gcode.slicer_settings import SlicerSettings, slicer_settings
+from hframe_post.gcode.limits import SlicerSettings, slicer_settings
 
 ORCA = b"""G1 X1
 ; filament_max_volumetric_speed = 23,12

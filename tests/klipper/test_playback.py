@@ -15,7 +15,7 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.conversion.report import Report
-from hframe_post.firmware.klipper.ramps import StreamLimits
+from hframe_post.firmware.klipper.code import StreamLimits
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Extruder, Printer

@@ -13,14 +13,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.firmware.klipper.live import kernel_file, live_kernel
-from hframe_post.hosts.klipper.native import HEADERS, compiled
+from hframe_post.firmware.klipper.live import (
+    bounds_of,
+    kernel_file,
+    klipper_name,
+    live_kernel,
+)
+from hframe_post.hosts.klipper.native import EDGE, HEADERS, compiled
 from hframe_post.model.kernel import played as spline
+from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.klipper.host import KlippyError, Playback, play
 
 PRINTER = replace(load("paper"), invented=False)
+Limits = dict[str, float]
 LIMITS = {"max_velocity": 300.0, "max_accel": 10000.0, "square_corner_velocity": 5.0}
 
 
@@ -32,13 +39,15 @@ def kernel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def played(lines: list[str], folder: Path, kernel: Path | None, more: str = "") -> Playback:
-    folder.mkdir(exist_ok=True)
+def played(
+    lines: list[str], folder: Path, kernel: Path | None, more: str = "", limits: Limits = LIMITS
+) -> Playback:
+    folder.mkdir(parents=True, exist_ok=True)
     # in batch mode a host stops before the end of a motion
     lines = ["G28", "G90", "M83", *lines, "M400", "G4 P1500", ""]
     (file := folder / "file.gcode").write_text("\n".join(lines))
     section = f"\n[hframe_live]\nkernel: {kernel}\n" if kernel is not None else ""
-    return play(file, limits=LIMITS, workdir=folder, sections=section + more)
+    return play(file, limits=limits, workdir=folder, sections=section + more)
 
 
 def belts(playback: Playback, t: np.ndarray) -> np.ndarray:
@@ -50,10 +59,12 @@ def belts(playback: Playback, t: np.ndarray) -> np.ndarray:
 def wanted(playback: Playback, printer: Printer, t: np.ndarray) -> np.ndarray:
     """Return where the kernel takes A and B (2, n) for the host's own moves, at whole ms.
 
-    The first begins in a corner of the bed, which the command may not leave.
+    The first begins in a corner of the bed, where the command fades into the path.
     """
-    command = live_kernel(printer)[0].command(playback.position(t)[:, :2])
-    return printer.kinematics.belts(*spline(np.maximum(command, 0.0)).T)
+    (made, figures), path = live_kernel(printer), playback.position(t)[:, :2]
+    u = np.clip(np.minimum(path, (280.0, 295.0) - path) / (EDGE * figures.deviation), 0.0, 1.0)
+    command = path + u * u * (3.0 - 2.0 * u) * (made.command(path) - path)
+    return printer.kinematics.belts(*spline(command).T)
 
 
 @pytest.mark.slow
@@ -72,6 +83,56 @@ def test_the_hosts_steps_are_the_kernels(kernel: Path, tmp_path: Path) -> None:
         len(bare.steps()["e"].time)
     ] * 2
     assert playback.duration == pytest.approx(bare.duration, rel=3e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.klipper
+@pytest.mark.parametrize("kind", ["cartesian", "hybrid-corexy", "corexz"])
+def test_each_kinematics_follows_the_kernel(kind: str, tmp_path: Path) -> None:
+    printer = replace(
+        load("example-corexy"), invented=False, kinematics=Kinematics(kind), travel=PRINTER.travel
+    )
+    data, bounds = kernel_file(printer), bounds_of(printer)
+    assert data is not None
+    (kernel := tmp_path / "printer.kernel").write_bytes(data)
+    lines = [f"G1 X{x} Y{y} F9000 E0.5" for x, y in ((170, 75), (200, 95), (150, 60), (240, 61))]
+    limits = {"max_velocity": bounds.velocity, "max_accel": bounds.acceleration}
+    name = f"\n[printer]\nkinematics: {klipper_name(kind)}\n"
+    playback = played(lines, tmp_path / "live", kernel, name, limits)
+    assert playback.warnings == ()
+    t = np.arange(int(1e3 * playback.start) - 200, int(1e3 * playback.end) + 100) * 1e-3
+    size = playback.steps()["A"].size
+    assert np.abs(belts(playback, t) - wanted(playback, printer, t)).max() < 0.6 * size + 0.005
+
+
+@pytest.mark.slow
+@pytest.mark.klipper
+def test_the_edge_of_the_bed_asks_no_more_of_the_motors(kernel: Path, tmp_path: Path) -> None:
+    places = ((0, 0), (100, 0), (100, 1), (0, 1), (0, 0), (140, 100), (0, 1), (100, 60), (0, 0))
+    live = played([f"G1 X{x} Y{y} F9000" for x, y in places], tmp_path, kernel)
+    t = np.arange(live.start, live.end + 1.0, 5e-3)
+    for axis in np.array([[0.5, 0.5], [0.5, -0.5]]) @ belts(live, t):
+        assert axis.min() > -0.05
+    rates = np.diff(belts(live, t), n=2, axis=1) / 5e-3**2
+    assert np.abs(rates).max() <= PRINTER.motors.belt_acceleration  # 60 000 where it is cut
+
+
+@pytest.mark.slow
+@pytest.mark.klipper
+def test_a_file_that_asks_for_more_than_the_motors_can_is_slowed(
+    kernel: Path, tmp_path: Path
+) -> None:
+    lines = [line for line in drawn(3, 300, 60.0, 0.0) if "F600" not in line or "F6000" in line]
+    asked = ["M204 S100000", "SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY=100 VELOCITY=2000", *lines]
+    live = played([*asked, "SET_HFRAME_LIVE"], tmp_path / "live", kernel)
+    t = np.arange(live.start, live.end, 1e-3)
+    c = live_kernel(PRINTER)[0].command(live.position(t)[:, :2])
+    v, a = (np.abs(np.diff(PRINTER.kinematics.belts(*c.T), n=k)).max() * 1e3**k for k in (1, 2))
+    assert v <= PRINTER.motors.belt_velocity
+    assert a <= 1.15 * PRINTER.motors.belt_acceleration  # the reserve is that of other strokes
+    bare = played(asked, tmp_path / "bare", None)
+    path = PRINTER.kinematics.belts(*bare.position(t)[:, :2].T)
+    assert np.abs(np.diff(path, n=2)).max() * 1e6 > PRINTER.motors.belt_acceleration
 
 
 FAULTS = (
@@ -108,7 +169,8 @@ def drawn(seed: int, count: int, longest: float, faults: float) -> Iterator[str]
 @pytest.mark.slow
 @pytest.mark.klipper
 @pytest.mark.parametrize(
-    ("count", "longest", "faults"), [(2000, 60.0, 0.0), (2000, 30.0, 0.2), (10_000, 1.0, 0.0)]
+    ("count", "longest", "faults"),
+    [(2000, 60.0, 0.0), (4000, 30.0, 0.5), (10_000, 1.0, 0.0)],  # 1 000 toggles
 )
 def test_no_step_is_lost_and_no_motor_outrun(
     kernel: Path, tmp_path: Path, count: int, longest: float, faults: float
@@ -125,6 +187,47 @@ def test_no_step_is_lost_and_no_motor_outrun(
         t = np.arange(live.start, live.end, 5e-3)
         speed = np.abs(np.diff(trains.position(t))).max() / 5e-3
         assert speed <= PRINTER.motors.belt_velocity
+
+
+def objects(excluded: int) -> Iterator[str]:
+    """Yield a print of four objects, one of which is excluded in its second layer."""
+    rng = random.Random(excluded)
+    yield from (f"EXCLUDE_OBJECT_DEFINE NAME=part{k}" for k in range(4))
+    for layer in range(3):
+        yield f"G1 Z{layer + 1} F600"
+        for k in range(4):
+            yield f"EXCLUDE_OBJECT_START NAME=part{k}"
+            for _ in range(20):
+                x, y = (80 + 60 * each + rng.uniform(0.0, 30.0) for each in divmod(k, 2))
+                yield f"G1 X{x:.3f} Y{y:.3f} E0.1 F9000"
+                if layer == 1 and k == excluded and rng.random() < 0.1:
+                    yield f"EXCLUDE_OBJECT NAME=part{k}"
+            yield f"EXCLUDE_OBJECT_END NAME=part{k}"
+    yield "G1 X100 Y100"
+
+
+RESONANCES = (
+    "\n[adxl345]\nrate: 3200\n[resonance_tester]\nprobe_points: 100,100,5\naccel_chip: adxl345\n"
+    "max_freq: 8\n"
+)
+
+
+@pytest.mark.slow
+@pytest.mark.klipper
+def test_objects_and_resonance_tests_leave_every_motor_where_it_was(
+    kernel: Path, tmp_path: Path
+) -> None:
+    test = [*drawn(7, 20, 30.0, 0.0), "TEST_RESONANCES AXIS=X OUTPUT=raw_data"]
+    for number, lines in enumerate([*map(list, map(objects, range(4))), [*test, *test]]):
+        folder = tmp_path / str(number)
+        live, bare = (
+            played(lines, folder / name, path, RESONANCES)
+            for name, path in (("live", kernel), ("bare", None))
+        )
+        assert live.warnings == bare.warnings
+        for motor in "ABze":
+            both = [int(each.steps()[motor].direction.astype(int).sum()) for each in (live, bare)]
+            assert both[0] == both[1]
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_post.firmware.klipper.ramps import StreamLimits
+from hframe_post.firmware.klipper.code import StreamLimits
 from hframe_post.native import digits, judging, planning, ramps
 from hframe_post.native.planning import find_runs
 from hframe_post.printer.settings import Printer

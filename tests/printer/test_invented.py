@@ -34,7 +34,7 @@ def test_a_plant_of_unknown_origin_is_not_measured_until_its_profile_says_so() -
 def test_a_start_is_refused_until_it_is_identified(name: str, tmp_path: Path) -> None:
     out = tmp_path / "out.gcode"
     printer = load(name)
-    with pytest.raises(PrinterError, match=r"plant\.invented.*identify recordings"):
+    with pytest.raises(PrinterError, match=r"plant\.invented.*hframe-post measure"):
         hp.convert(RECTANGLE, out, printer)
     assert not out.exists()
     own = tmp_path / "own.toml"
@@ -50,15 +50,12 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
     for refused in (run(*line), run("batch", RECTANGLE, "-o", folder, "-p", "example-corexy"),
                     run("measure", "--for=verify", "-o", out, "-p", "example-corexy")):  # fmt: skip
         assert refused.returncode == 1
-        assert b"plant.invented: this plant was not measured on your printer" in refused.stderr
-        advice = (
-            b"TEST_RESONANCES with an accelerometer, then type 'hframe-post identify recordings"
-        )
-        assert advice in refused.stderr
+        assert b"plant.invented: this printer is not measured yet" in refused.stderr
+        assert b"'hframe-post measure -o measure.gcode'" in refused.stderr
         assert b"sweep" not in refused.stderr
         assert b"--force" not in refused.stderr
     marlin = run(RECTANGLE, "-o", out, "-p", "example-ender")
-    assert b"'hframe-post measure' writes with an accelerometer" in marlin.stderr
+    assert b"'hframe-post calibrate-print'" in marlin.stderr
     assert not out.exists()
     assert not folder.exists()
     assert run(*line, "-c", "none").returncode == 0

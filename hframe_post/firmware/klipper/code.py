@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from functools import cached_property
+
+import numpy as np
 
 from hframe_post.arrays import Array, E
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.advance import klipper_advance
 from hframe_post.firmware.code import Code, coordinates, modes, plain
-from hframe_post.firmware.klipper.ramps import SQUARE_CORNER_VELOCITY, StreamLimits
+from hframe_post.firmware.dialect import klipper_advance
+from hframe_post.firmware.motion import VELOCITY_HEADROOM
+from hframe_post.model.kinematics import Kinematics
+from hframe_post.native.planning import junction_deviation
 from hframe_post.printer.firmware_tables import KlipperTable
-from hframe_post.printer.settings import Extruder, Printer
+from hframe_post.printer.settings import Extruder, Limits, Motors, Printer
 from hframe_post.stream.types import ModalState, Passthrough
 
 STAND = "G4 P0"  # comes to rest without flushing the queue of the motors, as M400 would
@@ -132,3 +137,50 @@ def _limit(velocity: float, acceleration: float, corner: float, cruise_ratio: fl
         f"SET_VELOCITY_LIMIT VELOCITY={plain(velocity, 6)} ACCEL={plain(acceleration, 6)} "
         f"SQUARE_CORNER_VELOCITY={plain(corner, 6)} MINIMUM_CRUISE_RATIO={plain(cruise_ratio, 6)}"
     )
+
+
+# ----------------------------------------------------------------------
+# Klipper's limits while the stream runs.
+
+SQUARE_CORNER_VELOCITY = 20.0  # mm/s; the stream makes its own corners
+
+
+@dataclass(frozen=True)
+class StreamLimits:
+    """Klipper's limits while the stream runs; mm, s.
+
+    acceleration: what the motors hold in any direction. A pause or a cancelled print brakes with
+    no more than that.
+    """
+
+    velocity: float
+    acceleration: float
+    z_velocity: float
+    z_acceleration: float
+    extruder_velocity: float
+    extruder_acceleration: float
+    extruder_corner_velocity: float
+
+    @classmethod
+    def from_limits(cls, limits: Limits, motors: Motors, kinematics: Kinematics) -> StreamLimits:
+        # no higher than the stream needs: an aborted print leaves them in force
+        return cls(
+            VELOCITY_HEADROOM * kinematics.max_speed_ratio * motors.belt_velocity,
+            math.floor(kinematics.min_speed_ratio * motors.belt_acceleration),
+            limits.z_velocity,
+            limits.z_acceleration,
+            limits.extruder_velocity,
+            limits.extruder_acceleration,
+            limits.extruder_corner_velocity,
+        )
+
+    @cached_property
+    def row(self) -> Array:
+        """Return the limits and Klipper's junction deviation, mm, (8,)."""
+        deviation = junction_deviation(SQUARE_CORNER_VELOCITY, self.acceleration)
+        return np.array([*astuple(self), float(deviation)])
+
+    @property
+    def lift_corner(self) -> float:
+        """Return the speed, mm/s, of Klipper in the corner between a lift and motion in x, y."""
+        return SQUARE_CORNER_VELOCITY * math.sqrt(self.z_acceleration / self.acceleration)

@@ -6,10 +6,16 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from hframe_post.firmware.advance import Advance, klipper_advance, klipper_seconds
-from hframe_post.firmware.base import Firmware, FirmwareLimits, unlimited
-from hframe_post.firmware.configuration import Finding, Source
-from hframe_post.firmware.dialect import Accelerations, Dialect, Words, object_label
+from hframe_post.firmware.base import Finding, Firmware, FirmwareLimits, Source, unlimited
+from hframe_post.firmware.dialect import (
+    Accelerations,
+    Advance,
+    Dialect,
+    Words,
+    klipper_advance,
+    klipper_seconds,
+    object_label,
+)
 from hframe_post.firmware.klipper.code import KlipperCode, averaged_shorter, table_of
 from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.model.shapers import Shaping
@@ -135,14 +141,14 @@ class Klipper(Firmware):
 
     @classmethod
     def source(cls, files: Sequence[Path]) -> Source:
-        from hframe_post.firmware.klipper.source import KlipperSource
+        from hframe_post.firmware.klipper.settings import KlipperSource
 
         return KlipperSource(files[0])
 
     def host_findings(self, config: Path, log: Path | None, remedy: str) -> Iterator[Finding]:
-        from hframe_post.firmware.klipper.macro_check import check_macros
+        from hframe_post.firmware.klipper.check import check_version
+        from hframe_post.firmware.klipper.macros import check_macros
         from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-        from hframe_post.firmware.klipper.version import check_version
 
         read = KlipperConfig(config)
         yield from check_macros(read, self.printer, remedy)

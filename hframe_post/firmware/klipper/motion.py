@@ -9,11 +9,10 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.klipper.ramps import StreamLimits
-from hframe_post.firmware.klipper.segments import sparser, thinned
+from hframe_post.firmware.klipper.code import StreamLimits
 from hframe_post.firmware.motion import SPARED, MotionRules, NextTo, Stroke, Way
 from hframe_post.model.constant_acceleration import Trapezoid
-from hframe_post.native.decimate import breakpoints, fitted
+from hframe_post.native.decimate import breakpoints, fitted, too_thick
 from hframe_post.native.ramps import klipper_durations, klipper_feeds
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.stream.types import StopRules
@@ -119,3 +118,50 @@ class KlipperMotion(MotionRules):
             return None
         waited = max(round(seconds, 6), 0.0)
         return b"G4 P%s\n" % plain(waited * 1e3, 3).encode(), waited
+
+
+# ----------------------------------------------------------------------
+# Segments for Klipper: few of them, and none that it would refuse.
+
+PIECE = 250  # samples, within which the bound on lines is kept
+COARSER = 1.2  # times the tolerance, until a second has few enough segments
+
+
+def thinned(points: Array, ends: Integers) -> Integers:
+    """Return ends (k,), and more, so that Klipper refuses no segment as too thick an extrusion.
+
+    Next to a stop the command may crawl where the path does not. Klipper allows a cross section
+    of 4 nozzle widths squared (``max_extrude_cross_section``), and more than that in pieces with no
+    more filament than such a line as long as the nozzle is wide.
+    """
+    thick, most = too_thick(points, ends)
+    if not len(thick):
+        return ends
+    pieces = [ends]
+    for k in thick.tolist():  # few
+        first, end = int(ends[k - 1]) if k else 0, int(ends[k])
+        piece = np.floor((points[first:end, E] - points[first, E]) / most)
+        pieces.append(first + 1 + np.flatnonzero(np.diff(piece[1:])))
+    return np.unique(np.concatenate(pieces))
+
+
+def sparser(
+    points: Array, forced: Flags, tolerance: float, ends: Integers, rate: float
+) -> Integers:
+    """Return the breakpoints ``ends``, fewer wherever a second has more than ``rate`` of them.
+
+    points, forced, tolerance: as for ``breakpoints``. In such a second the tolerance grows.
+    """
+    fewer = []
+    for first in range(0, len(points) - 1, PIECE):
+        last = min(first + PIECE, len(points) - 1)
+        kept, allowed = ends[(ends > first) & (ends <= last)], rate * (last - first) * TS
+        allowed = max(allowed, 1.0 + np.count_nonzero(forced[first + 1 : last]))
+        coarse = tolerance
+        while len(kept) > allowed:
+            coarse *= COARSER
+            kept = first + breakpoints(points[first : last + 1], forced[first : last + 1], coarse)
+        if coarse > tolerance and first:
+            fewer.append(np.array([first]))
+        fewer.append(kept)
+    return np.unique(np.concatenate(fewer))

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 from hframe_post.errors import HframeError
+from hframe_post.firmware.base import Source
+from hframe_post.firmware.klipper.macros import FILE, macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.printer.firmware_tables import END_MACRO
+from hframe_post.printer.firmware_tables import END_MACRO, MACROS
 from hframe_post.printer.new_profile import (
     CLOCK,
     Known,
@@ -15,7 +20,7 @@ from hframe_post.printer.new_profile import (
     profile_text,
     sweep,
 )
-from hframe_post.printer.settings import CHIP_NAME, SMOOTH_TIME_S
+from hframe_post.printer.settings import CHIP_NAME, SMOOTH_TIME_S, Printer
 
 KINEMATICS = {  # ours, the safest first, by Klipper's name
     "corexy": ("corexy", "hbot"),
@@ -24,6 +29,7 @@ KINEMATICS = {  # ours, the safest first, by Klipper's name
     "cartesian": ("cartesian",),
 }
 DEFAULT = "Klipper's default"
+SHAPES = re.compile(r"^\s*SET_INPUT_SHAPER\b[^\n]*SHAPER_FREQ", re.MULTILINE | re.IGNORECASE)
 
 
 def kinematics_in(config: KlipperConfig) -> tuple[str, ...]:
@@ -200,3 +206,69 @@ def text_from_klipper(config: KlipperConfig) -> str:
     kind = kinematics_in(config)[0]
     tables = {"kinematics": {"type": Known(kind, "kinematics of [printer]")}}
     return profile_text(tables | from_klipper(config, kind), f"made from {config.path.name}")
+
+
+# ----------------------------------------------------------------------
+# printer.cfg, as `setup` reads it.
+
+
+class KlipperSource(Source):
+    """A printer.cfg. Raises HframeError if it is none, or if its printer cannot be compensated."""
+
+    alone = "for Klipper give printer.cfg alone: it names all that it needs"
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._config = path, KlipperConfig(path)
+        self.possible, self.decided = kinematics_in(self._config), "kinematics of [printer]"
+        self.warnings = [self._config.unsaved] if self._config.unsaved else []
+        self.warnings += warnings(self._config)
+        names = ", ".join(self._config.accelerometers())
+        self.sensors = names or "none in printer.cfg; you need one to measure"
+
+    def tables(self, kinematics: str, bed: tuple[float, float] | None) -> Tables:
+        return from_klipper(self._config, kinematics)
+
+    def companions(self, profile: Printer) -> dict[str, str]:
+        return {FILE: macros(profile, self._config)}
+
+    def next_steps(self, profile: Printer, target: Path, quoted: Callable[[Path], str]) -> str:
+        sections = target.with_name(FILE)
+        include = f"[include {sections.name}]"
+        if self._config.has(include[1:-1]):
+            first = f"Copy {sections} next to your printer.cfg, which includes it already."
+        else:
+            first = (
+                f"Copy {sections} next to your printer.cfg, and add this line to printer.cfg, at "
+                f"its end but above the SAVE_CONFIG block:\n     {include}"
+            )
+        if not profile.invented:
+            return f"\nNext:\n  1. {first}\n  2. Restart Klipper."
+        return f"""
+Next:
+  1. {first}
+  2. Restart Klipper, and run hframe-post measure -o recordings/measure.gcode, which says how to go
+     on. Or, with recordings of TEST_RESONANCES (OUTPUT=raw_data) in the folder recordings:
+     hframe-post identify recordings --printer-cfg {quoted(self.path)} -o {quoted(target)}"""
+
+
+def warnings(config: KlipperConfig) -> Iterator[str]:
+    """Yield what the owner of a printer.cfg must know, whatever the profile says."""
+    yield from config.missing
+    for section in config.sections("dual_carriage"):
+        yield (
+            f"{config.place(section, '')}: [{section}]: a profile has the model of one carriage: "
+            "what the other prints, after T1, is not compensated"
+        )
+    for section in config.sections("toolchanger", "tool")[:1]:
+        yield (
+            f"{config.place(section, '')}: [{section}]: a profile has the model of one tool head, "
+            "and others ring differently: list their commands below [firmware] of the profile, as "
+            'other_tools = ["T1", "T2"], and what they print is not compensated'
+        )
+    for section in config.sections("gcode_macro", "delayed_gcode"):
+        line = config.lines(section, "gcode")
+        if line and line[-1].path.name != MACROS and SHAPES.search(config.text(section, "gcode")):
+            yield (
+                f"{line[-1].place}: [{section}] runs SET_INPUT_SHAPER: what it sets lasts until a "
+                "converted file begins, which restores the frequencies of [input_shaper] at its end"
+            )

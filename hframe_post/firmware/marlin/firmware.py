@@ -12,23 +12,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hframe_post.errors import HframeError, PrinterError
-from hframe_post.firmware.advance import Advance, marlin_advance
 from hframe_post.firmware.base import (
     UNLIMITED_DEVIATION,
     Firmware,
     FirmwareLimits,
+    Source,
     unlimited,
 )
-from hframe_post.firmware.configuration import Source
-from hframe_post.firmware.dialect import Accelerations, Dialect, Words
+from hframe_post.firmware.dialect import Accelerations, Advance, Dialect, Words, marlin_advance
 from hframe_post.model.shapers import Shaping
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.stream.types import FileLimits
 
 if TYPE_CHECKING:
     from hframe_post.firmware.marlin.code import MarlinCode
-    from hframe_post.firmware.marlin.motion import MarlinMotion
-    from hframe_post.firmware.marlin.written_moves import MarlinMoves
+    from hframe_post.firmware.marlin.motion import MarlinMotion, MarlinMoves
 
 
 def _accelerations(words: Words, before: Accelerations) -> Accelerations:
@@ -83,7 +81,7 @@ class Marlin(Firmware):
         return replace(self.dialect, has_deviation=known, soft_endstops=endstops)
 
     def moves(self) -> MarlinMoves:
-        from hframe_post.firmware.marlin.written_moves import MarlinMoves
+        from hframe_post.firmware.marlin.motion import MarlinMoves
 
         return MarlinMoves(self.code(), self.printer.kinematics)
 
@@ -118,8 +116,7 @@ class Marlin(Firmware):
 
     @classmethod
     def source(cls, files: Sequence[Path]) -> Source | None:
-        from hframe_post.firmware.marlin.m503 import is_of_marlin, text_in
-        from hframe_post.firmware.marlin.source import MarlinSource
+        from hframe_post.firmware.marlin.m503 import MarlinSource, is_of_marlin, text_in
 
         return MarlinSource(files) if is_of_marlin(text_in(files[0])) else None
 

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from hframe_post.arrays import TS, Array
-from hframe_post.firmware.written_moves import travelled
+from hframe_post.firmware.motion import travelled
 from hframe_post.native import ramps
 from hframe_post.native.block_times import (
     FASTEST,

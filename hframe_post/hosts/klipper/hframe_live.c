@@ -25,6 +25,7 @@
 #define PAST (TAPS - 1 - AHEAD)
 #define RING 4096          // samples; a power of two, larger than the longest window
 #define AROUND 3           // samples on either side that the spline and its rounding need
+#define SHOWS 0.001        // mm, the least change that counts
 #define AT_REST 500.0      // s within a move that stands still, at which its place is asked for
 
 // Samples first <= g < end of both axes, twice, so that any window of them is contiguous.
@@ -39,7 +40,7 @@ struct hframe_live {
     const struct hframe_kernel *kernel;
     struct move still;             // where the nozzle's command is, for orig
     double begin;                  // s; before, the path is taken to rest
-    int64_t clamped;               // control points that travel has limited
+    int64_t faded;                 // control points that the edge of the travel has changed
     int64_t piece;                 // ms at which the polynomials below hold
     double polynomial[2][4];
     struct ring path, target, control;
@@ -141,11 +142,24 @@ fill_target(struct hframe_live *live, struct move *m, int64_t from, int64_t end)
     }
 }
 
-// Fill control points. They may not leave travel, unless the path itself is outside.
+// Return a control point that stays in the travel: towards its edge, the command fades into the
+// path. A cut would ask far more of the motors than the kernel does.
+static double
+within_travel(struct hframe_live *live, int axis, double p, double c)
+{
+    const struct hframe_kernel *k = live->kernel;
+    double u = fmin(p - k->least[axis], k->most[axis] - p) / k->edge;
+    if (u >= 1.0)
+        return c;
+    live->faded += fabs(c - p) > SHOWS;
+    u = fmax(u, 0.0);
+    c = p + u * u * (3.0 - 2.0 * u) * (c - p);
+    return fmin(fmax(c, fmin(k->least[axis], p)), fmax(k->most[axis], p));
+}
+
 static void
 fill_control(struct hframe_live *live, struct move *m, int64_t from, int64_t end)
 {
-    const struct hframe_kernel *k = live->kernel;
     int64_t g = missing(&live->control, from, end);
     if (g < end)
         fill_target(live, m, g - PAST, end + AHEAD);
@@ -153,11 +167,9 @@ fill_control(struct hframe_live *live, struct move *m, int64_t from, int64_t end
         for (int axis = 0; axis < 2; axis++) {
             if (!moves(live, axis))
                 continue;
+            double c = convolved(live->kernel->axis[axis], &live->target, axis, g);
             double p = *sample(&live->path, axis, g);
-            double c = convolved(k->axis[axis], &live->target, axis, g);
-            double kept = fmin(fmax(c, fmin(k->least[axis], p)), fmax(k->most[axis], p));
-            live->clamped += kept != c;
-            put(&live->control, axis, g, kept);
+            put(&live->control, axis, g, within_travel(live, axis, p, c));
         }
 }
 
@@ -229,9 +241,9 @@ hframe_live_window(struct stepper_kinematics *sk)
 }
 
 int64_t
-hframe_live_clamped(struct stepper_kinematics *sk)
+hframe_live_faded(struct stepper_kinematics *sk)
 {
-    return live_of(sk)->clamped;
+    return live_of(sk)->faded;
 }
 
 // Return the kinematics of a motor behind orig, or NULL if it cannot have one or memory is short.

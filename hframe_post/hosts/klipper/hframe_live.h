@@ -9,9 +9,10 @@ struct hframe_coupling {
     double centre, h[TAPS];
 };
 
-// h[0] belongs to the oldest sample of the path; least and most are the travel, mm.
+// h[0] belongs to the oldest sample of the path. least and most are the travel, and edge the
+// distance from its edge within which the command fades into the path, mm.
 struct hframe_kernel {
-    double least[2], most[2], axis[2][TAPS];
+    double least[2], most[2], edge, axis[2][TAPS];
     int couplings;
     struct hframe_coupling coupling[COUPLINGS];
 };
@@ -23,5 +24,5 @@ struct stepper_kinematics *hframe_live_alloc(struct stepper_kinematics *orig
 void hframe_live_hand_over(struct stepper_kinematics *from, struct stepper_kinematics *to);
 void hframe_live_reset(struct stepper_kinematics *sk);
 double hframe_live_window(struct stepper_kinematics *sk);
-int64_t hframe_live_clamped(struct stepper_kinematics *sk);
+int64_t hframe_live_faded(struct stepper_kinematics *sk);
 void free(void *pointer);

@@ -236,8 +236,8 @@ class HframeLive:
             status |= {
                 key: self.kernel[key] for key in ("profile", "made_by", "measured", *FIGURES)
             }
-            clamped = [self.native.lib.hframe_live_clamped(one[2]) for one in self.motors]
-            status["clamped"] = max(clamped, default=0)  # ms for which travel limited it
+            faded = [self.native.lib.hframe_live_faded(one[2]) for one in self.motors]
+            status["faded"] = max(faded, default=0)  # ms within reach of the bed's edge
         return status
 
 

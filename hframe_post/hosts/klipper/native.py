@@ -12,6 +12,9 @@ from typing import Any
 
 SOURCE = Path(__file__).resolve().with_name("hframe_live.c")
 DECLARED = SOURCE.with_suffix(".h")  # for cffi, too
+# times the greatest deviation from the path: up to it, fading asks no more of the motors than the
+# kernel does, on strokes into the edge with the kernels of an H-bot and three measured printers
+EDGE = 10.0
 HEADERS = ("itersolve.h", "trapq.h", "list.h")
 GCC = ("gcc", "-O3", "-shared", "-fPIC", "-Wall", "-Werror")
 # sums of a window in vectors: in any order, without looking for NaN
@@ -69,8 +72,9 @@ class Native:
         """Return a kernel of ``read`` for the C; travel: of x and y, mm."""
         least, most = zip(*travel, strict=True)
         rows = [(*row[:4], row[4][::-1]) for row in kernel["couplings"]]
+        edge = max(EDGE * kernel["deviation"], 1e-3)
         axes = [kernel["x"][::-1], kernel["y"][::-1]]
-        return self.ffi.new("struct hframe_kernel *", (least, most, axes, len(rows), rows))
+        return self.ffi.new("struct hframe_kernel *", (least, most, edge, axes, len(rows), rows))
 
     def behind(self, klippers: Any, kernel: Any) -> Any:
         """Return our kinematics behind Klipper's, or None if it cannot have one."""

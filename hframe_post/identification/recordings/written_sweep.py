@@ -8,7 +8,7 @@ The axis travels to and fro around its place, and while it travels its speed pul
 
 So the acceleration is +a, 0, −a, 0 … at a frequency that grows. The axis stops only where it
 turns, so friction, and the first step from rest, which Marlin delays, hardly count. The command is
-what the firmware makes of the moves, of Marlin each step (``firmware.written_moves``).
+what the firmware makes of the moves, of Marlin each step (``firmware.motion``).
 
 Any program may record it: start and clock are found from the motion (``self_alignment``).
 """
@@ -23,9 +23,8 @@ import numpy as np
 from hframe_post.arrays import Array, Integers
 from hframe_post.errors import LimitError
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.motion import SPARED
+from hframe_post.firmware.motion import SPARED, WrittenMoves
 from hframe_post.firmware.registry import firmware
-from hframe_post.firmware.written_moves import WrittenMoves
 from hframe_post.gcode.commands import OFF
 from hframe_post.identification.recordings.runs import (
     APPROACH,
