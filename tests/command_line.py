@@ -10,6 +10,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import click
+
+from hframe_post.cli.main import main
 from hframe_post.process import CHILD
 from tests.command_server import call
 from tests.conftest import SAMPLES
@@ -57,3 +60,21 @@ def until(holds: Callable[[], bool]) -> None:
     while not holds():
         assert time.monotonic() < deadline
         time.sleep(0.02)
+
+
+def commands(group: click.Group, name: str = "") -> dict[str, click.Command]:
+    """All of them, by the words that call them; groups, too."""
+    found: dict[str, click.Command] = {}
+    context = click.Context(group)
+    for word in group.list_commands(context):
+        command = group.get_command(context, word)
+        assert command is not None
+        if command.hidden:
+            continue
+        found[f"{name} {word}".strip()] = command
+        if isinstance(command, click.Group):
+            found |= commands(command, f"{name} {word}".strip())
+    return found
+
+
+COMMANDS = commands(main)

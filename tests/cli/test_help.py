@@ -12,27 +12,10 @@ import pytest
 from click.testing import CliRunner
 
 from hframe_post.cli.main import GONE, GROUPS, main
+from tests.command_line import COMMANDS
 from tests.conftest import ROOT
 
 EXAMPLE = re.compile(r"^ *hframe-post (.+?)(?:  .*)?$", re.MULTILINE)
-
-
-def commands(group: click.Group, name: str = "") -> dict[str, click.Command]:
-    """All of them, by the words that call them; groups, too."""
-    found: dict[str, click.Command] = {}
-    context = click.Context(group)
-    for word in group.list_commands(context):
-        command = group.get_command(context, word)
-        assert command is not None
-        if command.hidden:
-            continue
-        found[f"{name} {word}".strip()] = command
-        if isinstance(command, click.Group):
-            found |= commands(command, f"{name} {word}".strip())
-    return found
-
-
-COMMANDS = commands(main)
 
 
 def called(words: list[str]) -> tuple[click.Command, list[str]]:

@@ -12,8 +12,7 @@ import pytest
 
 from hframe_post.cli.json_summary import SCHEMA
 from hframe_post.version import __version__
-from tests.cli.test_help import COMMANDS
-from tests.command_line import RECTANGLE, run
+from tests.command_line import COMMANDS, RECTANGLE, run
 from tests.conftest import ROOT
 
 OUTSIDE = b"G28\nG1 X10 Y10\nG1 X9999\n"
