@@ -16,8 +16,8 @@ import numpy as np
 from scipy import signal
 
 from hframe_post.arrays import TS, Array, Complex
+from hframe_post.identification.estimation.measured import Run
 from hframe_post.identification.recordings.resonance_search import find
-from hframe_post.identification.responses.measured import Run
 from hframe_post.model.plant import Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
 from tests.plants import as_response

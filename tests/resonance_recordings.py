@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from hframe_post.arrays import Array
+from hframe_post.identification.estimation.measured import Run
 from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.resonance_search import find
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
-from hframe_post.identification.responses.measured import Run
 from tests.random_printers import drawn
 from tests.simulator import ADXL345, Chip, Machine, Playing
 

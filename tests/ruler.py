@@ -7,8 +7,8 @@ import tomllib
 import numpy as np
 from scipy.signal import find_peaks
 
-from hframe_post.identification.by_eye.tower import SIDE
-from hframe_post.identification.by_eye.waves import Band, Reading, corner_path
+from hframe_post.identification.by_eye import Reading, corner_path
+from hframe_post.identification.tower import SIDE, Band
 from tests.simulator import Axis, Machine, Mode
 
 

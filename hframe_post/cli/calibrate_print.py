@@ -120,8 +120,8 @@ def _asked() -> tuple[float, float]:
 
 
 def _tower(output: Path, printer: str, profile: Printer, heat: tuple[float, float]) -> None:
-    from hframe_post.identification.by_eye.form import form
-    from hframe_post.identification.by_eye.tower import bands, tower
+    from hframe_post.identification.by_eye import form
+    from hframe_post.identification.tower import bands, tower
 
     lines = tower(profile, heat)
     empty = form(bands(profile), profile.limits.acceleration)
@@ -137,7 +137,7 @@ def _tower(output: Path, printer: str, profile: Printer, heat: tuple[float, floa
 
 
 def _read(form: Path, output: Path, printer: str, profile: Printer) -> None:
-    from hframe_post.identification.by_eye.form import (
+    from hframe_post.identification.by_eye import (
         LEAST_UNCERTAINTY,
         MOST_UNCERTAINTY,
         filled,
@@ -167,7 +167,7 @@ def _read(form: Path, output: Path, printer: str, profile: Printer) -> None:
 def _compare(
     by: float, output: Path, printer: str, profile: Printer, heat: tuple[float, float]
 ) -> None:
-    from hframe_post.identification.by_eye.tower import squares
+    from hframe_post.identification.tower import squares
 
     if not 0.0 < by <= 0.3:
         raise click.UsageError("--compare takes a share above 0% and up to 30%")

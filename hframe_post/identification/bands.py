@@ -6,7 +6,8 @@ one motor turns, so that nothing but that motor shakes the nozzle between the tu
 
 A motor's torque ripples with its phase: once per 0.8 mm of a GT2 belt on 20 teeth, and at
 multiples; the belt meshes once per 2 mm. So the nozzle shakes where one of these meets a resonance.
-Only these frequencies count: 4 to 5 µm that do not follow the motor would hide them on a Voron.
+Only these frequencies count, each by itself: on a Voron 4 to 5 µm that do not follow the motor
+would hide them, and 5.9 µm at one of them, 2.6 at speeds nearby, are 6.4 and 4.5 in all.
 What a wall shows is the way, not the acceleration. So the acceleration's spectrum is divided by ω⁴.
 """
 
@@ -23,7 +24,7 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
-from hframe_post.arrays import Array
+from hframe_post.arrays import Array, Flags
 from hframe_post.errors import HframeError, IdentificationError, LimitError
 from hframe_post.firmware.code import plain
 from hframe_post.gcode.commands import STAMP
@@ -50,15 +51,21 @@ LEAST_SPEEDS = 10  # of a motor
 
 @dataclass(frozen=True, slots=True)
 class MotorShaking:
-    """Shaking of the nozzle by one motor: speeds (k,) at the belt, rising, mm/s; RMS (k,), mm.
+    """Shaking of the nozzle by one motor: speeds (k,) at the belt, rising, mm/s.
 
-    motor: 0 for A, 1 for B. angle: of the strokes, degrees.
+    motor: 0 for A, 1 for B. angle: of the strokes, degrees. ripples (k, 4): RMS in mm at the
+    frequency of each of PERIODS.
     """
 
     motor: int
     angle: float
     speed: Array
-    rms: Array
+    ripples: Array
+
+    @property
+    def rms(self) -> Array:
+        """Return the RMS (k,) of all of them together, mm."""
+        return np.asarray(np.linalg.norm(self.ripples, axis=1))
 
 
 def shaking(
@@ -68,7 +75,7 @@ def shaking(
 
     Raises OSError, and IdentificationError if no motor has enough speeds.
     """
-    energies: dict[int, dict[float, list[float]]] = defaultdict(lambda: defaultdict(list))
+    energies: dict[int, dict[float, list[Array]]] = defaultdict(lambda: defaultdict(list))
     angles, aside = dict[int, float](), list[Aside]()
     for label, name, recording in _recordings(paths, aside):
         if (named := LABEL.search(name)) is None:
@@ -88,7 +95,10 @@ def shaking(
         angles[motor] = angle
     found = [
         MotorShaking(
-            motor, angles[motor], np.array(speeds), np.sqrt([np.mean(by[s]) for s in speeds])
+            motor,
+            angles[motor],
+            np.array(speeds),
+            np.sqrt([np.mean(by[s], axis=0) for s in speeds]),
         )
         for motor, by in sorted(energies.items())
         if len(speeds := sorted(by)) >= LEAST_SPEEDS
@@ -99,7 +109,7 @@ def shaking(
 
 
 def _nothing(
-    paths: Sequence[Path], energies: dict[int, dict[float, list[float]]], aside: list[Aside]
+    paths: Sequence[Path], energies: dict[int, dict[float, list[Array]]], aside: list[Aside]
 ) -> str:
     most = max((len(by) for by in energies.values()), default=0)
     why = f". Not used: {aside[0].label}: {aside[0].reason}" if aside else ""
@@ -128,17 +138,17 @@ def _recordings(paths: Sequence[Path], aside: list[Aside]) -> Iterator[tuple[str
                 aside.append(Aside(which, reason_of(path, error)))
 
 
-def _energy(recording: Recording, speed: float) -> float:
-    """Return the mean square of the nozzle's way, mm², that follows a belt at constant mm/s."""
+def _energy(recording: Recording, speed: float) -> Array:
+    """Return mean squares (4,) of the nozzle's way, mm², that follow a belt at constant mm/s."""
     rate = 1.0 / recording.period
     n = min(round(WINDOW * rate), len(recording.t))
     f, _, spectra = signal.spectrogram(
         recording.a.T, rate, "hann", n, round(0.75 * n), detrend="constant"
     )
-    off = np.abs(f[:, None] - speed / PERIODS).min(axis=1)
-    band = (off <= NEAR * (f[1] - f[0])) & (f >= LOWEST) & (f <= HIGHEST)
-    way = spectra[:, band].sum(axis=0) / (2.0 * np.pi * f[band, None]) ** 4
-    return float(np.quantile(way.sum(axis=0) * (f[1] - f[0]), QUIETEST))
+    band = np.abs(f - speed / PERIODS[:, None]) <= NEAR * (f[1] - f[0])
+    band &= (f >= LOWEST) & (f <= HIGHEST)
+    power = spectra.sum(axis=0) / (2.0 * np.pi * np.maximum(f, LOWEST)[:, None]) ** 4
+    return np.asarray(np.quantile((band @ power) * (f[1] - f[0]), QUIETEST, axis=1))
 
 
 STEP = 0.5  # mm/s, between speeds
@@ -146,15 +156,19 @@ AROUND = 1.6  # factor on the speed, up and down, within which the usual shaking
 PEAK, EDGE = 1.5, 1.25  # times the usual shaking: at the worst speed of a band, at its ends
 WIDEST = 1.45  # greatest over least speed of a band; what is wider cannot be avoided
 FAINT = 0.3  # of the strongest peak; fainter ones do not count
+LEAST = 1e-3  # mm; noise of an ADXL345 looks like less
+MAIN = 0.5  # of all shaking at a speed, from which one ripple is its cause
 SLOWEST = 20.0  # mm/s at the belt
 MOST = 4  # bands of a motor
+TINY = 1e-9  # mm
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
     """Speeds of a motor from least to greatest, mm/s at the belt.
 
-    worst: the speed in it that shakes most. rms, usual: there, and at speeds around, mm.
+    worst: the speed in it that shakes most. rms, usual: by the ripple that meets a resonance, there
+    and at speeds around, mm.
     """
 
     motor: int
@@ -190,27 +204,42 @@ def to_avoid(found: Sequence[Band]) -> tuple[tuple[int, int], ...]:
     return tuple(joined)
 
 
-def _of_motor(shaking: MotorShaking) -> Iterator[Band]:
+def _of_motor(shaking: MotorShaking) -> list[Band]:
     speed = np.arange(shaking.speed[0], shaking.speed[-1] + STEP / 2.0, STEP)
-    rms = np.interp(speed, shaking.speed, shaking.rms)
-    usual = np.array([
-        np.median(rms[(speed >= s / AROUND) & (speed <= s * AROUND)]) for s in speed
-    ])  # fmt: skip
-    over, free = rms / usual, speed >= SLOWEST
+    around = [(speed >= s / AROUND) & (speed <= s * AROUND) for s in speed]
+    *ripples, rms = (
+        np.interp(speed, shaking.speed, each) for each in (*shaking.ripples.T, shaking.rms)
+    )
+    more = (speed >= SLOWEST) & (rms > EDGE * _median(rms, around))
     found = list[Band]()
-    while len(found) < MOST and free.any():
+    for ripple in ripples:
+        usual = _median(ripple, around)
+        free = more & (ripple > np.maximum(MAIN * rms, LEAST))
+        found += _of_ripple(shaking.motor, speed, ripple, usual, free)
+    found.sort(key=lambda band: band.usual - band.rms)
+    kept = list[Band]()
+    for band in found[:MOST]:
+        apart = not any(one.least <= band.worst <= one.greatest for one in kept)
+        if apart and band.rms - band.usual >= FAINT * (found[0].rms - found[0].usual):
+            kept.append(band)
+    return sorted(kept, key=lambda band: band.least)
+
+
+def _median(rms: Array, around: Sequence[Flags]) -> Array:
+    return np.array([np.median(rms[near]) for near in around])
+
+
+def _of_ripple(motor: int, speed: Array, rms: Array, usual: Array, free: Flags) -> Iterator[Band]:
+    """Yield the bands of one ripple. free (n,): where they may have their worst speed."""
+    over = rms / np.maximum(usual, TINY)
+    while free.any():
         k = int(np.flatnonzero(free)[np.argmax((rms - usual)[free])])
         if over[k] < PEAK:
-            break
+            return
         low, high = _edges(speed, over, k)
         free[low : high + 1] = False
         here = (float(value) for value in (*speed[[low, high, k]], rms[k], usual[k]))
-        found.append(Band(shaking.motor, *here))
-    strongest = max((band.rms - band.usual for band in found), default=0.0)
-    yield from sorted(
-        (band for band in found if band.rms - band.usual >= FAINT * strongest),
-        key=lambda band: band.least,
-    )
+        yield Band(motor, *here)
 
 
 def _edges(speed: Array, over: Array, peak: int) -> tuple[int, int]:

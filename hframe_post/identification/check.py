@@ -18,17 +18,17 @@ from scipy.fft import irfft, rfft, rfftfreq
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation import known_start
-from hframe_post.identification.identified import AXIS, DRIFT, LEAST_CHANGE, MOST_LEFT
-from hframe_post.identification.recordings import strokes
-from hframe_post.identification.recordings.clock import acceleration
-from hframe_post.identification.recordings.folder import CHECK
-from hframe_post.identification.recordings.runs import PlannedRun
-from hframe_post.identification.responses.frequency_response import (
+from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     share_left,
     whole_record,
 )
-from hframe_post.identification.responses.measured import Run, by_axis
+from hframe_post.identification.estimation.measured import Run, by_axis
+from hframe_post.identification.identify import AXIS, DRIFT, LEAST_CHANGE, MOST_LEFT
+from hframe_post.identification.recordings import strokes
+from hframe_post.identification.recordings.clock import acceleration
+from hframe_post.identification.recordings.folder import CHECK
+from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer

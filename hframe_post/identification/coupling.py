@@ -18,18 +18,6 @@ makes β uncertain: of its lag, and of its Q at each frequency, only 1 − var(�
 
 A print is accelerated for times from a few ms to tenths of a second, so that its motion falls with
 the square of the frequency. Responses are compared with that weight.
-
-Tests along both diagonals tell the axes together. A run along the unit vector d at the place p
-makes i = x and y respond with
-
-    H_i(f) = Σ_j G_ij(f, p)·d_j
-    G_ij(f, p) = G_ij(f, p̄) + Σ_c (p_c − p̄_c)·S_cij(f),    j, c = x, y
-
-G_ij is what a command in j does to i, p̄ the mean place, and S its change per mm of the place: the
-lever arm of racking, above all. At each frequency this is a linear problem with real columns d_j
-and (p_c − p̄_c)·d_j, solved by least squares with the noise of each run. Runs along x and y tell
-a column of G each, and so do both tests of belts, along (1, 1) and (1, −1), together. A slope is
-free where places lie far enough apart; elsewhere it is 0.
 """
 
 from __future__ import annotations
@@ -42,7 +30,10 @@ import numpy as np
 from scipy.fft import irfft, rfft
 
 from hframe_post.arrays import TS, Array, Complex, X, Y
-from hframe_post.errors import IdentificationError
+from hframe_post.identification.estimation.frequency_response import (
+    FrequencyResponse,
+)
+from hframe_post.identification.estimation.measured import RunGroup
 from hframe_post.identification.estimation.regression import (
     Data,
     Estimated,
@@ -50,126 +41,10 @@ from hframe_post.identification.estimation.regression import (
     regress,
     transfer,
 )
-from hframe_post.identification.responses.frequency_response import (
-    NOISE_FLOOR,
-    FrequencyResponse,
-    check_same_frequencies,
-)
-from hframe_post.identification.responses.measured import RunGroup, RunResponse
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Coupling
 
 LEAST_SPREAD = 14.0  # mm: two places that are 20 mm apart
-
-
-@dataclass(frozen=True, slots=True)
-class DirectedRun:
-    """A run along ``direction`` (x, y) of any length, around ``place`` (x, y), mm.
-
-    x, y: responses of the nozzle per commanded acceleration along the direction. All runs have
-    one common delay.
-    """
-
-    direction: tuple[float, float]
-    place: tuple[float, float]
-    x: FrequencyResponse
-    y: FrequencyResponse
-
-
-@dataclass(frozen=True, slots=True)
-class FullResponse:
-    """The matrix at the frequencies hz (k,).
-
-    G (k, 2, 2): [i, j], what a command in j does to i at the place ``middle`` (mm), and its
-    variance. slopes (k, 2, 2, 2): [c, i, j], 1/mm, change with x and y of the place; 0 where the
-    runs do not tell. commanded: whether x, y were commanded; the other columns are 0. power (k,)
-    and averages as in FrequencyResponse.
-    """
-
-    hz: Array
-    G: Complex
-    variance: Array
-    slopes: Complex
-    middle: tuple[float, float]
-    commanded: tuple[bool, bool]
-    power: Array
-    averages: float
-
-    def entry(self, moved: int, command: int) -> FrequencyResponse:
-        """Return what a command in an axis (0: x, 1: y) does to another, or to itself."""
-        H = self.G[:, moved, command]
-        signal, noise = np.abs(H) ** 2, self.averages * self.variance[:, moved, command]
-        coherence = np.divide(signal, signal + noise, out=np.zeros(len(H)), where=signal > 0.0)
-        return FrequencyResponse(self.hz, H, coherence, self.power, self.averages)
-
-    def at(self, place: tuple[float, float]) -> Complex:
-        """Return the matrix (k, 2, 2) at a place (x, y), mm."""
-        away = np.subtract(place, self.middle)
-        return np.asarray(self.G + np.einsum("c,kcij->kij", away, self.slopes))
-
-
-def full_response(runs: Sequence[DirectedRun]) -> FullResponse:
-    """Return the matrix from runs on the same frequencies.
-
-    Raises IdentificationError if all runs that move both axes have one direction: x and y cannot
-    be told apart.
-    """
-    responses = [response for run in runs for response in (run.x, run.y)]
-    check_same_frequencies(responses)
-    directions = np.array([np.divide(run.direction, np.hypot(*run.direction)) for run in runs])
-    places = np.array([run.place for run in runs])
-    middle = places.mean(axis=0)
-    names, A = _columns(directions, places - middle)
-    hz, averages = responses[0].hz, min(response.averages for response in responses)
-    G, variance = np.zeros((len(hz), 2, 2), complex), np.zeros((len(hz), 2, 2))
-    slopes = np.zeros((len(hz), 2, 2, 2), complex)
-    for i, responses in enumerate(([run.x for run in runs], [run.y for run in runs])):
-        solution, covariance = _solved(A, responses)
-        for column, (j, c) in enumerate(names):
-            if c is None:
-                G[:, i, j], variance[:, i, j] = solution[:, column], covariance[:, column]
-            else:
-                slopes[:, c, i, j] = solution[:, column]
-    known = {j for j, _ in names}
-    return FullResponse(
-        hz, G, variance, slopes, (float(middle[0]), float(middle[1])), (0 in known, 1 in known),
-        np.mean([response.power for response in responses], axis=0), averages,
-    )  # fmt: skip
-
-
-def _columns(directions: Array, away: Array) -> tuple[list[tuple[int, int | None]], Array]:
-    """Return which entries are free, as (command, None or place coordinate), and their columns."""
-    moved = [j for j in (0, 1) if np.abs(directions[:, j]).max() > 1e-6]
-    A = directions[:, moved]
-    names: list[tuple[int, int | None]] = [(j, None) for j in moved]
-    if np.linalg.matrix_rank(A, 0.1) < len(moved):
-        raise IdentificationError(
-            "runs along one diagonal alone do not tell x from y. Add a run along the other "
-            "diagonal (TEST_RESONANCES AXIS=1,-1 as well as AXIS=1,1), or one along x or y"
-        )
-    for j in moved:
-        for c in (0, 1):
-            column = directions[:, j] * away[:, c]
-            free = column - A @ np.linalg.lstsq(A, column, rcond=None)[0]
-            if np.linalg.norm(free) >= LEAST_SPREAD:
-                A = np.column_stack([A, column])
-                names.append((j, c))
-    return names, A
-
-
-def _solved(A: Array, responses: Sequence[FrequencyResponse]) -> tuple[Complex, Array]:
-    """Return the unknowns and variances, (k, m) each, from responses to the columns (n, m)."""
-    H = np.array([response.H for response in responses])
-    noise = np.array([response.noise for response in responses]) * np.abs(H)
-    # places are on a line no better than this share of the strongest of them
-    least = NOISE_FLOOR * np.abs(H).max(axis=0) + 1e-9
-    variance = noise**2 + least**2
-    weighted = np.einsum("nm,nk->kmn", A, 1.0 / variance)
-    inverse = np.linalg.inv(weighted @ A)
-    solution = np.einsum("kml,kln,nk->km", inverse, weighted, H)
-    return solution, np.einsum("kmm->km", inverse)
-
-
 ROCKING = 1.0 / 3.0  # of the lowest resonance, below which a frame rocks
 
 
@@ -185,41 +60,17 @@ class Crossed:
 def crossed(axis: int, group: RunGroup, band_hz: tuple[float, float]) -> list[Crossed]:
     """Return what each recording shows of a command in an axis, X or Y, within what is excited.
 
+    A test along a diagonal does not tell what each of the two commands does.
     Far below the resonances the frame may rock on its table, and sideways, too: that is left out.
     """
     rocking = ROCKING * min(group.lowest_hz, band_hz[1])  # a stiff printer has no resonance
     low, high = group.excited_hz
     band = max(band_hz[0], low, rocking), min(band_hz[1], high)
-    alone = [run for run in group.runs if run.direction and run.direction[1 - axis] == 0.0]
-    found = [
-        Crossed(run.response, run.across, run.point) for run in alone if run.across is not None
-    ]
     return [
-        replace(one, along=one.along.within(band), across=one.across.within(band))
-        for one in found or _of_diagonals(axis, group.runs)
+        Crossed(run.response.within(band), run.across.within(band), run.point)
+        for run in group.runs
+        if run.across is not None and run.direction and run.direction[1 - axis] == 0.0
     ]
-
-
-def _of_diagonals(axis: int, runs: Sequence[RunResponse]) -> list[Crossed]:
-    """Return what a command in an axis does, from all runs along diagonals together.
-
-    It is a difference of recordings whose starts are not known to each other, wrong alike if all
-    are repeated. So it counts as one recording.
-    """
-    directed = [_directed(axis, run) for run in runs if run.across is not None]
-    try:
-        full = full_response(directed)
-    except IdentificationError:  # all have one direction
-        return []
-    return [Crossed(full.entry(axis, axis), full.entry(1 - axis, axis), full.middle)]
-
-
-def _directed(axis: int, run: RunResponse) -> DirectedRun:
-    assert run.direction is not None
-    moved = run.scaled(run.direction[axis])  # per motion along the diagonal
-    assert moved.across is not None
-    x, y = (moved.response, moved.across)[:: 1 if axis == X else -1]
-    return DirectedRun(run.direction, run.point, x, y)
 
 
 BEFORE, AFTER = 4, 250  # samples of q before and after the command; modes may ring for longer

@@ -17,6 +17,7 @@ from typing import Any
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.identification.estimation.measured import Run
 from hframe_post.identification.recordings import accelerometer
 from hframe_post.identification.recordings.clock import QUIET, known_start, on_command_clock
 from hframe_post.identification.recordings.folder import (
@@ -36,7 +37,6 @@ from hframe_post.identification.recordings.resonance_test import (
     ResonanceTest,
     probe_points,
 )
-from hframe_post.identification.responses.measured import Run
 from hframe_post.printer.settings import Travel
 
 ALIKE = 0.9  # cosine between two sensors' views of one axis, from which they are mounted alike

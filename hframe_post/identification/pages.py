@@ -10,9 +10,9 @@ from scipy.signal import find_peaks
 from hframe_post.arrays import TS, Array, Complex, X, Y
 from hframe_post.identification.coupling import MeasuredCoupling
 from hframe_post.identification.estimation.axes import Fit, Measured
-from hframe_post.identification.identified import AXIS
+from hframe_post.identification.estimation.frequency_response import FrequencyResponse
+from hframe_post.identification.identify import AXIS
 from hframe_post.identification.report import IdentificationReport
-from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from hframe_post.identification.verify import Verdict
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.page.charts import Card, Chart, Curve, Section, page
@@ -182,7 +182,7 @@ def _coupling_chart(coupling: MeasuredCoupling) -> Chart:
 
 
 def verification_page(verdict: Verdict, name: str, setup: list[tuple[str, str]]) -> bytes:
-    measured, predicted, ringing = verdict.measured, verdict.predicted, verdict.ringing
+    measured, predicted = verdict.measured, verdict.predicted
     kind = "bad" if verdict.fault else "best"
     reduction = f"{100 * verdict.reduction:.0f}"
     cards = [
@@ -190,7 +190,6 @@ def verification_page(verdict: Verdict, name: str, setup: list[tuple[str, str]])
              f"{100 * verdict.expected:.0f} % predicted", kind),
         Card("Measured", f"{measured[1]:.1f}", "µm RMS", f"{measured[0]:.1f} µm without"),
         Card("Predicted", f"{predicted[1]:.1f}", "µm RMS", f"{predicted[0]:.1f} µm without"),
-        Card("Ringing after corners", f"{ringing[1]:.0f}", "mm/s²", f"{ringing[0]:.0f} without"),
         Card("Model misses", f"{100 * verdict.unexplained:.0f}", "%",
              "of the nozzle's motion off its path"),
     ]  # fmt: skip

@@ -29,14 +29,10 @@ SIDE, ROUNDS = 5.0, 3  # mm of a square's side, and how often it is gone round
 
 @dataclass(frozen=True, slots=True)
 class Recommendation:
-    """The windows of x and y for an identified plant, and their predicted effect.
-
-    rms_of_others: contour error in µm RMS of other plants that were measured, too.
-    """
+    """The windows of x and y for an identified plant, and their predicted effect."""
 
     windows: tuple[Window, Window]
     predicted: SimulationReport
-    rms_of_others: list[float]
 
     def rms(self, strategy: str) -> float:
         """Return the predicted contour error of the rectangle, µm: the median of its range."""
@@ -77,19 +73,16 @@ class Recommendation:
 
 
 @one_blas_thread()
-def recommend(
-    plant: Plant, profile: Printer, model_error: float, others: Sequence[Plant] = ()
-) -> Recommendation | None:
+def recommend(plant: Plant, profile: Printer, model_error: float) -> Recommendation | None:
     """Return the best windows for ``plant`` on the machine of ``profile``.
 
     Measured responses get the same ones on every printer that can follow, since their solver knows
     how well they are known. model_error: share by which the printer may differ from the plant; the
-    windows are judged on ten random printers that differ by as much, and on ``others``. None if the
-    motors can follow no window, or if one of these printers would be worse off than without
-    compensation.
+    windows are judged on ten random printers that differ by as much. None if the motors can follow
+    no window, or if one of these printers would be worse off than without compensation.
     """
     updated = replace(profile, plant=plant, name="the identified printer")
-    printers = [*draws(plant, model_error, RANDOM, seed=0), *others]
+    printers = draws(plant, model_error, RANDOM, seed=0)
     best = _best(updated, printers)
     if best is None:
         return None
@@ -105,9 +98,7 @@ def recommend(
     (similar,) = predicted.model_error
     if similar.better("racking", "none") < len(printers):
         return None
-    rms = [1e3 * error for error in similar.rms("racking")]
-    known = replace(predicted, model_error=())
-    return Recommendation(best.windows, known, rms[RANDOM:])
+    return Recommendation(best.windows, replace(predicted, model_error=()))
 
 
 def _best(printer: Printer, printers: list[Plant]) -> Trial | None:

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hframe_post.identification.gather import Gathered
-from hframe_post.identification.identified import AXIS, Identified
-from hframe_post.identification.identify import MeasurementSettings, identify
+from hframe_post.identification.identify import AXIS, Identified, MeasurementSettings, identify
 from hframe_post.identification.recommend import Recommendation, recommend
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
@@ -28,8 +27,7 @@ def conclude(
     middle = sum(profile.travel.x) / 2.0
     plant, compensation = found.plant(middle), None
     if found.refusal is None:
-        others = found.other_plants(middle)
-        compensation = recommend(plant, profile, found.model_error, others)
+        compensation = recommend(plant, profile, found.model_error)
     return IdentificationReport(found, plant, compensation, gathered)
 
 
@@ -94,7 +92,6 @@ class IdentificationReport:
         if identified.mode_shift is not None and not moves:
             messages.append(
                 f"{identified.mode_shift.message}. The profile's one model is that of the middle"
-                + self._error_at_ends()
             )
         elif along_x > 0.2 and not moves and "Gxx" not in identified.repetitions:
             messages.append(
@@ -117,29 +114,12 @@ class IdentificationReport:
         none = self.compensation.rms("none")
         return f". Up to {share * none:.0f} of the {none:.0f} µm without compensation may remain"
 
-    def _error_at_ends(self) -> str:
-        if self.compensation is None or not self.compensation.rms_of_others:
-            return ""
-        worst = max(self.compensation.rms_of_others[:2])
-        return f". At the ends of x the rectangle's contour error would be {worst:.0f} µm"
-
     def _repetitions(self) -> list[str]:
-        repeated = self.identified.repetitions
-        if not repeated:
-            return []
-        parts = ", ".join(
-            f"recordings of {AXIS[name]} differ by {100 * one.share:.0f} %"
-            for name, one in repeated.items()
-        )
-        if self.compensation is None:
-            return [parts]
-        count = sum(len(one.functions) for one in repeated.values())
-        errors = self.compensation.rms_of_others[-count:]
-        none = self.compensation.rms("none")
-        return [
-            f"{parts}; with the printer of a single recording, the rectangle would keep "
-            f"{min(errors):.1f} to {max(errors):.1f} of {none:.1f} µm"
+        parts = [
+            f"recordings of {AXIS[name]} differ by {100 * share:.0f} %"
+            for name, share in self.identified.repetitions.items()
         ]
+        return [", ".join(parts)] if parts else []
 
     def notes(self) -> list[str]:
         missing = [axis for axis in "xy" if axis not in self.identified.gains]
@@ -206,7 +186,7 @@ class IdentificationReport:
             "x_c": {"mm": round(self.plant.x_c, 3), "measured": identified.x_c is not None},
             "uncertainty": uncertainty,
             "coupling": [one.as_json() for one in identified.couplings],
-            "repeats": {name: round(one.share, 4) for name, one in identified.repetitions.items()},
+            "repeats": {name: round(share, 4) for name, share in identified.repetitions.items()},
             "sensor_gain": {axis: round(gain, 5) for axis, gain in identified.gains.items()},
             **(self.compensation.as_json() if self.compensation else {}),
             **self.gathered.as_json(),

@@ -22,9 +22,9 @@ from hframe_post.arrays import TS, Array, Complex, Flags, X, Y, Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError, IdentificationError, LimitError
+from hframe_post.identification.estimation.measured import Run
 from hframe_post.identification.recordings.clock import acceleration
 from hframe_post.identification.recordings.runs import PlannedRun, check_records
-from hframe_post.identification.responses.measured import Run
 from hframe_post.model.nozzle import nozzle
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer
@@ -137,18 +137,6 @@ def motion_of(wanted: Array) -> slice:
     return slice(int(moving[0]), int(moving[-1]) + 1)
 
 
-def after_corners(wanted: Array) -> Flags:
-    """Flag the samples (m,) within 150 ms after a corner of the path, a turn of over 0.3 rad."""
-    step = np.diff(wanted, axis=0, append=wanted[-1:])
-    moving = np.flatnonzero((step != 0.0).any(axis=1))
-    heading = np.arctan2(step[moving, Y], step[moving, X])
-    turn = np.abs(np.angle(np.exp(1j * np.diff(heading))))
-    flags = np.zeros(len(wanted), dtype=bool)
-    for k in moving[1:][turn > 0.3].tolist():
-        flags[k : k + 150] = True
-    return flags
-
-
 LOW_HZ, FLAT_HZ, HIGH_HZ = 3.0, 6.0, 120.0  # band of the integration, complete from FLAT_HZ on
 GAIN_HZ = (2.0, 9.0)  # slow motion, which any printer follows and any model predicts alike
 HARMLESS_DELAY = 5e-3  # s of both axes alike: the nozzle is on the path, only later
@@ -165,7 +153,7 @@ LEAST_COUPLING = 0.5  # of the model's, likewise: with less its compensation mak
 class Verdict:
     """What both recordings show; each pair is (plain, compensated).
 
-    measured, predicted: contour error, µm RMS. ringing: acceleration after corners, mm/s² RMS.
+    measured, predicted: contour error, µm RMS.
     unexplained: share of the nozzle's motion off its path that the model did not predict.
     racking, coupling: measured racking and other couplings relative to the model's, and standard
     deviations; None if the model has none. at (n,): s, of the contour errors (n,) in µm along the
@@ -174,7 +162,6 @@ class Verdict:
 
     measured: Sequence[float]
     predicted: Sequence[float]
-    ringing: Sequence[float]
     unexplained: float
     racking: tuple[float, float] | None
     coupling: tuple[float, float] | None
@@ -231,7 +218,6 @@ class Verdict:
         rows = [
             ("contour error measured", self.measured, "µm"),
             ("contour error predicted", self.predicted, "µm"),
-            ("ringing after corners", self.ringing, "mm/s²"),
         ]
         lines = [f"{'RMS':26s}{'plain':>10s}{'compensated':>14s}"]
         lines += [f"{name:26s}{a:10.1f}{b:14.1f}  {unit}" for name, (a, b), unit in rows]
@@ -244,8 +230,7 @@ class Verdict:
         return "\n".join([*lines, f"VERDICT     {verdict}"])
 
     def as_json(self) -> dict[str, object]:
-        pairs = {"measured_um": self.measured, "predicted_um": self.predicted,
-                 "ringing": self.ringing}  # fmt: skip
+        pairs = {"measured_um": self.measured, "predicted_um": self.predicted}
         rounded = {
             name: {"plain": round(a, 3), "compensated": round(b, 3)}
             for name, (a, b) in pairs.items()
@@ -302,7 +287,7 @@ def compare_runs(printer: Printer, plain: Run, compensated: Run) -> Verdict:
     inside = np.zeros(len(wanted), dtype=bool)
     inside[motion_of(wanted)] = True
     moving = (np.diff(wanted, axis=0, append=wanted[-1:]) != 0.0).any(axis=1) & inside
-    at, after, a_path = np.flatnonzero(moving), after_corners(wanted) & inside, _curved(wanted)
+    at, a_path = np.flatnonzero(moving), _curved(wanted)
     runs = [measured_run(printer, run) for run in (plain, compensated)]
     measured = [1e3 * contour_error(wanted, run.place, at) for run in runs]
     predicted = [1e3 * contour_error(wanted, run.predicted, at) for run in runs]
@@ -314,7 +299,6 @@ def compare_runs(printer: Printer, plain: Run, compensated: Run) -> Verdict:
     return Verdict(
         [_rms(error, less) for error, less in zip(measured, noise, strict=True)],
         [_rms(error) for error in predicted],
-        [_rms(np.linalg.norm((run.a - a_path)[after], axis=1)) for run in runs],
         missed / max(off_path, 1e-9), racking, coupling, np.asarray(TS * at), measured, predicted,
     )  # fmt: skip
 

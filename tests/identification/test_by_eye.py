@@ -11,13 +11,14 @@ import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.errors import HframeError, IdentificationError
-from hframe_post.identification.by_eye.form import Filled, filled, form
-from hframe_post.identification.by_eye.tower import SIDE, bands, squares, tower
-from hframe_post.identification.by_eye.waves import (
-    Band,
+from hframe_post.identification.by_eye import (
+    Filled,
     Reading,
+    filled,
+    form,
     printed_mode,
 )
+from hframe_post.identification.tower import SIDE, Band, bands, squares, tower
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -264,7 +265,7 @@ def test_mistakes_are_errors(tmp_path: Path) -> None:
         (("--heat", "warm"), 2, b"nozzle and bed"),
         ((), 2, b"give the temperatures of your filament"),
         (("--compare", "6%", "--pick", "0", "0"), 2, b"give one of"),
-        (("--compare", "6%"), 1, b"not measured on your printer"),
+        (("--compare", "6%"), 1, b"not measured yet"),
         (("--advance", "0.04"), 2, b"--advance is gone: write extruder.advance"),
         (("--advance-lines", "0.1"), 2, b"--advance-lines is gone: slicers print"),
     ):

@@ -63,7 +63,9 @@ def off(found: ImpulseResponse, true: ImpulseResponse) -> float:
     return float(np.linalg.norm(G - H) / np.linalg.norm(H - 1.0 / hz**2))
 
 
-@pytest.mark.parametrize(("percent", "noise"), [(-5.0, 4.0), (1.0, 20.0)])
+@pytest.mark.parametrize(
+    ("percent", "noise"), [pytest.param(-5.0, 4.0, marks=pytest.mark.slow), (1.0, 20.0)]
+)
 def test_a_frequency_is_found_to_a_tenth_of_a_percent(percent: float, noise: float) -> None:
     now = changed(MACHINE, hz=32.0 * (1.0 + percent / 100.0))
     found = checked(now, replace(CHIP, noise=noise), PROFILE, 3)
@@ -73,9 +75,7 @@ def test_a_frequency_is_found_to_a_tenth_of_a_percent(percent: float, noise: flo
     assert found["Gxx"].height[1] == pytest.approx(height, rel=0.03)
     assert off(found["Gxx"].G, now.exact().Gxx) < 0.02
     assert not found["Gyy"].certain
-    # y has not moved; at five times the noise of an ADXL345 that shows to 0.3 %
-    same = pytest.approx(peak(MACHINE.exact().Gyy)[0], rel=1e-3 if noise < 10.0 else 3e-3)
-    assert found["Gyy"].hz[1] == same
+    assert found["Gyy"].hz[1] == pytest.approx(peak(MACHINE.exact().Gyy)[0], rel=1e-3)
 
 
 @pytest.mark.slow

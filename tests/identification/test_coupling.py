@@ -1,4 +1,4 @@
-"""Printers whose modes move x and y together: found from runs in any directions, and told apart."""
+"""Printers whose modes move x and y together: what recordings share of it is found."""
 
 from __future__ import annotations
 
@@ -9,33 +9,23 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array, Complex
-from hframe_post.errors import IdentificationError
 from hframe_post.identification.coupling import (
     Crossed,
-    DirectedRun,
-    FullResponse,
     MeasuredCoupling,
-    crossed,
     find_coupling,
-    full_response,
     in_print,
 )
 from hframe_post.identification.estimation import known_start
-from hframe_post.identification.estimation.regression import Estimated
-from hframe_post.identification.recordings.clock import acceleration
-from hframe_post.identification.responses.frequency_response import (
+from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     advanced,
-    estimate,
 )
-from hframe_post.identification.responses.measured import RunGroup, RunResponse
-from tests.recordings import sweep
+from hframe_post.identification.estimation.regression import Estimated
 
 BAND = (4.0, 100.0)
 HZ = np.arange(BAND[0], BAND[1], 0.125)
 AVERAGES = 12.0
-COMMAND = acceleration(sweep(rate=10.0, marks=False))
-MIDDLE, X_C = (140.0, 150.0), 120.0  # mm
+X_C = 120.0  # mm
 Pair = tuple[FrequencyResponse, FrequencyResponse]
 
 
@@ -85,22 +75,9 @@ class Coupled:
         )
         return first, second
 
-    def swept(self, direction: tuple[float, float], seed: int) -> DirectedRun:
-        """Return a run from samples of a sensor with noise of 50 mm/s²."""
-        n = len(COMMAND)
-        d = np.divide(direction, np.hypot(*direction))
-        hz = np.asarray(np.fft.rfftfreq(n, TS), dtype=np.float64)
-        a = np.fft.irfft((self._sensed(hz, X_C) @ d).T * np.fft.rfft(COMMAND, n), n)
-        a += 50.0 * np.random.default_rng(seed).standard_normal(a.shape)
-        first, second = (estimate(COMMAND, each).within(BAND) for each in a)
-        return DirectedRun(direction, MIDDLE, first, second)
-
     def _sensed(self, hz: Array, x: float) -> Complex:
         c, s = np.cos(self.turned), np.sin(self.turned)
         return np.asarray(np.array([[c, s], [-s, c]]) @ self.response(hz, x))
-
-    def run(self, direction: tuple[float, float], seed: int, x: float = X_C) -> DirectedRun:
-        return DirectedRun(direction, (x, 150.0), *self.measured(direction, seed, x))
 
 
 def _mode(s: Complex, hz: float, zeta: float) -> Complex:
@@ -155,72 +132,6 @@ def _straight(response: FrequencyResponse) -> FrequencyResponse:
 
 def off(found: Complex, true: Complex) -> float:
     return float(np.linalg.norm(found - true) / np.linalg.norm(true))
-
-
-def check_entries(found: FullResponse, printer: Coupled, limit: float) -> None:
-    true = printer.response(found.hz, found.middle[0])
-    for answer in (0, 1):
-        for command in (0, 1):
-            one = found.entry(answer, command)
-            w = np.sqrt(one.power)
-            assert off(w * one.H, w * true[:, answer, command]) < limit, (answer, command)
-
-
-# ---------------------------------------------------------------------- the full response
-
-
-def test_two_diagonals_tell_all_four_entries() -> None:
-    printer = Coupled()
-    found = full_response([printer.swept((1.0, 1.0), 1), printer.swept((1.0, -1.0), 2)])
-    assert found.commanded == (True, True)
-    assert not found.slopes.any()
-    check_entries(found, printer, 0.06)
-
-
-def test_more_runs_lower_the_noise_and_one_axis_tells_its_column() -> None:
-    printer = Coupled()
-    two = full_response([printer.run((1.0, 0.0), 1), printer.run((0.0, 1.0), 2)])
-    four = full_response([printer.run(d, k) for k, d in enumerate(
-        ((1.0, 0.0), (0.0, 1.0), (3.0, 3.0), (1.0, -1.0)))])  # fmt: skip
-    assert np.median(four.variance[:, 1, 0] / two.variance[:, 1, 0]) == pytest.approx(0.5, abs=0.2)
-    check_entries(four, printer, 0.06)
-    alone = full_response([printer.run((1.0, 0.0), 1)])
-    assert alone.commanded == (True, False)
-    assert not alone.G[:, :, 1].any()
-    assert off(alone.G[:, 1, 0], two.G[:, 1, 0]) < 1e-9
-
-
-@pytest.mark.parametrize("directions", [((1.0, 0.0), (0.0, 1.0)), ((1.0, 1.0), (1.0, -1.0))])
-def test_five_places_tell_the_lever_arm_of_racking(
-    directions: tuple[tuple[float, float], ...],
-) -> None:
-    printer = Coupled(racking=2e-8)
-    places = (80.0, 110.0, 140.0, 170.0, 200.0)
-    runs = [printer.run(d, int(x) + k, x) for k, d in enumerate(directions) for x in places]
-    found = full_response(runs)
-    assert found.middle == MIDDLE
-    check_entries(found, printer, 0.05)
-    far, near = printer.response(found.hz, 200.0), printer.response(found.hz, 80.0)
-    lever = ((far - near) / 120.0)[:, 1, 0]
-    w = np.sqrt(found.power)
-    assert off(w * found.slopes[:, 0, 1, 0], w * lever) < 0.1
-    assert not found.slopes[:, 1].any()  # all places have one y
-    assert off(found.at((80.0, 150.0))[:, 1, 0], near[:, 1, 0]) < 0.1
-
-
-def test_one_diagonal_alone_is_an_error() -> None:
-    printer = Coupled()
-    with pytest.raises(IdentificationError, match=r"AXIS=1,-1"):
-        full_response([printer.run((1.0, 1.0), k) for k in range(2)])
-
-
-def test_runs_of_other_frequencies_are_an_error() -> None:
-    x, y = Coupled().measured((1.0, 0.0), 1)
-    with pytest.raises(IdentificationError, match="frequencies"):
-        full_response([DirectedRun((1.0, 0.0), (0.0, 0.0), x, y.within((10.0, 90.0)))])
-
-
-# ---------------------------------------------------------------------- coupling
 
 
 @pytest.mark.parametrize(
@@ -336,16 +247,3 @@ def test_a_change_along_x_is_not_found_twice_nor_from_two_places() -> None:
     # two places tell a line, and not whether it is one
     two = at_places(tuple((Coupled(racking=2e-8), x) for x in (80.0, 200.0)))
     assert all(one.along is None for one in two.terms)
-
-
-def test_diagonals_are_one_recording_however_many() -> None:
-    printer, runs = Coupled(), []
-    for seed, sign in enumerate((1.0, 1.0, -1.0, -1.0, 1.0)):
-        d = (0.5**0.5, sign * 0.5**0.5)
-        x, y = (replace(one, H=one.H / d[0]) for one in printer.measured(d, seed))
-        runs.append(RunResponse(X_C, x, x, 0.0, y, d, (X_C, 150.0)))
-    (found,) = crossed(0, RunGroup(runs, (0.0, 0.0), (4.0, 200.0), 32.0, 32.0), BAND)
-    true = printer.response(found.along.hz)
-    assert off(found.along.H, true[:, 0, 0]) < 0.05
-    assert off(found.across.H, true[:, 1, 0]) < 0.05
-    assert not crossed(0, RunGroup(runs[:2], (0.0, 0.0), (4.0, 200.0), 32.0, 32.0), BAND)

@@ -9,6 +9,7 @@ from scipy import linalg
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation import regression
+from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.estimation.known_start import estimated
 from hframe_post.identification.estimation.regression import (
     AMPLITUDE,
@@ -19,7 +20,6 @@ from hframe_post.identification.estimation.regression import (
     regress,
     ringing,
 )
-from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from tests.modes import axis_mode
 from tests.quantities import below
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.responses.frequency_response import (
+from hframe_post.identification.estimation.frequency_response import (
     SEGMENT,
     FrequencyResponse,
     average,

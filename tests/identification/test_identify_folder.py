@@ -17,9 +17,9 @@ from hframe_post.cli.main import main
 from hframe_post.errors import IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.settings import text_from_klipper
+from hframe_post.identification.estimation.measured import MeasurementSettings
+from hframe_post.identification.estimation.uncalibrated import uncalibrated_responses
 from hframe_post.identification.gather import from_folders
-from hframe_post.identification.responses.measured import MeasurementSettings
-from hframe_post.identification.responses.uncalibrated import uncalibrated_responses
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
 from tests.profiles import with_plant

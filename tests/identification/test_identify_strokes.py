@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
+from hframe_post.identification.estimation.measured import stroke_responses
 from hframe_post.identification.identify import MeasurementSettings
 from hframe_post.identification.recordings.formats import command_csv
 from hframe_post.identification.recordings.strokes import runs
-from hframe_post.identification.responses.measured import stroke_responses
 from tests.command_line import run as run_command
 from tests.quantities import below
 from tests.random_printers import BAND, drawn, identified, judged, printer, struck

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Complex
+from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.estimation.modes import described
 from hframe_post.identification.estimation.regression import Mode
-from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from tests.identification.modal_tools import HZ, TWO, continuous
 
 ROUGH = [Mode(2.0 * np.pi * TS * hz, 0.1) for hz in (33.0, 66.0)]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
+from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.places import lever_arm_uncertainty
-from hframe_post.identification.responses.frequency_response import FrequencyResponse
 from tests.identification.modal_tools import HZ, TWO, continuous
 
 

@@ -12,9 +12,9 @@ import hframe_post as hp
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation.axes import Excited, Fit, fit_unknown_start
+from hframe_post.identification.estimation.frequency_response import FrequencyResponse, share_left
 from hframe_post.identification.estimation.unknown_start import estimated
-from hframe_post.identification.identified import DRIFT, DRIFT_ALONE, Identified
-from hframe_post.identification.responses.frequency_response import FrequencyResponse, share_left
+from hframe_post.identification.identify import DRIFT, DRIFT_ALONE, Identified
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import shaper

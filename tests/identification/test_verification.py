@@ -56,9 +56,7 @@ def test_the_reduction_is_measured(changed: dict[str, float]) -> None:
 def test_a_profile_that_brings_far_less_than_predicted_fails(left: float, good: bool) -> None:
     """Of 100 µm, 80 are to go: less than 48 that go are a failure."""
     none = np.zeros(0)
-    found = Verdict(
-        (100.0, left), (100.0, 20.0), (1.0, 1.0), 0.1, None, None, none, (none, none), (none, none)
-    )
+    found = Verdict((100.0, left), (100.0, 20.0), 0.1, None, None, none, (none, none), (none, none))
     assert (found.fault is None) == good, f"{100.0 - left:g} of 80 µm removed: {found.fault}"
     if not good:
         assert f"removes {100.0 - left:.0f} % of the error, not the 80 %" in str(found.fault)
@@ -67,9 +65,7 @@ def test_a_profile_that_brings_far_less_than_predicted_fails(left: float, good: 
 def test_little_reduction_and_much_that_is_not_explained_fail() -> None:
     """However right the model is about the reduction."""
     none = np.zeros(0)
-    good = Verdict(
-        (100.0, 79.0), (100.0, 75.0), (1.0, 1.0), 0.3, None, None, none, (none, none), (none, none)
-    )
+    good = Verdict((100.0, 79.0), (100.0, 75.0), 0.3, None, None, none, (none, none), (none, none))
     assert good.fault is None
     assert "removes 19 % of the error" in str(replace(good, measured=(100.0, 81.0)).fault)
     assert "misses 36 %" in str(replace(good, unexplained=0.36).fault)

@@ -15,14 +15,14 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.estimation import known_start, unknown_start
-from hframe_post.identification.estimation.modes import Modes, described
-from hframe_post.identification.estimation.regression import Estimated, Mode
-from hframe_post.identification.responses.frequency_response import (
+from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     advanced,
     average,
     share_left,
 )
+from hframe_post.identification.estimation.modes import Modes, described
+from hframe_post.identification.estimation.regression import Estimated, Mode
 from hframe_post.model.impulse_response import ImpulseResponse
 
 RINGS = 0.3  # damping ratio below which a mode visibly rings
@@ -216,15 +216,6 @@ def _assumed_below(
     low = measured.hz < resonance_hz * unknown_start.MEASURED
     H = np.where(low, modes.response(measured.hz), measured.H)
     return replace(measured, H=H, coherence=np.where(low, ASSUMED, measured.coherence))
-
-
-def response_again(found: Fit, run: FrequencyResponse) -> ImpulseResponse:
-    """Return the response of one of the recordings that ``fit_unknown_start`` was made of."""
-    if found.measured.prior is None or found.sum is None:
-        return unknown_start.estimated(run).G
-    assumed = _assumed_below(found.measured.resonance_hz, run, found.sum)
-    scaled = advanced(replace(assumed, H=assumed.H / found.gain), found.recording_delay)
-    return known_start.estimated(scaled, (1.0, GAIN_BY_MODES), found.measured.prior).G
 
 
 def _with_an_ideal_mode(axis: Excited) -> Fit:

@@ -18,6 +18,11 @@ from scipy.ndimage import uniform_filter1d
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.estimation.frequency_response import (
+    SENSOR,
+    FrequencyResponse,
+    largest_response,
+)
 from hframe_post.identification.estimation.regression import (
     LEAST_GAIN,
     Data,
@@ -28,11 +33,6 @@ from hframe_post.identification.estimation.regression import (
     regress,
     transfer,
 )
-from hframe_post.identification.responses.frequency_response import (
-    SENSOR,
-    FrequencyResponse,
-    largest_response,
-)
 from hframe_post.model.impulse_response import ImpulseResponse
 
 BEFORE = 4  # samples of q before the command, since it is band-limited
@@ -40,7 +40,7 @@ AFTER = 436  # samples in which it decays; modes may ring for longer
 LONGEST = 1900  # samples of q
 SILENT = 2e-3  # of the largest q
 NOISE_HZ = 4.0  # over which the noise is alike
-NOISE = 0.1  # share of command and response that counts as noise at first
+NOISE = 0.1  # share of command and response that counts as noise at first, at the least
 LEAST_NOISE = 2e-3  # and at least
 LAG_SD = 10.0  # samples
 LEAST_FREQUENCIES = 50
@@ -109,7 +109,7 @@ def _regressed(
     least = power * (np.abs(H) ** 2 + 1.0) / measured.averages
     own = np.maximum(power * (measured.noise * np.abs(H)) ** 2, LEAST_NOISE**2 * least)
     left = np.zeros(len(H))
-    for noise in (NOISE**2 * least, own, own):
+    for noise in (np.maximum(NOISE**2 * least, own), own, own):
         weight = np.sqrt(2.0 * power / _smoothed(noise + left, measured.hz))
         data = linear.data(weight, sensor[1])
         found = regress(data, prior)

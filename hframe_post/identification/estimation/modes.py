@@ -22,8 +22,8 @@ import numpy as np
 from scipy import linalg, optimize
 
 from hframe_post.arrays import TS, Array, Complex
+from hframe_post.identification.estimation.frequency_response import FrequencyResponse, weights
 from hframe_post.identification.estimation.regression import Mode
-from hframe_post.identification.responses.frequency_response import FrequencyResponse, weights
 
 DAMPING = (0.004, 0.95)  # bounds of a mode's damping ratio
 ABOVE = 1.3  # times what was measured, up to which modes may lie

@@ -22,8 +22,8 @@ from scipy import linalg
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.estimation.frequency_response import BANDWIDTH, FrequencyResponse
 from hframe_post.identification.estimation.regression import Estimated
-from hframe_post.identification.responses.frequency_response import BANDWIDTH, FrequencyResponse
 from hframe_post.model.impulse_response import ImpulseResponse
 
 AFTER, BEFORE = 400, 12  # samples of h; band-limited, it begins before the command

@@ -8,7 +8,7 @@ Behind a corner a wall shows the waves of the axis that has just stopped there:
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import dist, pi
 
@@ -20,7 +20,6 @@ from hframe_post.errors import HframeError
 from hframe_post.firmware.code import Code, plain
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import OFF, STAMP
-from hframe_post.identification.by_eye.waves import Band
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Limits, Printer
 from hframe_post.stream.types import ModalState
@@ -37,6 +36,14 @@ HARDEST_JERK = 5e7  # mm/s³, of squares to compare
 COLD = ["M82", "G92 E0", "M104 S0", "M140 S0", "M106 S0"]  # and E as firmwares begin with it
 Place = tuple[float, float]  # x and y, mm
 Heat = tuple[float, float]  # °C of nozzle and bed
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """A part of the wall: its speed and that of its corners, mm/s."""
+
+    speed: float
+    corner: float
 
 
 def bands(printer: Printer) -> list[Band]:

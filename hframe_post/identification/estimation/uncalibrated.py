@@ -22,22 +22,22 @@ from scipy.signal import find_peaks
 
 from hframe_post.arrays import Array, Complex, Flags, X, Y
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.clock import (
-    SelfAligned,
-    acceleration,
-    not_found,
-    self_aligned,
-)
-from hframe_post.identification.responses.frequency_response import (
+from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     estimate,
 )
-from hframe_post.identification.responses.measured import (
+from hframe_post.identification.estimation.measured import (
     MeasurementSettings,
     Run,
     RunGroup,
     RunResponse,
     with_common_delay,
+)
+from hframe_post.identification.recordings.clock import (
+    SelfAligned,
+    acceleration,
+    not_found,
+    self_aligned,
 )
 
 EXCITED = 0.1  # of a test's usual power, from which a frequency counts as excited

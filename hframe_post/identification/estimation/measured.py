@@ -31,9 +31,7 @@ from scipy import signal
 
 from hframe_post.arrays import Array, Complex, X, Y
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.accelerometer import Recording
-from hframe_post.identification.recordings.clock import KnownStart, acceleration, on_command_clock
-from hframe_post.identification.responses.frequency_response import (
+from hframe_post.identification.estimation.frequency_response import (
     BANDWIDTH,
     OVERLAP,
     RATE_HZ,
@@ -43,6 +41,8 @@ from hframe_post.identification.responses.frequency_response import (
     advanced,
     delays,
 )
+from hframe_post.identification.recordings.accelerometer import Recording
+from hframe_post.identification.recordings.clock import KnownStart, acceleration, on_command_clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +211,7 @@ def line(places: Sequence[float], responses: Sequence[FrequencyResponse]) -> Lin
     weights = arm / (arm @ arm)
     averages = min(r.averages for r in responses)
     slope, at_middle = weights @ H, H.mean(axis=0)
-    noise = np.array([_noise(r) for r in responses])
+    noise = np.array([_noise(r) / r.averages for r in responses])
     power = np.mean([r.power for r in responses], axis=0)
     by_arm = np.outer(arm, slope)
     off = H - at_middle - by_arm
@@ -222,7 +222,8 @@ def line(places: Sequence[float], responses: Sequence[FrequencyResponse]) -> Lin
 
     def response(value: Complex, noise: Array) -> FrequencyResponse:
         signal = np.abs(value) ** 2
-        coherence = np.divide(signal, signal + noise, out=np.zeros(len(signal)), where=signal > 0.0)
+        power_of_all = signal + averages * noise
+        coherence = np.divide(signal, power_of_all, out=np.zeros_like(signal), where=signal > 0.0)
         return FrequencyResponse(first.hz, value, coherence, power, averages)
 
     return LineOverPlaces(
@@ -253,7 +254,10 @@ def centre(line: LineOverPlaces, Gxx: Complex) -> tuple[float, float]:
 
 
 def _noise(response: FrequencyResponse) -> Array:
-    """Return the power that the command does not explain, per power of the command, (k,)."""
+    """Return the power that the command does not explain, per power of the command, (k,).
+
+    Of one estimate: that of the mean of several is as many times smaller.
+    """
     coherence = np.clip(response.coherence, 1e-12, 1.0)
     noise: Array = (1.0 / coherence - 1.0) * np.abs(response.H) ** 2
     return noise

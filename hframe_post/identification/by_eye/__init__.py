@@ -1,1 +1,0 @@
-"""A printer's model from prints and a ruler, without a sensor."""

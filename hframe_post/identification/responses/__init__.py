@@ -1,1 +1,0 @@
-"""Frequency responses measured from recordings."""
