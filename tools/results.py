@@ -21,7 +21,7 @@ OFF = (0.05, 0.1, 0.2)  # shares by which random printers differ from the model
 HEAD = """\
 # Results
 
-`make results` computes this page anew: the predicted contour error of the sample prints on shipped
+`make results` computes this page: the predicted contour error of the sample prints on shipped
 profiles, what the stages of a conversion take, and the paper's tables. The profiles' plants are
 exact here; [identify.md](identify.md#how-far-to-trust-it) says what is left on real printers.
 """

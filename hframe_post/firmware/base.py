@@ -16,7 +16,7 @@ from hframe_post.firmware.code import Code
 from hframe_post.firmware.dialect import Advance, Dialect
 from hframe_post.firmware.motion import MotionRules, WrittenMoves
 from hframe_post.model.shapers import Shaping
-from hframe_post.native.corners import square_corner_velocity
+from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.firmware_tables import FirmwareTable
 from hframe_post.printer.new_profile import Tables
 from hframe_post.printer.settings import Limits, Printer
@@ -69,7 +69,7 @@ class Source(ABC):
 # ----------------------------------------------------------------------
 # What a firmware is: what it reads, how it moves, its input shapers, its own files.
 
-ROUNDED = 5e-3  # share by which `setup` rounds the speed through a right angle
+CORNER_ROUNDING = 5e-3  # share by which `setup` rounds the speed through a right angle
 UNLIMITED_DEVIATION = 1e3  # mm, more than any board has: it tells that the board has one
 
 # seconds (n,) of moves: mm that their leading motor makes, their length, speeds at both ends and
@@ -174,7 +174,7 @@ class Firmware(ABC):
         }
         return replace(limits, **{
             name: free for name, (value, free) in known.items()
-            if math.isclose(getattr(limits, name), value, rel_tol=ROUNDED)
+            if math.isclose(getattr(limits, name), value, rel_tol=CORNER_ROUNDING)
             and math.isfinite(value)
         })  # fmt: skip
 

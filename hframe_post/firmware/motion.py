@@ -15,7 +15,7 @@ from hframe_post.firmware.code import Code
 from hframe_post.firmware.dialect import ExtruderLimits
 from hframe_post.stream.types import Position, StopRules
 
-SPARED = 0.9  # of the lines that a firmware can take in a second; at all of them it stutters
+USED_LINES_SHARE = 0.9  # of those that a firmware can take in a second; at all it stutters
 VELOCITY_HEADROOM = 1.1  # of the belts' limit: what the stream may do, so that it is never limited
 
 

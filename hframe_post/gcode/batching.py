@@ -8,10 +8,10 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, lengths
 from hframe_post.errors import GcodeError
-from hframe_post.gcode.curves import FARTHEST
+from hframe_post.gcode.curves import MAX_COORDINATE_MM
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.state import Extent, State
-from hframe_post.native.reading import plain_moves
+from hframe_post.native.digits import plain_moves
 from hframe_post.stream.types import (
     FileLimits,
     Handling,
@@ -25,13 +25,13 @@ from hframe_post.stream.types import (
 )
 
 MOVES_PER_ITEM = 4096
-MIN_FEED = 0.1 / 60.0  # mm/s, F0.1, the least that is written
-MAX_DURATION = 4 * 3600.0  # s of a move; a longer one is a mistake, and would never end
+MIN_FEED_MM_S = 0.1 / 60.0  # mm/s, F0.1, the least that is written
+MAX_MOVE_S = 4 * 3600.0  # s of a move; a longer one is a mistake, and would never end
 MAX_MARK_BYTES = 1 << 21  # of lines between two moves that are carried without a stop
 BYTES_PER_MARK = 200  # in addition to the text
-MAX_FILAMENT = 2e3  # mm of one move; loading takes less
+MAX_FILAMENT_MM = 2e3  # mm of one move; loading takes less
 MAX_FILAMENT_PER_PATH = 10.0  # mm/mm; Klipper refuses more than a quarter
-MIN_PATH = 1e-9  # mm; a curve may end where it begins, and squares of less may be 0
+MIN_PATH_MM = 1e-9  # mm; a curve may end where it begins, and squares of less may be 0
 
 
 class PlainMoves:
@@ -65,9 +65,9 @@ class PlainMoves:
             return None
         self._values[:] = (*state.position, *state.offset, state.feed, state.speed)
         self._rules[:] = (
-            state.scale, state.factor, MIN_FEED, FARTHEST, MAX_FILAMENT, *self._edges,
-            not state.absolute_e, state.acceleration, state.corner, 0.99 * MAX_FILAMENT_PER_PATH,
-            MIN_PATH,
+            state.scale, state.factor, MIN_FEED_MM_S, MAX_COORDINATE_MM, MAX_FILAMENT_MM,
+            *self._edges, not state.absolute_e, state.acceleration, state.corner,
+            0.99 * MAX_FILAMENT_PER_PATH, MIN_PATH_MM,
         )  # fmt: skip
         count = plain_moves(
             text, offset, source.number + 1, most,
@@ -178,8 +178,8 @@ class ItemBuilder:
 
 
 def _check_duration(seconds: float, line: int) -> None:
-    if seconds > MAX_DURATION:
-        hours, most = seconds / 3600.0, MAX_DURATION / 3600.0
+    if seconds > MAX_MOVE_S:
+        hours, most = seconds / 3600.0, MAX_MOVE_S / 3600.0
         raise GcodeError(
             f"this move would take {hours:.3g} h; at most {most:g} h are possible", line
         )

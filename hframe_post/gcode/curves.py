@@ -1,4 +1,4 @@
-"""G2, G3 and G5 as chords within TOLERANCE of the curve.
+"""G2, G3 and G5 as chords within CHORD_ERROR_MM of the curve.
 
 An arc goes round the centre that the file gives, as firmwares play it. Slicers round numbers, so
 the end is not quite as far from the centre as the start; the radius changes evenly on the way.
@@ -18,11 +18,11 @@ from hframe_post.gcode.commands import Line, Words
 from hframe_post.gcode.state import State
 from hframe_post.stream.types import Position
 
-TOLERANCE = 0.005  # mm between a curve and its chords
-RADIUS_MISMATCH = 0.1  # mm by which rounded numbers may miss the end point
-SAME = 1e-6  # mm; ends closer than this are one point, and the arc a full circle
-MAX_ANGLE = math.pi / 8.0  # rad of a chord, also of the smallest arcs
-FARTHEST = 1e6  # mm; a coordinate beyond this is a corrupted number
+CHORD_ERROR_MM = 0.005  # mm between a curve and its chords
+RADIUS_ERROR_MM = 0.1  # mm by which rounded numbers may miss the end point
+CLOSED_ARC_MM = 1e-6  # mm; ends closer than this are one point, and the arc a full circle
+MAX_CHORD_ANGLE = math.pi / 8.0  # rad of a chord, also of the smallest arcs
+MAX_COORDINATE_MM = 1e6  # mm; a coordinate beyond this is a corrupted number
 
 Point = tuple[float, float]
 
@@ -38,7 +38,7 @@ def curve(line: Line, name: str, words: Words, state: State, end: Position) -> A
     first = start[0] + i, start[1] + j
     if name == "G5":
         second = end[0] + p, end[1] + q
-        if max(map(abs, (*first, *second))) > FARTHEST:
+        if max(map(abs, (*first, *second))) > MAX_COORDINATE_MM:
             raise line.error("a coordinate is too large")
         points, share = spline(start[:2], first, second, end[:2])
     elif not state.xy_plane:
@@ -50,7 +50,7 @@ def curve(line: Line, name: str, words: Words, state: State, end: Position) -> A
         found = arc(start[:2], end[:2], centre, ccw) if centre else None
         if found is None:
             raise line.error("the arc's centre or radius does not fit its ends")
-        if not found.length < FARTHEST:
+        if not found.length < MAX_COORDINATE_MM:
             raise line.error("a coordinate is too large")
         points, share = found.chords()
     z, e = (start[axis] + share * (end[axis] - start[axis]) for axis in (2, 3))
@@ -80,9 +80,9 @@ class Arc:
 
     def chords(self) -> tuple[Array, Array]:
         """Return points after the start (k, 2), and the share of the arc up to each (k,)."""
-        sagitta = min(TOLERANCE / max(self.radii), 1.0)
+        sagitta = min(CHORD_ERROR_MM / max(self.radii), 1.0)
         # of a radius beyond 1e11 mm the cosine rounds to 1
-        angle = max(min(2.0 * math.acos(1.0 - sagitta), MAX_ANGLE), 1e-8)
+        angle = max(min(2.0 * math.acos(1.0 - sagitta), MAX_CHORD_ANGLE), 1e-8)
         k = max(math.ceil(abs(self.sweep) / angle), 1)  # sweep is 0 if the end is behind the start
         share = np.arange(1, k + 1) / k
         angles = self.begin + self.sweep * share
@@ -97,12 +97,12 @@ def arc(start: Point, end: Point, centre: Point, ccw: bool) -> Arc | None:
     Equal ends make a full circle.
     """
     radii = math.dist(start, centre), math.dist(end, centre)
-    if min(radii) == 0.0 or abs(radii[1] - radii[0]) > RADIUS_MISMATCH:
+    if min(radii) == 0.0 or abs(radii[1] - radii[0]) > RADIUS_ERROR_MM:
         return None
     begin = math.atan2(start[1] - centre[1], start[0] - centre[0])
     sweep = math.atan2(end[1] - centre[1], end[0] - centre[0]) - begin
     sweep = (sweep if ccw else -sweep) % math.tau
-    if math.dist(start, end) < SAME:
+    if math.dist(start, end) < CLOSED_ARC_MM:
         sweep = math.tau
     return Arc(centre, begin, sweep if ccw else -sweep, radii)
 
@@ -110,7 +110,7 @@ def arc(start: Point, end: Point, centre: Point, ccw: bool) -> Arc | None:
 def centre_of_radius(start: Point, end: Point, radius: float, ccw: bool) -> Point | None:
     """Return the centre of an arc given by R, or None; R < 0 asks for the longer way round."""
     half = math.dist(start, end) / 2.0
-    if half == 0.0 or half > abs(radius) + RADIUS_MISMATCH / 2.0:
+    if half == 0.0 or half > abs(radius) + RADIUS_ERROR_MM / 2.0:
         return None
     height = math.sqrt(max(radius * radius - half * half, 0.0)) / (2.0 * half)
     if (radius < 0.0) == ccw:
@@ -126,7 +126,9 @@ def spline(start: Point, first: Point, second: Point, end: Point) -> tuple[Array
     """Return chords of a cubic Bézier curve with two control points; see ``Arc.chords``."""
     p = np.array([start, first, second, end])
     bend = np.hypot(*np.diff(p, 2, axis=0).T).max()
-    k = max(math.ceil(math.sqrt(0.75 * bend / TOLERANCE)), 1)  # (1/8)·max|B''|/k², B'' ≤ 6·bend
+    k = max(
+        math.ceil(math.sqrt(0.75 * bend / CHORD_ERROR_MM)), 1
+    )  # (1/8)·max|B''|/k², B'' ≤ 6·bend
     t = np.arange(1, k + 1)[:, None] / k
     points = (1 - t) ** 3 * p[0] + 3 * t * (1 - t) * ((1 - t) * p[1] + t * p[2]) + t**3 * p[3]
     lengths = np.hypot(*np.diff(points, axis=0, prepend=p[:1]).T)

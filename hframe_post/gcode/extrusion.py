@@ -89,7 +89,7 @@ def _extruding_moves(
                 before = words["E"]
 
 
-DEFAULT_DURATION = 0.06  # s; half or twice of it is better than 0
+RETRACTION_S = 0.06  # s; half or twice of it is better than 0
 SET_RETRACTION = (
     "RETRACT_LENGTH", "RETRACT_SPEED", "UNRETRACT_EXTRA_LENGTH", "UNRETRACT_SPEED", "Z_HOP_HEIGHT",
 )  # fmt: skip
@@ -149,7 +149,7 @@ class FirmwareRetraction:
         """Return the estimated seconds of a G10 or G11 that passes through."""
         settings = self._settings
         if settings is None:
-            return DEFAULT_DURATION
+            return RETRACTION_S
         if name == "G10":
             return settings.length / settings.speed
         speed = settings.return_speed or settings.speed

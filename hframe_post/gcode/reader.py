@@ -24,10 +24,10 @@ import numpy as np
 from hframe_post.errors import GcodeError, LeftAloneError
 from hframe_post.gcode import commands
 from hframe_post.gcode.batching import (
-    MAX_FILAMENT,
+    MAX_FILAMENT_MM,
     MAX_FILAMENT_PER_PATH,
-    MIN_FEED,
-    MIN_PATH,
+    MIN_FEED_MM_S,
+    MIN_PATH_MM,
     ItemBuilder,
     PlainMoves,
 )
@@ -41,15 +41,15 @@ from hframe_post.gcode.commands import (
     parameters,
     uncommented,
 )
-from hframe_post.gcode.curves import FARTHEST, curve
+from hframe_post.gcode.curves import MAX_COORDINATE_MM, curve
 from hframe_post.gcode.extrusion import FirmwareRetraction, is_absolute
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.state import Extent, Objects, ReadOptions, State
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.stream.types import Handling, Item, MoveAtRest, Passthrough, Position
 
-MAX_DWELL = 24 * 3600.0  # s
-MIN_WRITTEN_PATH = 1e-3  # mm; the resolution of a file
+MAX_DWELL_S = 24 * 3600.0  # s
+RESOLUTION_MM = 1e-3  # mm; the resolution of a file
 LINES_TO_G11 = 500  # lines within which a G10 has its G11
 TOOL = re.compile(r"T\d+")
 # causes of uncompensated moves that are no commands
@@ -144,8 +144,8 @@ class _Reader:
         state = self._state
         if "F" in words:
             state.set_feed(line, words.pop("F"))
-            if state.feed < MIN_FEED:
-                raise line.error(f"the feed rate must be at least {60.0 * MIN_FEED:g} mm/min")
+            if state.feed < MIN_FEED_MM_S:
+                raise line.error(f"the feed rate must be at least {60.0 * MIN_FEED_MM_S:g} mm/min")
         if name == "G92":
             state.rename_position(line, words)
             # The stream's E is relative, so a new name of E alone is harmless in it.
@@ -181,10 +181,10 @@ class _Reader:
             state.set_e_mode(self._detect_absolute_e(line))
         end = state.target(words)
         self._any_motion = True
-        if not (min(end) > -FARTHEST and max(end) < FARTHEST):
+        if not (min(end) > -MAX_COORDINATE_MM and max(end) < MAX_COORDINATE_MM):
             raise line.error("a coordinate is too large")
-        if abs(end[3] - state.position[3]) > MAX_FILAMENT:
-            raise line.error(f"more than {MAX_FILAMENT:g} mm of filament in one move")
+        if abs(end[3] - state.position[3]) > MAX_FILAMENT_MM:
+            raise line.error(f"more than {MAX_FILAMENT_MM:g} mm of filament in one move")
         return end
 
     def _within_endstops(self, line: Line, asked: Position) -> Position:
@@ -206,9 +206,9 @@ class _Reader:
         if filament > MAX_FILAMENT_PER_PATH * path:  # the filament decides how long that takes
             fed = (*start[:3], end[3])
             self._stand(line, fed, state.others.velocity[3])
-            start, moves = fed, path >= MIN_WRITTEN_PATH
+            start, moves = fed, path >= RESOLUTION_MM
         else:
-            moves = path > MIN_PATH
+            moves = path > MIN_PATH_MM
         if moves:
             self._objects.moved()
             self.items.add_move(line.number, start, end, state.speed)
@@ -263,8 +263,8 @@ class _Reader:
 
     def _apply_dwell(self, line: Line, arguments: bytes) -> None:
         seconds = self._dialect.dwell(numbers_among(line, arguments, "PS"))
-        if not 0.0 <= seconds <= MAX_DWELL:
-            raise line.error(f"a dwell must last from 0 to {MAX_DWELL / 3600.0:g} h")
+        if not 0.0 <= seconds <= MAX_DWELL_S:
+            raise line.error(f"a dwell must last from 0 to {MAX_DWELL_S / 3600.0:g} h")
         self._pass_through(line, Handling.REST, seconds)
 
     def _apply_uncoded(self, line: Line) -> None:

@@ -22,8 +22,8 @@ LimitSource = Literal["file", "file-all", "printer"]
 Extrusion = Literal["absolute", "relative"]
 
 AXES = "XYZE"
-INCH = 25.4  # mm
-DEFAULT_FEED = 25.0  # mm/s, Klipper's feed rate before the first F
+INCH_MM = 25.4  # mm
+DEFAULT_FEED_MM_S = 25.0  # mm/s, Klipper's feed rate before the first F
 MIN_FEED_FACTOR = 0.01
 MIN_VELOCITY_LIMIT = 0.1  # mm/s; below it a print would never end
 MIN_ACCELERATION_LIMIT = 1.0  # mm/s²
@@ -117,7 +117,7 @@ class State:
         self.known = [False, False, False]
         self._homed = [False, False, False]
         self._stops = True  # at soft endstops, as M211 S1 sets
-        self.feed = DEFAULT_FEED
+        self.feed = DEFAULT_FEED_MM_S
         self.factor = self._saved_factor = 1.0
         self.acceleration = self.travel_acceleration = self.corner = math.inf
         self.others = FileLimits()
@@ -218,7 +218,7 @@ class State:
         elif name in ("M82", "M83"):
             self.set_e_mode(name == "M82")
         elif name in ("G20", "G21"):
-            self.scale = INCH if name == "G20" else 1.0
+            self.scale = INCH_MM if name == "G20" else 1.0
         else:
             self.xy_plane = name == "G17"
 

@@ -25,6 +25,7 @@ from tests.benchmarks.timing import fastest, processor_and_wall, seconds
 from tests.conftest import SAMPLES
 
 OPTIONS = Options("racking", ("none", "racking"))
+IDENTIFIED = Path(__file__).parents[1] / "bytes/corexy.toml"  # as identify writes a CoreXY
 CURA = Path("/usr/share/cura/resources/definitions")
 
 
@@ -67,8 +68,11 @@ def converted(lines: list[bytes], printer: Printer) -> Report:
         return conversion.report()
 
 
+@pytest.mark.parametrize("profile", [str(IDENTIFIED), "paper"], ids=["identified", "paper"])
 @pytest.mark.parametrize("name", ["figure", "knot", "gyroid", "vase"])
-def test_conversion_against_slicing(benchmark: BenchmarkFixture, tmp_path: Path, name: str) -> None:
+def test_conversion_against_slicing(
+    benchmark: BenchmarkFixture, tmp_path: Path, name: str, profile: str
+) -> None:
     """Processor time and duration of CuraEngine, and of converting what it slices."""
     if shutil.which("CuraEngine") is None or not CURA.exists():
         pytest.skip("CuraEngine and its definitions are not here (apt install cura)")
@@ -80,7 +84,7 @@ def test_conversion_against_slicing(benchmark: BenchmarkFixture, tmp_path: Path,
     runs = {"slicing": processor_and_wall(*slicing, "-l", str(model), "-o", str(sliced))}
     for jobs in ("1", "2"):
         runs[f"jobs {jobs}"] = processor_and_wall(
-            *command(sliced, out, "-p", "paper", "--jobs", jobs)
+            *command(sliced, out, "-p", profile, "--force", "--jobs", jobs)
         )
     benchmark.pedantic(lambda: None, rounds=1)  # type: ignore[no-untyped-call]
     for run, (processor, wall) in runs.items():

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array, Flags, Integers
 from hframe_post.conversion.options import TOLERANCE
-from hframe_post.firmware.klipper.motion import PIECE, sparser
+from hframe_post.firmware.klipper.motion import PIECE_SAMPLES, sparser
 from hframe_post.model.nozzle import Response
 from hframe_post.native.decimate import E_WEIGHT, SHORT, breakpoints, fitted
 from hframe_post.printer.settings import Printer
@@ -152,7 +152,7 @@ def test_a_bound_on_lines_is_kept_where_forced_points_allow(rate: float) -> None
     assert fewer[-1] == n
     assert set(np.flatnonzero(forced).tolist()) <= set(fewer.tolist())
     assert (np.diff(fewer) > 0).all()
-    pieces = range(0, n + 1, PIECE)
+    pieces = range(0, n + 1, PIECE_SAMPLES)
     counts, before = (np.histogram(e, [*pieces, n + 1])[0] for e in (fewer, ends))
-    assert before.max() > 60.0 * PIECE * TS  # the bound asks for something
-    assert (counts <= np.maximum(rate * PIECE * TS, 4) + 2).all()  # ends of pieces stay
+    assert before.max() > 60.0 * PIECE_SAMPLES * TS  # the bound asks for something
+    assert (counts <= np.maximum(rate * PIECE_SAMPLES * TS, 4) + 2).all()  # ends of pieces stay

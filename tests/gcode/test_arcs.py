@@ -53,7 +53,10 @@ def test_arcs_with_rounded_numbers_keep_their_centre(
     points, shares = arc.chords()
     assert points[-1] == pytest.approx(end, abs=1e-9)
     assert (shares[-1], shares[0] > 0.0) == (1.0, True)
-    assert off_circle(points, start, centre) <= curves.TOLERANCE + abs(np.diff(arc.radii))[0] + 1e-9
+    assert (
+        off_circle(points, start, centre)
+        <= curves.CHORD_ERROR_MM + abs(np.diff(arc.radii))[0] + 1e-9
+    )
     if radius * math.tau * min(share, 1.0 - share) > 0.01:  # else rounding decides which way
         assert turned(points, start, centre) == pytest.approx(sweep / math.tau, abs=0.01 / radius)
 
@@ -70,7 +73,7 @@ def test_nearly_full_and_full_circles_keep_their_centre(
 ) -> None:
     points = np.array(ends(f"G1 X{start[0]} Y{start[1]}", line))[1:, :2]
     centre = start[0] + offset[0], start[1] + offset[1]
-    assert off_circle(points, start, centre) <= curves.TOLERANCE + 1e-3
+    assert off_circle(points, start, centre) <= curves.CHORD_ERROR_MM + 1e-3
     assert turned(points, start, centre) == pytest.approx(1.0, abs=0.01)
 
 
@@ -130,7 +133,7 @@ def test_splines_stay_within_the_tolerance(a: Point, b: Point, c: Point, d: Poin
     k = len(points)
     middles = bezier(np.array([a, b, c, d]), (np.arange(k) + 0.5) / k)
     chords = (whole[1:] + whole[:-1]) / 2
-    assert np.hypot(*(middles - chords).T).max() <= curves.TOLERANCE * 1.001
+    assert np.hypot(*(middles - chords).T).max() <= curves.CHORD_ERROR_MM * 1.001
 
 
 def test_g5_has_control_points_relative_to_its_ends() -> None:

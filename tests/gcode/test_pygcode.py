@@ -73,7 +73,8 @@ def test_pygcode_reads_the_same_words(name: str) -> None:
             continue
         words = text2words(text.replace(b"+", b"").decode())
         assert f"G{next(words).value:g}" == code
-        expected = {word.letter: word.value for word in words}
+        # P of an arc is read, and ignored as firmwares do
+        expected = {word.letter: word.value for word in words if word.letter != "P"}
         assert numbers(line, arguments, MOTION_WORDS[code] + "F") == expected
 
 

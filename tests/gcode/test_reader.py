@@ -241,7 +241,7 @@ def arc_is_right(points: Array, start: tuple[float, float], centre: tuple[float,
     whole = np.vstack([start, points])
     np.testing.assert_allclose(np.hypot(*(whole - centre).T), radius, atol=1e-9)
     middles = (whole[1:] + whole[:-1]) / 2
-    assert (radius - np.hypot(*(middles - centre).T)).max() <= curves.TOLERANCE + 1e-9
+    assert (radius - np.hypot(*(middles - centre).T)).max() <= curves.CHORD_ERROR_MM + 1e-9
 
 
 @pytest.mark.parametrize(

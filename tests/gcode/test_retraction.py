@@ -6,7 +6,7 @@ import pytest
 
 from hframe_post.arrays import E
 from hframe_post.firmware.registry import FIRMWARES
-from hframe_post.gcode.extrusion import DEFAULT_DURATION
+from hframe_post.gcode.extrusion import RETRACTION_S
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.settings import Retraction
@@ -93,5 +93,5 @@ def test_pass_through_retractions_have_an_estimated_duration() -> None:
         items = found(["G28", "G10", "G11", "G1 X1 Y1 Z1"], own)[2]
         return [i.seconds for i in items if isinstance(i, Passthrough)][1:3]
 
-    assert seconds(None) == [DEFAULT_DURATION, DEFAULT_DURATION]
+    assert seconds(None) == [RETRACTION_S, RETRACTION_S]
     assert seconds(OWN) == pytest.approx([0.8 / 40.0, 0.9 / 30.0])

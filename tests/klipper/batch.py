@@ -286,8 +286,10 @@ def offer_live(folder: Path) -> None:
     if KLIPPER:
         link = Path(KLIPPER) / "klippy" / "extras" / link.name
     link.parent.mkdir(exist_ok=True)
-    if not link.is_symlink():
-        link.symlink_to(LIVE, target_is_directory=True)
+    if not link.is_symlink() or link.readlink() != LIVE:  # of another checkout
+        new = link.with_name(f"{link.name}.{os.getpid()}")
+        new.symlink_to(LIVE, target_is_directory=True)
+        new.replace(link)
     if not KLIPPER:
         printer = klippy_module("printer").Printer
         original = printer._iter_modules

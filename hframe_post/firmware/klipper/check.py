@@ -20,7 +20,7 @@ from hframe_post.printer.firmware_tables import END_MACRO
 from hframe_post.printer.new_profile import Known, as_float
 from hframe_post.printer.settings import SMOOTH_TIME_S, Printer
 
-CLOSE = 1e-3  # tolerated difference of two numbers
+RELATIVE_DIFFERENCE = 1e-3  # tolerated difference of two numbers
 
 
 class ConfigDifference(NamedTuple):
@@ -122,7 +122,7 @@ def _numbers(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDifferen
             line = f"'{option}: {wanted:g}', the profile's {key}"
             text = f"has no {option}, so Klipper chooses it: add {line}"
             yield ConfigDifference(False, section, option, text)
-        elif not math.isclose(has, wanted, rel_tol=CLOSE, abs_tol=1e-9):
+        elif not math.isclose(has, wanted, rel_tol=RELATIVE_DIFFERENCE, abs_tol=1e-9):
             given = "" if config.text(section, option) else " (by default)"
             text = f"{option}: {has:g}{given}, but {key} = {wanted:g}"
             yield ConfigDifference(True, section, option, text)
@@ -144,8 +144,8 @@ def _travel(config: KlipperConfig, printer: Printer) -> Iterator[ConfigDifferenc
         least = config.number(section, "position_min", 0.0)
         most = config.number(section, "position_max")
         for end, option, bound, inside in (
-            (low, "position_min", least, low >= least - CLOSE),
-            (high, "position_max", most, not high > most + CLOSE),
+            (low, "position_min", least, low >= least - RELATIVE_DIFFERENCE),
+            (high, "position_max", most, not high > most + RELATIVE_DIFFERENCE),
         ):
             if math.isfinite(end) and not inside:
                 text = f"{option}: {bound:g}, but travel.{axis} reaches to {end:g}"

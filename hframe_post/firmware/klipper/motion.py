@@ -10,14 +10,14 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.firmware.code import plain
 from hframe_post.firmware.klipper.code import StreamLimits
-from hframe_post.firmware.motion import SPARED, MotionRules, NextTo, Stroke, Way
+from hframe_post.firmware.motion import USED_LINES_SHARE, MotionRules, NextTo, Stroke, Way
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.native.decimate import breakpoints, fitted, too_thick
 from hframe_post.native.ramps import klipper_durations, klipper_feeds
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.stream.types import StopRules
 
-MOST_LONGER = 1.1  # times a lift's own duration, to which it may be slowed down
+MAX_LIFT_STRETCH = 1.1  # times a lift's own duration, to which it may be slowed down
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,9 @@ class KlipperMotion(MotionRules):
             forced[back] = forced[back + 1] = True
         ends = breakpoints(points, forced, self.tolerance)
         if self.lines_per_second < math.inf:
-            ends = sparser(points, forced, self.tolerance, ends, SPARED * self.lines_per_second)
+            ends = sparser(
+                points, forced, self.tolerance, ends, USED_LINES_SHARE * self.lines_per_second
+            )
         ends = thinned(points, ends)
         return ends, fitted(points, ends)
 
@@ -105,7 +107,7 @@ class KlipperMotion(MotionRules):
             lift = Trapezoid(lifted, cruise, a, entry, leaving)
             seconds = lift.seconds
             if entry or leaving:
-                lift = lift.slowed_to(min(wanted, MOST_LONGER * seconds))
+                lift = lift.slowed_to(min(wanted, MAX_LIFT_STRETCH * seconds))
                 speed, seconds = lift.cruise, lift.seconds
         return Stroke(speed, seconds, leaving)
 
@@ -123,8 +125,8 @@ class KlipperMotion(MotionRules):
 # ----------------------------------------------------------------------
 # Segments for Klipper: few of them, and none that it would refuse.
 
-PIECE = 250  # samples, within which the bound on lines is kept
-COARSER = 1.2  # times the tolerance, until a second has few enough segments
+PIECE_SAMPLES = 250  # samples, within which the bound on lines is kept
+TOLERANCE_GROWTH = 1.2  # times the tolerance, until a second has few enough segments
 
 
 def thinned(points: Array, ends: Integers) -> Integers:
@@ -153,13 +155,13 @@ def sparser(
     points, forced, tolerance: as for ``breakpoints``. In such a second the tolerance grows.
     """
     fewer = []
-    for first in range(0, len(points) - 1, PIECE):
-        last = min(first + PIECE, len(points) - 1)
+    for first in range(0, len(points) - 1, PIECE_SAMPLES):
+        last = min(first + PIECE_SAMPLES, len(points) - 1)
         kept, allowed = ends[(ends > first) & (ends <= last)], rate * (last - first) * TS
         allowed = max(allowed, 1.0 + np.count_nonzero(forced[first + 1 : last]))
         coarse = tolerance
         while len(kept) > allowed:
-            coarse *= COARSER
+            coarse *= TOLERANCE_GROWTH
             kept = first + breakpoints(points[first : last + 1], forced[first : last + 1], coarse)
         if coarse > tolerance and first:
             fewer.append(np.array([first]))

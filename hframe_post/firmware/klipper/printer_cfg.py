@@ -28,7 +28,7 @@ VOID = (
     "with '#*# <--- SAVE_CONFIG'"
 )
 MAX_FILES = 500
-LARGEST = (1 << 22, "is it a printer.cfg?")  # bytes
+MAX_FILE = (1 << 22, "is it a printer.cfg?")  # bytes
 ACCELEROMETERS = ("adxl345", "lis2dw", "lis3dh", "mpu9250", "icm20948", "beacon", "cartographer")
 SECTION = re.compile(r"\[([^]]+)\]")
 OPTION = re.compile(r"([^\s:=][^:=]*?)\s*[:=]")
@@ -59,7 +59,7 @@ class KlipperConfig:
         self.missing: list[str] = []
         self._lines: dict[tuple[str, str], list[ConfigLine]] = {}  # of each section and option
         self._files = 0
-        text = file_text(path, *LARGEST)
+        text = file_text(path, *MAX_FILE)
         regular, saved, void = _divided(_lines(path, text))
         self.unsaved = VOID.format(void.place) if void is not None else ""
         self._parser = _parser()
@@ -99,7 +99,7 @@ class KlipperConfig:
         for each in files:
             if os.path.abspath(each) in inside:
                 raise HframeError(f"{line.place}: [include {pattern}] includes a file in itself")
-            self._read(_lines(each, file_text(each, *LARGEST)), inside)
+            self._read(_lines(each, file_text(each, *MAX_FILE)), inside)
 
     def _parse(self, lines: Sequence[ConfigLine], parser: configparser.RawConfigParser) -> None:
         if not lines:

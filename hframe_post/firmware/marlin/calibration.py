@@ -20,19 +20,18 @@ from hframe_post.firmware.code import plain
 from hframe_post.firmware.marlin.code import TRAPEZOIDS, MarlinCode
 from hframe_post.firmware.marlin.planner import GENERATIONS, Planner, make_planner
 from hframe_post.native.block_times import Timer
-from hframe_post.native.blocks import Blocks
-from hframe_post.native.whole_steps import most_steps, motor_steps
+from hframe_post.native.whole_steps import Blocks, most_steps, motor_steps
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState
 
-SECONDS = 120.0  # of each part, about
+PART_S = 120.0  # of each part, about
 LINES, LINE = 10_000, "G1 F3000"
 # bits of such a line with number, checksum and line feed, and of its ok
 LINE_BITS = 10 * (len(f"N{LINES} {LINE}*99\n") + len("ok\n"))
 BAUDS = (115_200, 250_000)
-EDGE = 10.0  # mm of travel that stay unused on either side
-STEPS = 24  # of x in a block of ``uneven``
+EDGE_MM = 10.0  # mm of travel that stay unused on either side
+BLOCK_STEPS = 24  # of x in a block of ``uneven``
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,18 +120,18 @@ def _steady(printer: Printer, marlin: MarlinCode) -> Part:
     left, right = _room(printer, marlin)
     v = printer.limits.velocity
     stroke = (right - left) / v + v / printer.limits.acceleration
-    return Part("steady", np.array([left, right]), np.array([v]), _even(SECONDS / stroke))
+    return Part("steady", np.array([left, right]), np.array([v]), _even(PART_S / stroke))
 
 
 def _uneven(printer: Printer, marlin: MarlinCode) -> Part:
     """Return blocks on whole steps, so short that they do not reach their fast speed."""
     left, right = _room(printer, marlin)
-    d = STEPS * marlin.steps.belt
+    d = BLOCK_STEPS * marlin.steps.belt
     x = left + d * np.arange(int((right - left) / d) // 2 * 2 + 1)
     # at half the acceleration a fast block would just be reached
     fast = min(math.sqrt(0.5 * 2.0 * printer.limits.acceleration * d), printer.limits.velocity)
     v = np.where(np.arange(len(x) - 1) % 2, fast, 0.2 * fast)
-    return Part("uneven", np.asarray(x), np.asarray(v), _even(SECONDS / float((d / v).sum())))
+    return Part("uneven", np.asarray(x), np.asarray(v), _even(PART_S / float((d / v).sum())))
 
 
 def _even(strokes: float) -> int:
@@ -141,9 +140,9 @@ def _even(strokes: float) -> int:
 
 def _room(printer: Printer, marlin: MarlinCode) -> tuple[float, float]:
     belt = marlin.steps.belt
-    left, right = printer.travel.x[0] + EDGE, printer.travel.x[1] - EDGE
-    if right - left < 2.0 * EDGE:
-        cause = f"must be at least {4.0 * EDGE:g} mm long for a calibration"
+    left, right = printer.travel.x[0] + EDGE_MM, printer.travel.x[1] - EDGE_MM
+    if right - left < 2.0 * EDGE_MM:
+        cause = f"must be at least {4.0 * EDGE_MM:g} mm long for a calibration"
         raise PrinterError(cause, "travel.x", printer.name)
     return math.ceil(left / belt) * belt, math.floor(right / belt) * belt
 

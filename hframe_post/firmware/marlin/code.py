@@ -14,15 +14,15 @@ from hframe_post.firmware.code import Code, coordinates, plain
 from hframe_post.firmware.marlin.planner import Planner, make_planner
 from hframe_post.firmware.motion import VELOCITY_HEADROOM
 from hframe_post.native.block_times import Timer
-from hframe_post.native.blocks import Blocks
+from hframe_post.native.whole_steps import Blocks
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Limits, Motors, Printer, Steps
 from hframe_post.stream.types import ModalState
 
-HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two
+ACCELERATION_HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two
 JUNCTION_DEVIATION = 0.3  # mm, the most that M205 takes; the stream makes its own corners
 DEVIATIONS, RIGHT_ANGLE = (0.01, 0.3), 2.414  # mm that M205 J takes; v² = RIGHT_ANGLE·J·a
-JERK = 1000.0  # mm/s, where CLASSIC_JERK is built: more than any speed
+JERK_MM_S = 1000.0  # mm/s, where CLASSIC_JERK is built: more than any speed
 FIXED_TIME, RAMPED = "M493 S1 X0 Y0 C0 P0", "M493 S0"  # on without a shaper, for any build; off
 TRAPEZOIDS = "M494 T0 X0 Y0 Z0 E0"  # of 2026; another trajectory leaves ramps unplanned
 
@@ -89,7 +89,7 @@ class MarlinCode(Code):
     @property
     def block_acceleration(self) -> float:
         """Return the acceleration of the stream's blocks, mm/s²."""
-        return HEADROOM * self.motors.belt_acceleration
+        return ACCELERATION_HEADROOM * self.motors.belt_acceleration
 
     @property
     def jerk_e(self) -> float:
@@ -196,7 +196,7 @@ class MarlinCode(Code):
         """Return what M205 needs for a retraction or a lift, other than the stream's."""
         if not self.table.classic_jerk:
             return self.corners(users)
-        return "" if lifts else f"E{plain(self.table.jerk_e if users else JERK, 3)}"
+        return "" if lifts else f"E{plain(self.table.jerk_e if users else JERK_MM_S, 3)}"
 
     def _filament(self, acceleration: float) -> str:
         """Return the word of M201 for filament, if the profile knows what to restore.
@@ -217,5 +217,5 @@ class MarlinCode(Code):
         table = self.table
         if not table.classic_jerk:
             return f"J{plain(table.junction_deviation if users else JUNCTION_DEVIATION, 4)}"
-        x, y, e = (*table.jerk, table.jerk_e) if users else (JERK, JERK, JERK)
+        x, y, e = (*table.jerk, table.jerk_e) if users else (JERK_MM_S, JERK_MM_S, JERK_MM_S)
         return f"X{plain(x, 3)} Y{plain(y, 3)} E{plain(e, 3)}"

@@ -14,12 +14,12 @@ from pathlib import Path
 
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Source
-from hframe_post.native.corners import square_corner_velocity
+from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.new_profile import CLOCK, Known, Tables, as_float, sweep
 from hframe_post.printer.schema import file_text
 from hframe_post.printer.settings import Printer
 
-MAX_SIZE = 1 << 22  # bytes of a file
+MAX_FILE_BYTES = 1 << 22  # bytes of a file
 LINE = re.compile(r"(?:^|[\s:>])(M\d+)((?: +[A-Z](?:-?\d+\.?\d*)?(?=\s|$))+)")
 WORD = re.compile(r"([A-Z])(-?\d+\.?\d*)?")
 DEFINE = re.compile(r"^\s*#define\s+(\w+)(?:[ \t]+([^\s/]+))?", re.MULTILINE)
@@ -46,7 +46,7 @@ ANY = ("cartesian", "corexy", "hbot", "hybrid-corexy", "corexz")
 M115 = "the answer to M115"
 ASSUMED = "2.1"  # planner of a build whose version is not known
 TWO_CARRIAGES = "DUAL_X_CARRIAGE"  # of Configuration_adv.h
-CORRECTION = 0.03  # share by which owners correct steps that a part's size showed
+MAX_STEPS_CORRECTION = 0.03  # share by which owners correct steps that a part's size showed
 HARMFUL = {  # options of a build, and what they do
     "SLOWDOWN": "it slows down where the queue is short, so starts and ends are off",
     "ADAPTIVE_STEP_SMOOTHING": "it rounds speeds four times as coarsely",
@@ -55,7 +55,7 @@ HARMFUL = {  # options of a build, and what they do
 
 def text_in(path: Path) -> str:
     """Return a file's text. Raises HframeError if it is too large or not text."""
-    return file_text(path, MAX_SIZE, "it has no printer's settings")
+    return file_text(path, MAX_FILE_BYTES, "it has no printer's settings")
 
 
 def is_of_marlin(text: str) -> bool:
@@ -278,7 +278,7 @@ def _steps(settings: MarlinSettings) -> dict[str, Known]:
     if x != y:
         remedy = (
             f"Send M92 Y{x:g} and M500, correct the part's size in the slicer, and save M503 again"
-            if abs(y - x) < CORRECTION * x
+            if abs(y - x) < MAX_STEPS_CORRECTION * x
             else "Their pulleys or microsteps differ: give both axes the same"
         )
         raise HframeError(

@@ -20,22 +20,31 @@ from hframe_post.firmware.code import plain
 from hframe_post.firmware.dialect import ExtruderLimits
 from hframe_post.firmware.marlin.code import JUNCTION_DEVIATION, TRAPEZOIDS, MarlinCode
 from hframe_post.firmware.marlin.planner import Planner
-from hframe_post.firmware.motion import SPARED, MotionRules, NextTo, Stroke, Way, WrittenMoves
+from hframe_post.firmware.motion import (
+    USED_LINES_SHARE,
+    MotionRules,
+    NextTo,
+    Stroke,
+    Way,
+    WrittenMoves,
+)
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.native.blocks import BlockLimits, Blocks, blocks_between
 from hframe_post.native.ramps import speeds, whole_feeds
-from hframe_post.native.slow_segments import slow_segment_ends
 from hframe_post.native.whole_steps import (
+    BlockLimits,
+    Blocks,
+    blocks_between,
     most_steps,
     motor_places,
     motor_steps,
     segment_ends,
+    slow_segment_ends,
     with_late_starts,
     without_reversals,
 )
 
-SLOWEST_STROKE = 0.3  # of the speed that the file asks for
-Z_JERK = 0.3  # mm/s, Marlin's default; profiles have none
+MIN_STROKE_SHARE = 0.3  # of the speed that the file asks for
+Z_JERK_MM_S = 0.3  # mm/s, Marlin's default; profiles have none
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +83,11 @@ class MarlinMotion(MotionRules):
 
         Rounding to whole steps makes a line faster by a step.
         """
-        lines, users = SPARED * self.lines_per_second, self.code.limits
+        lines, users = USED_LINES_SHARE * self.lines_per_second, self.code.limits
         least = 0.1 * users.extruder_velocity
-        velocity = max(SPARED * users.extruder_velocity - self.code.steps.e * lines, least)
+        velocity = max(
+            USED_LINES_SHARE * users.extruder_velocity - self.code.steps.e * lines, least
+        )
         acceleration = self.code.table.max_acceleration_e or users.extruder_acceleration
         return ExtruderLimits(velocity, min(acceleration, self.code.jerk_e * lines))
 
@@ -99,7 +110,7 @@ class MarlinMotion(MotionRules):
         at = np.array(way)
         lifts = bool(at[0, Z] != at[1, Z])
         if self.code.table.classic_jerk:
-            into = out = Z_JERK if lifts else self.code.table.jerk_e
+            into = out = Z_JERK_MM_S if lifts else self.code.table.jerk_e
         else:
             n, d, a = (float(each[0]) for each in self._blocks(at)[:3])
             own = of_axis = a * d / n
@@ -122,7 +133,7 @@ class MarlinMotion(MotionRules):
         a = a * d / n
         T = np.maximum(wanted, d / speed)
         v = float(speeds(d, T, a, np.array([math.inf, leaving]), entry)[0])
-        v = min(max(v, SLOWEST_STROKE * speed), speed)
+        v = min(max(v, MIN_STROKE_SHARE * speed), speed)
         if self.planner.fixed_time:
             v = max(v, leaving)
         v = math.ceil(60.0 * v) / 60.0  # F is whole, else its rounding may change a tick
@@ -142,7 +153,7 @@ class MarlinMotion(MotionRules):
         """Return segments on whole steps. A line of the file waits for the end of its segment."""
         in_steps = points[:, :Z] / self.code.steps.belt
         cells = np.rint(in_steps).astype(np.int64)
-        apart = max(1, math.ceil(round(1.0 / (TS * SPARED * self.lines_per_second), 6)))
+        apart = max(1, math.ceil(round(1.0 / (TS * USED_LINES_SHARE * self.lines_per_second), 6)))
         least, stall = self.code.table.min_steps_per_segment, round(self.planner.stall / TS)
         matrix = self.kinematics.matrix
         motors = motor_places(cells, matrix)
@@ -188,7 +199,7 @@ class MarlinMotion(MotionRules):
 # With CLASSIC_JERK, planners up to 2.1 compare the speed of a block with that of the one before,
 # although the faster one need not begin at its own. So M205 allows every speed, and the axis turns
 # back where it is slow
-SLOW = 4.0  # mm/s
+REVERSAL_MM_S = 4.0  # mm/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +219,7 @@ class MarlinMoves(WrittenMoves):
 
     @property
     def reversal(self) -> float:
-        return SLOW if self.code.table.classic_jerk else 0.0
+        return REVERSAL_MM_S if self.code.table.classic_jerk else 0.0
 
     @property
     def begin(self) -> list[str]:

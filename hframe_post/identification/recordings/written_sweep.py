@@ -23,7 +23,7 @@ import numpy as np
 from hframe_post.arrays import Array, Integers
 from hframe_post.errors import LimitError
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.motion import SPARED, WrittenMoves
+from hframe_post.firmware.motion import USED_LINES_SHARE, WrittenMoves
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import OFF
 from hframe_post.identification.recordings.runs import (
@@ -103,7 +103,7 @@ def played(printer: Printer, run: PlannedRun, z: float) -> tuple[PlannedRun, lis
         raise LimitError("speed (mm/s)", velocity, 2.0 * SLOW, None, "raise limits.velocity")
     a = float(np.floor(min(sweep.amplitude, acceleration)))
     lines_per_second = own.motion(None).lines_per_second
-    end_hz = min(sweep.end_hz, SPARED * lines_per_second / 2.0)  # two lines a period
+    end_hz = min(sweep.end_hz, USED_LINES_SHARE * lines_per_second / 2.0)  # two lines a period
     pulses = _pulses(play, a, min(RISE, velocity - SLOW), reach, end_hz, sweep.rate_hz_per_s)
     steps, v = (np.array(column) for column in zip(*pulses, strict=True))
     moves = _Moves(steps, np.round(60.0 * v, 1) / 60.0, play.reversal)  # as F has it
