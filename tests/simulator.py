@@ -32,7 +32,6 @@ from tests.plants import as_response
 RATE = 20000
 STEPS = 20  # a millisecond
 ADXL345 = 76.5  # mm/s², its least step at 16 g
-USUAL = 5000.0  # mm/s² at which harmonics have the share that an Axis states
 
 SOURCE = r"""
 #include <math.h>

@@ -16,7 +16,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Flags, Z
 from hframe_post.compensation.guard import SLACK
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.native.guard import is_safe
+from hframe_post.native.judging import is_safe
 from hframe_post.printer.settings import Motors, Travel
 from hframe_post.stream.chunks import join, neighbours, stretches
 from hframe_post.stream.tally import joined, tallied

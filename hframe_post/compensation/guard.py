@@ -18,7 +18,7 @@ from hframe_post.model.kinematics import Differences, Kinematics, Rates
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.rounds import contraction
-from hframe_post.native.guard import farthest, is_safe
+from hframe_post.native.judging import farthest, is_safe
 from hframe_post.printer.settings import Limits, Motors, Travel
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.tally import tallied

@@ -16,7 +16,7 @@ from hframe_post.gcode.reader import CHANGE_OF_OBJECT, START_OF_FILE
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.bands import TimeInBands
-from hframe_post.prediction.line_width import PIECE
+from hframe_post.prediction.error_meter import PIECE
 from hframe_post.prediction.statistics import DECIMALS, ContourErrors
 from hframe_post.writers.print_time import duration
 

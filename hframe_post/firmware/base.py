@@ -16,7 +16,7 @@ from hframe_post.firmware.code import Code
 from hframe_post.firmware.dialect import Advance, Dialect
 from hframe_post.firmware.motion import MotionRules, WrittenMoves
 from hframe_post.model.shapers import Shaping
-from hframe_post.native.corners import square_corner_velocity
+from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.firmware_tables import FirmwareTable
 from hframe_post.printer.new_profile import Tables
 from hframe_post.printer.settings import Limits, Printer

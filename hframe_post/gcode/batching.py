@@ -11,7 +11,7 @@ from hframe_post.errors import GcodeError
 from hframe_post.gcode.curves import MAX_COORDINATE_MM
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.state import Extent, State
-from hframe_post.native.reading import plain_moves
+from hframe_post.native.digits import plain_moves
 from hframe_post.stream.types import (
     FileLimits,
     Handling,

@@ -15,7 +15,7 @@ from hframe_post.errors import GcodeError
 from hframe_post.gcode import commands
 from hframe_post.gcode.commands import Line, command, numbers_among, parameters
 from hframe_post.gcode.state import LimitSource, ReadOptions, State
-from hframe_post.native.corners import square_corner_velocity
+from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.settings import Printer
 
 BYTES_AHEAD = 1 << 22  # slicers ask for all the accelerations that they use within some layers

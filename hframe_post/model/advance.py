@@ -22,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers
-from hframe_post.native.plant import sliding_sums
+from hframe_post.native.judging import sliding_sums
 
 PICO = 1e9  # of a mm
 REACH = 250  # samples from which a faster change may come; see ``bounded``

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.native.sampling import distance
+from hframe_post.native.planning import distance
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Trapezoid:
 
     @property
     def row(self) -> Array:
-        """Return it as ``native.sampling`` takes it, (7,)."""
+        """Return it as ``native.planning`` takes it, (7,)."""
         way = self.length, self.v_s, self.acceleration, self.peak, *self.ramps, self.seconds
         return np.array(way)
 

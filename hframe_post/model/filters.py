@@ -10,7 +10,7 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.native.plant import finite_filter, sliding_sums
+from hframe_post.native.judging import finite_filter, sliding_sums
 
 PIECE = 256  # outputs for which the nodes of a response along x are chosen together
 

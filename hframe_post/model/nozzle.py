@@ -10,8 +10,8 @@ from hframe_post.arrays import Array, X, Y
 from hframe_post.model.filters import FiniteFilter, stream_filter
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Coupling, Plant
-from hframe_post.native import plant as native
-from hframe_post.native.plant import Couplings, sum_of
+from hframe_post.native import judging as native
+from hframe_post.native.judging import Couplings, sum_of
 
 STIFF = ImpulseResponse(np.zeros(1), 0)
 

@@ -30,7 +30,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.native import kernels
-from hframe_post.native.blocks import Blocks
+from hframe_post.native.whole_steps import Blocks
 
 SLOWEST = 120.0  # steps/s, before the development branch
 ROUNDS = 3  # of the rates' dependence on their neighbours'

@@ -152,3 +152,182 @@ static int64_t marlin_segment_ends(const int64_t *steps, int64_t n, int64_t leas
 
 LOOP(marlin_segment_ends, INTEGERS(0, MOTORS * COUNT(1)), COUNT(1), WHOLE(2), WHOLE(3), WHOLE(4),
      COUNT(5), WHOLE(6), OUT_INTEGERS(7, 6 * (COUNT(1) + 1)), OUT_INTEGERS(8, COUNT(1)))
+
+struct limits { /* as BlockLimits */
+    double belt, z, e, belt_acceleration, z_acceleration, e_acceleration, retraction, deviation;
+};
+enum { LIMITS = sizeof(struct limits) / sizeof(double) };
+
+/* row (4): a place in whole steps. */
+INSIDE void round_to_steps(const double *at, const struct limits *limits, double *row)
+{
+    double mm[COLUMNS] = {limits->belt, limits->belt, limits->z, limits->e};
+    for (int c = 0; c < COLUMNS; c++)
+        row[c] = rint(at[c] / mm[c]);
+}
+
+/* n, d, a: of the block between two places, with their rows; unit (4): the direction of its way. */
+INSIDE void block(const double *from, const double *to, const double *row, const double *next_row,
+                  const struct limits *limits, const double *matrix, double *n, double *d, double *a,
+                  double *unit)
+{
+    double step[COLUMNS];
+    for (int c = 0; c < COLUMNS; c++)
+        step[c] = next_row[c] - row[c];
+    double motor[2] = {matrix[0] * step[X] + matrix[1] * step[Y],
+                       matrix[2] * step[X] + matrix[3] * step[Y]};
+    double xy = greater(fabs(motor[0]), fabs(motor[1])), z = fabs(step[Z]), e = fabs(step[E]);
+    *n = greater(greater(xy, z), greater(e, 1.0));
+    double x = step[X] * limits->belt, y = step[Y] * limits->belt, lift = to[Z] - from[Z], fed = to[E] - from[E];
+    *d = sqrt(x * x + y * y + lift * lift);
+    if (!(*d > 0.0))
+        *d = greater(fabs(fed), limits->belt);
+    double of_e = xy + z > 0.0 ? limits->e_acceleration : limits->retraction;
+    *a = lesser(limits->z_acceleration / limits->z * *n / z, of_e / limits->e * *n / e);
+    *a = lesser(*a, limits->belt_acceleration / limits->belt);
+    double way[COLUMNS] = {motor[0] * limits->belt, motor[1] * limits->belt, lift, fed};
+    double norm = sqrt(way[0] * way[0] + way[1] * way[1] + lift * lift + fed * fed + 1e-30);
+    for (int c = 0; c < COLUMNS; c++)
+        unit[c] = way[c] / norm;
+}
+
+/* Return the greatest speed between blocks, of which the second has acceleration a, mm/s². */
+INSIDE double corner(const double *unit, const double *next, double a, double deviation,
+                     double straight)
+{
+    double cosine = -(unit[0] * next[0] + unit[1] * next[1] + unit[2] * next[2] + unit[3] * next[3]);
+    double sin_half = sqrt(0.5 * (1.0 - between(cosine, -straight, straight)));
+    return cosine > straight ? 0.0 : sqrt(deviation * a * sin_half / (1.0 - sin_half));
+}
+
+/* n, d, a (k), corners (k + 1): of blocks between places at (k + 1, 4). matrix (2, 2): from x, y to
+ * the motors; straight: cosine from which on blocks turn straight back. */
+WIDE static int64_t marlin_blocks(const double *at, int64_t k, const struct limits *limits,
+                                  const double *matrix, double after, double straight,
+                                  double *n, double *d, double *a, double *corners)
+{
+    double unit[2][COLUMNS], row[2][COLUMNS];
+    round_to_steps(at, limits, row[0]);
+    for (int64_t i = 0; i < k; i++) {
+        double *last = unit[(i + 1) % 2], *now = unit[i % 2], *from = row[i % 2], *to = row[(i + 1) % 2];
+        const double *next = at + COLUMNS * (i + 1);
+        round_to_steps(next, limits, to);
+        block(next - COLUMNS, next, from, to, limits, matrix, n + i, d + i, a + i, now);
+        corners[i] = INFINITY;
+        if (i && limits->deviation < INFINITY)
+            corners[i] = corner(last, now, a[i] * d[i] / n[i], limits->deviation, straight);
+    }
+    corners[k] = after;
+    return k;
+}
+
+LOOP(marlin_blocks, FLOATS(0, COLUMNS * (COUNT(1) + 1)), COUNT(1),
+     (const struct limits *)FLOATS(2, LIMITS), FLOATS(3, 4), REAL(4), REAL(5),
+     OUT_FLOATS(6, COUNT(1)), OUT_FLOATS(7, COUNT(1)), OUT_FLOATS(8, COUNT(1)),
+     OUT_FLOATS(9, COUNT(1) + 1))
+
+enum { AXES = 2, SUMS = 3 * AXES };
+
+/* A run of segments whose ends are chosen again. Its samples count from its first. */
+struct run {
+    const double *at;     /* (n + 1, AXES): the command, in steps */
+    const int64_t *cells; /* (n + 1, AXES): the whole steps next to it */
+    const int64_t *motors; /* (n + 1, AXES): where these put the motors */
+    int64_t n, least, apart, reach;
+    double *sums; /* (n + 1, SUMS): of the samples before each: the command, by index, squared */
+    double *cost; /* (n + 1): least sum of squares up to a segment that ends there */
+    int64_t *from;
+};
+
+static int64_t leading_steps(const int64_t *from, const int64_t *to)
+{
+    int64_t one = llabs(to[0] - from[0]), other = llabs(to[1] - from[1]);
+    return one > other ? one : other;
+}
+
+static void add_up(struct run *run)
+{
+    for (int s = 0; s < SUMS; s++)
+        run->sums[s] = 0.0;
+    for (int64_t i = 0; i < run->n; i++) {
+        const double *before = run->sums + SUMS * i;
+        double *sums = run->sums + SUMS * (i + 1);
+        for (int axis = 0; axis < AXES; axis++) {
+            double c = run->at[AXES * i + axis] - run->at[axis];
+            sums[axis] = before[axis] + c;
+            sums[AXES + axis] = before[AXES + axis] + c * (double)i;
+            sums[2 * AXES + axis] = before[2 * AXES + axis] + c * c;
+        }
+    }
+}
+
+/* Return the squares of what a segment from sample j to i misses in one axis, summed. */
+static double missed(const struct run *run, int64_t j, int64_t i, int axis)
+{
+    const double *before = run->sums + SUMS * j + axis, *sums = run->sums + SUMS * i + axis;
+    int64_t begun = run->cells[AXES * j + axis], way = run->cells[AXES * i + axis] - begun;
+    double T = (double)(i - j), a = (double)begun - run->at[axis], v = (double)way / T;
+    double c = sums[0] - before[0], by_index = sums[AXES] - before[AXES];
+    double squared = sums[2 * AXES] - before[2 * AXES], u = T * (T - 1.0) / 2.0;
+    double line = (a * a * T + 2.0 * a * v * u) + v * v * u * (2.0 * T - 1.0) / 3.0;
+    return (line + squared) - 2.0 * (a * c + v * (by_index - (double)j * c));
+}
+
+/* Find the segment that best ends at sample i. */
+static void end_at(struct run *run, int64_t i)
+{
+    double best = INFINITY;
+    int64_t last = i < run->reach ? i : run->reach, chosen = -1;
+    for (int64_t T = run->apart, longest = last; T <= longest; T++) {
+        int64_t j = i - T;
+        if (leading_steps(run->motors + AXES * j, run->motors + AXES * i) < run->least)
+            continue;
+        if (longest == last && T + T < last) /* the shortest possible one */
+            longest = T + T;
+        if (run->cost[j] >= best)
+            continue;
+        double cost = run->cost[j] + greater(missed(run, j, i, 0) + missed(run, j, i, 1), 0.0);
+        if (cost < best)
+            best = cost, chosen = j;
+    }
+    run->cost[i] = best, run->from[i] = chosen;
+}
+
+/* Mark in is_end (n + 1) the best ends of a run, if there are any, between its first and its last. */
+static void mark_best(struct run *run, uint8_t *is_end)
+{
+    add_up(run);
+    run->cost[0] = 0.0, run->from[0] = 0;
+    for (int64_t i = 1; i <= run->n; i++)
+        end_at(run, i);
+    if (run->from[run->n] < 0)
+        return;
+    for (int64_t i = 1; i < run->n; i++)
+        is_end[i] = 0;
+    for (int64_t i = run->from[run->n]; i > 0; i = run->from[i])
+        is_end[i] = 1;
+}
+
+/* Mark in is_end (n + 1) the best ends of r runs instead of those that are marked. parts (r, 2): the
+ * samples before each run, since the last one, and in it; reach (r): of its segments; room (7 n + 7),
+ * from (n + 1): room. */
+static int64_t marlin_slow_ends(const double *at, const int64_t *cells, const int64_t *motors,
+                                int64_t n, const int64_t *parts, const int64_t *reach,
+                                int64_t r, int64_t least, int64_t apart, double *room,
+                                int64_t *from, uint8_t *is_end)
+{
+    int64_t first = 0;
+    for (int64_t k = 0; k < r; k++) {
+        first += parts[2 * k];
+        struct run run = {at + AXES * first, cells + AXES * first, motors + AXES * first, parts[2 * k + 1], least,
+                          apart, reach[k], room, room + SUMS * (n + 1), from};
+        mark_best(&run, is_end + first);
+        first += run.n;
+    }
+    return 0;
+}
+
+LOOP(marlin_slow_ends, FLOATS(0, AXES * (COUNT(3) + 1)), INTEGERS(1, AXES * (COUNT(3) + 1)),
+     INTEGERS(2, AXES * (COUNT(3) + 1)), COUNT(3), PARTS(4, 2 * COUNT(6), COUNT(3)), INTEGERS(5, COUNT(6)),
+     COUNT(6), WHOLE(7), WITHIN(8, 1, MOST_ITEMS), OUT_FLOATS(9, (SUMS + 1) * (COUNT(3) + 1)),
+     OUT_INTEGERS(10, COUNT(3) + 1), OUT_BYTES(11, COUNT(3) + 1))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
@@ -115,3 +118,101 @@ def without_reversals(vertices: Integers, off: Array, matrix: Array, least: int)
 def _turns_back(before: list[int], at: list[int], after: list[int]) -> bool:
     x, y, u, v = at[0] - before[0], at[1] - before[1], after[0] - at[0], after[1] - at[1]
     return x * v == y * u and x * u + y * v < 0
+
+
+# ----------------------------------------------------------------------
+# What Marlin makes of segments: blocks in whole steps, within its limits.
+
+STRAIGHT = 0.999999  # cosine of the angle between two blocks
+
+
+class Blocks(NamedTuple):
+    """Blocks (k,): steps n, mm of path d, acceleration a (steps/s²).
+
+    corners (k + 1,): greatest speeds, mm/s, at which their ends may be passed, or one for all.
+    """
+
+    n: Array
+    d: Array
+    a: Array
+    corners: Array | float = math.inf
+
+
+class BlockLimits(NamedTuple):
+    """mm of a step of belts, z and filament, and their greatest accelerations, mm/s².
+
+    retraction: acceleration of filament alone. deviation: junction deviation, mm, which limits
+    nothing but a move straight back, where Marlin stops; inf: not even that.
+    """
+
+    belt: float
+    z: float
+    e: float
+    belt_acceleration: float
+    z_acceleration: float
+    e_acceleration: float
+    retraction: float
+    deviation: float
+
+
+def blocks_between(at: Array, after: float, limits: BlockLimits, matrix: Array) -> Blocks:
+    """Return the blocks between places at (k + 1, 4), mm.
+
+    The first may begin at any speed, the last ends at ``after`` or less. matrix (2, 2): from x, y
+    to the motors.
+    """
+    k, row = len(at) - 1, np.array(limits)
+    n, d, a, corners = np.empty(k), np.empty(k), np.empty(k), np.empty(k + 1)
+    kernels.marlin_blocks(at, k, row, matrix, after, STRAIGHT, n, d, a, corners)
+    return Blocks(n, d, a, corners)
+
+
+# ----------------------------------------------------------------------
+# Where segments of slow motion end, so that they miss the command least.
+#
+# In slow motion the least steps of a segment take longer than the lines in a second allow. If every
+# segment ends as soon as it can, its chord lies on one side of the command's bends, and the nozzle
+# follows: on a printer with 500 mm/s² that is most of what whole steps leave. So the ends of a row
+# of
+# such segments are chosen again, by dynamic programming, for the least sum of squares.
+
+SLOW = 2  # samples by which a segment is longer than it need be for the lines in a second
+REACH = 2  # times the longest segment of a run that a new one may be
+AXES = 2
+
+
+def slow_segment_ends(
+    points: Array, cells: Integers, motors: Integers, ends: Integers, least: int, apart: int
+) -> Integers:
+    """Return the ends (k,) of segments, with others in slow motion.
+
+    points (n + 1, 2): the command, in steps of x and y; cells (n + 1, 2): the whole steps
+    next to it; motors (n + 1, 2): where these put the motors; least, apart: see ``segment_ends``.
+    """
+    parts, reach = _runs(motors, ends, least, apart)
+    if not len(reach):
+        return ends
+    n, is_end = len(cells) - 1, np.zeros(len(cells), dtype=bool)
+    is_end[ends] = True
+    room, froms = np.empty(7 * (n + 1)), np.empty(n + 1, np.int64)
+    own = parts, reach, len(reach), least, apart
+    kernels.marlin_slow_ends(points, cells, motors, n, *own, room, froms, is_end)
+    return is_end.nonzero()[0]
+
+
+def _runs(motors: Integers, ends: Integers, least: int, apart: int) -> tuple[Integers, Integers]:
+    """Return runs of slow segments with a neighbour at each end: (r, 2), and their reach, (r,).
+
+    The samples before each run, since the last one, and those in it.
+    """
+    at = np.append(0, ends)
+    long = at[1:] - at[:-1]
+    whole = most_steps(np.diff(motors[at], axis=0)) >= least
+    slow = np.zeros(len(ends) + 2, dtype=bool)
+    slow[1:-1] = whole & (long >= apart + SLOW)
+    chosen = (slow[:-2] | slow[1:-1] | slow[2:]) & whole
+    edge = np.flatnonzero(np.diff(chosen, prepend=False, append=False))
+    first, last = edge[::2], edge[1::2]
+    parts = np.diff(np.stack([at[first], at[last]], axis=1).ravel(), prepend=0).reshape(-1, 2)
+    longest = np.maximum.reduceat(long, edge[edge < len(long)])[::2] if len(edge) else first
+    return parts, REACH * longest

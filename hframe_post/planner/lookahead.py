@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.native.lookahead import STEEP, Runs, find_runs, greatest_speeds, limit_moves
+from hframe_post.native.planning import STEEP, Runs, find_runs, greatest_speeds, limit_moves
 from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (

@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E
-from hframe_post.native.sampling import follow, path_lengths, phases, samples_until
+from hframe_post.native.planning import follow, path_lengths, phases, samples_until
 from hframe_post.planner.output import Output
 from hframe_post.planner.profiles import Profile, ProfileAtRest, Profiler, TravelRetraction
 from hframe_post.planner.stopping import Change, State, Stopping

@@ -16,7 +16,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Z, lengths
 from hframe_post.firmware.base import FirmwareLimits
-from hframe_post.native.lookahead import STEEP, smoothed_runs
+from hframe_post.native.planning import STEEP, smoothed_runs
 from hframe_post.planner.bands import MotorBands, OuterWalls, TimeInBands
 from hframe_post.planner.lookahead import Lookahead
 from hframe_post.planner.profiles import ProfileAtRest

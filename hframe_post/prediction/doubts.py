@@ -16,7 +16,7 @@ from hframe_post.arrays import Array, Integers, X, Y
 from hframe_post.model.error_range import products
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Coupling, Plant
-from hframe_post.native.plant import sliding_sums
+from hframe_post.native.judging import sliding_sums
 from hframe_post.stream.types import Samples
 
 EVERY = 16  # samples, a power of two and a multiple of those at which errors are judged

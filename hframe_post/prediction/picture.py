@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hframe_post.arrays import TS, Array, Integers, Z
 from hframe_post.model.error_range import SUMS
-from hframe_post.native.picture import Table, joined_pieces
+from hframe_post.native.judging import Table, joined_pieces
 from hframe_post.prediction.predict import Judgement
 from hframe_post.prediction.statistics import Labels
 

@@ -18,7 +18,7 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.model.responses import Plants, Responses
-from hframe_post.native.contour import count_turns, deviation, moving, square
+from hframe_post.native.judging import count_turns, deviation, moving, square
 from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.doubts import Doubts, JudgedDoubts
 from hframe_post.prediction.windows import Window

@@ -14,7 +14,7 @@ from enum import Enum
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.native.lookahead import lower_moves, run_seconds
+from hframe_post.native.planning import lower_moves, run_seconds
 
 Position = tuple[float, float, float, float]  # x, y, z, e
 

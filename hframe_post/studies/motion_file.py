@@ -34,7 +34,7 @@ from hframe_post.gcode.curves import curve
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.state import Extent, State
 from hframe_post.native import ramps
-from hframe_post.native.corners import junction_deviation, junction_speeds
+from hframe_post.native.planning import junction_deviation, junction_speeds
 from hframe_post.stream.types import frozen
 from hframe_post.writers.print_time import SUMMARY
 

@@ -25,8 +25,7 @@ from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.doubts import Doubts
-from hframe_post.prediction.error_meter import JUDGED_EVERY, ErrorMeter
-from hframe_post.prediction.line_width import Lines
+from hframe_post.prediction.error_meter import JUDGED_EVERY, ErrorMeter, Lines
 from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.predict import Judgement, judge, quantise
 from hframe_post.prediction.statistics import ContourErrors, Figures, Labels

@@ -213,7 +213,7 @@ def curve_as_text(found: Curve) -> str:
     """Return the table, and what to do about that which binds."""
     name, before = shown_feature(found), found.original
     shaper = f"best shaper ({found.shaping.x.name})" if found.shaping else "best shaper"
-    heads = ("--max-error", "print time", name, shaper, "with --speed-up max")
+    heads = ("permitted", "print time", name, shaper, "faster feed rates")
     rows = [
         ["as sliced", duration(before.seconds), _um(before.errors, name), "", ""],
         ["compensated", duration(found.own.seconds), *_errors(found.own, name), ""],
@@ -230,7 +230,10 @@ def curve_as_text(found: Curve) -> str:
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in (heads, *rows)
     ]
-    held = f"Errors are predicted, {MEASURES[found.measure]}; --max-error holds for each feature."
+    held = (
+        f"Errors are predicted, {MEASURES[found.measure]}; 'hframe-post convert --max-error' keeps "
+        "the bound in each feature."
+    )
     return "\n".join([*lines, "", held, *advice(found)])
 
 

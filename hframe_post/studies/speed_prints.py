@@ -18,7 +18,7 @@ from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.conversion.report import Report
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
-from hframe_post.prediction.line_width import Lines
+from hframe_post.prediction.error_meter import Lines
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.stream.types import Samples

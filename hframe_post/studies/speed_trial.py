@@ -14,7 +14,7 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers
 from hframe_post.model.plant import Plant
 from hframe_post.model.responses import Plants
 from hframe_post.planner.pacing import ADJUSTED, FIRST_LAYERS, NAMES, UNCHANGED
-from hframe_post.prediction.line_width import Lines
+from hframe_post.prediction.error_meter import Lines
 from hframe_post.prediction.predict import Judgement, judge_each
 from hframe_post.prediction.statistics import TRAVEL as NOT_EXTRUDED
 from hframe_post.prediction.statistics import ErrorStatistics, Labels

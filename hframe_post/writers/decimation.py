@@ -12,7 +12,7 @@ import numpy as np
 from hframe_post.arrays import Array, E, Flags, Integers, X, Y
 from hframe_post.errors import HframeError
 from hframe_post.firmware.motion import MotionRules
-from hframe_post.native.segments import motion_segments
+from hframe_post.native.decimate import motion_segments
 from hframe_post.stream.types import Mark, Position
 
 SAMPLES_AT_ONCE = 1 << 14

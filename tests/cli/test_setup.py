@@ -339,7 +339,7 @@ def test_the_printers_files_are_found_and_a_question_is_answered_once(
     config: Path, moonraker: Path
 ) -> None:
     done = run("setup", "--moonraker")
-    assert b"Name it: hframe-post setup PRINTER.CFG" in done.stderr
+    assert b"Name it: hframe-post connect moonraker --printer-cfg" in done.stderr
     folder = config.parent / "printer_data/config"
     folder.mkdir(parents=True)
     for name in ("printer.cfg", "moonraker.conf"):

@@ -17,7 +17,6 @@ from tests.command_line import run
 from tests.conftest import SAMPLES
 
 RECTANGLE = SAMPLES / "rectangle.gcode"
-SMALL_TUNE = ("-L", "10", "--effort", "100", "--draws", "0")  # one, on the model
 STRATEGIES = {"none", "fbs", "racking"}
 
 

@@ -182,7 +182,6 @@ def test_one_sensor_of_a_bed_slinger_is_moved_between_two_files(tmp_path: Path) 
         (["--chip", "adxl345 hotend"], 2, b"type hotend"),
         (["--position", "500,100"], 1, b"x (mm) would be 500"),
         (["--position", "80,100", "--position", "80,100"], 1, b"twice"),
-        (["-p", "paper-marlin"], 1, b"marlin records no accelerometers"),
     ],
 )
 def test_mistakes_are_errors_and_nothing_is_written(

@@ -57,7 +57,7 @@ DONE = {
     "simulate {print}": Done(r"1( +[\d.]+){3}"),
     "simulate": Done(r"0( +[\d.]+){3}"),
     "simulate --shapers": Done("."),
-    "speed {print}": Done(r"At the error that the file has today: "),
+    "speed {print}": Done(r"Next, as exact as the file today and "),
     "measure --for verify -o v.gcode --motion {print}": Done(
         "", r"v\.gcode v\.verify-compensated\.csv v\.verify-plain\.csv"
     ),

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hframe_post.native.corners import junction_deviation, junction_speeds
+from hframe_post.native.planning import junction_deviation, junction_speeds
 
 SQUARE = 100.0  # mm/s
 A = 2.5e5  # mm/s²

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
-from hframe_post.native.corners import junction_speeds
+from hframe_post.native.planning import junction_speeds
 from hframe_post.native.ramps import LATE, MADE_UP, durations, speeds, whole_feeds
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hframe_post.firmware.klipper.code import StreamLimits
-from hframe_post.native import contour, digits, ramps, sampling
-from hframe_post.native.lookahead import find_runs
+from hframe_post.native import digits, judging, planning, ramps
+from hframe_post.native.planning import find_runs
 from hframe_post.printer.settings import Printer
 from tests.native import oracles
 from tests.paths import walk
@@ -43,7 +43,7 @@ def test_ways_to_the_path(seed: int) -> None:
     path = walk(rng, 300)
     nozzle = path + rng.normal(0.0, 1e-4, path.shape)
     at = np.arange(0, 300, 2)
-    off = contour.deviation(path, contour.count_turns(path), nozzle, 0, at, 24)
+    off = judging.deviation(path, judging.count_turns(path), nozzle, 0, at, 24)
     shortest = oracles.distances(path, nozzle, at, 24)
     found = np.sqrt(np.square(off).sum(axis=1))
     assert (found >= shortest - 1e-12).all()
@@ -79,7 +79,7 @@ def test_phases_reach_the_ends_of_runs_at_their_speeds(seed: int) -> None:
     for low, high in ((speed[:-1], speed[1:]), (speed[1:], speed[:-1])):
         reached = oracles.reachable_speed(low, length, np.full(len(length), 2e4), 1e6)
         assert (high <= reached * (1.0 + 1e-6) + 1e-9).all()
-    t, j, _ = sampling.ramps(speed[:-1], speed[1:], length, 1e6)
+    t, j, _ = planning.ramps(speed[:-1], speed[1:], length, 1e6)
     _, _, steps = oracles.integrate(t, j, speed[:-1])
-    straight = sampling.misses(t, j, speed[:-1], length)
+    straight = planning.misses(t, j, speed[:-1], length)
     assert np.abs(steps.sum(axis=1) - length)[~straight].max(initial=0.0) < 1e-6

@@ -7,7 +7,7 @@ import pytest
 
 from hframe_post.firmware.marlin.planner import SteppedPlanner, make_planner
 from hframe_post.native.block_times import Timer, block_times, step_times
-from hframe_post.native.blocks import Blocks
+from hframe_post.native.whole_steps import Blocks
 
 
 @pytest.mark.parametrize("build", ["2.0", "2.1", "2.1 curved", "2.1-dev"])

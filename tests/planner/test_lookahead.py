@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
 from hframe_post.firmware.base import FirmwareLimits
-from hframe_post.native.lookahead import greatest_speeds
+from hframe_post.native.planning import greatest_speeds
 from hframe_post.planner.lookahead import Z_SHARE, plan
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.printer.settings import Limits

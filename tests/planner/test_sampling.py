@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.errors import HframeError
-from hframe_post.native.sampling import ramps
+from hframe_post.native.planning import ramps
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.profiles import Profiler
 from hframe_post.planner.sampling import SAMPLES_PER_CHUNK, SPARED, sample

@@ -8,8 +8,8 @@ import pytest
 from hframe_post.arrays import Array, E, X, Y, Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
-from hframe_post.native.line_width import line_pieces
-from hframe_post.prediction.line_width import PIECE
+from hframe_post.native.judging import line_pieces
+from hframe_post.prediction.error_meter import PIECE
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, X
-from hframe_post.prediction.melt import Melt
+from hframe_post.prediction.error_meter import Melt
 
 K = 0.05
 

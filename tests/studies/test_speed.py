@@ -80,7 +80,7 @@ def judged(fast: Fastest, plant: Plant, every: int) -> tuple[float, dict[str, fl
         for number in np.unique(feature).tolist():
             contour = judgement.contour["racking"][(feature == number) & (layer > FIRST_LAYERS)]
             errors.setdefault(kind(labels.features[number]), ErrorStatistics()).add(contour)
-    return commands.report().time.after, {name: of.percentile(0.95) for name, of in errors.items()}
+    return commands.report().duration, {name: of.percentile(0.95) for name, of in errors.items()}
 
 
 @pytest.mark.parametrize("which", ["loose", "tight"])

@@ -15,7 +15,7 @@ from hframe_post.firmware.code import Code, coordinates, modes, plain
 from hframe_post.firmware.dialect import klipper_advance
 from hframe_post.firmware.motion import VELOCITY_HEADROOM
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.native.corners import junction_deviation
+from hframe_post.native.planning import junction_deviation
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Extruder, Limits, Motors, Printer
 from hframe_post.stream.types import ModalState, Passthrough

@@ -20,8 +20,7 @@ from hframe_post.firmware.code import plain
 from hframe_post.firmware.marlin.code import TRAPEZOIDS, MarlinCode
 from hframe_post.firmware.marlin.planner import GENERATIONS, Planner, make_planner
 from hframe_post.native.block_times import Timer
-from hframe_post.native.blocks import Blocks
-from hframe_post.native.whole_steps import most_steps, motor_steps
+from hframe_post.native.whole_steps import Blocks, most_steps, motor_steps
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState

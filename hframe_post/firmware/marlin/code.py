@@ -14,7 +14,7 @@ from hframe_post.firmware.code import Code, coordinates, plain
 from hframe_post.firmware.marlin.planner import Planner, make_planner
 from hframe_post.firmware.motion import VELOCITY_HEADROOM
 from hframe_post.native.block_times import Timer
-from hframe_post.native.blocks import Blocks
+from hframe_post.native.whole_steps import Blocks
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Limits, Motors, Printer, Steps
 from hframe_post.stream.types import ModalState

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Source
-from hframe_post.native.corners import square_corner_velocity
+from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.new_profile import CLOCK, Known, Tables, as_float, sweep
 from hframe_post.printer.schema import file_text
 from hframe_post.printer.settings import Printer

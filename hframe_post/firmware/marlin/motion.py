@@ -29,14 +29,16 @@ from hframe_post.firmware.motion import (
     WrittenMoves,
 )
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.native.blocks import BlockLimits, Blocks, blocks_between
 from hframe_post.native.ramps import speeds, whole_feeds
-from hframe_post.native.slow_segments import slow_segment_ends
 from hframe_post.native.whole_steps import (
+    BlockLimits,
+    Blocks,
+    blocks_between,
     most_steps,
     motor_places,
     motor_steps,
     segment_ends,
+    slow_segment_ends,
     with_late_starts,
     without_reversals,
 )

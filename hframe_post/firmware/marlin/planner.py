@@ -25,7 +25,7 @@ from hframe_post.native.block_times import (
     least_entry,
     step_times,
 )
-from hframe_post.native.blocks import Blocks
+from hframe_post.native.whole_steps import Blocks
 
 
 @dataclass(frozen=True, slots=True)

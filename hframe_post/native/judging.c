@@ -1,0 +1,382 @@
+#include <string.h>
+
+#include "kernels.h"
+
+enum { BLOCK = 32 }; /* sums that are computed together, in registers */
+
+/* BLOCK sums of the m factors in turn, each times a number of u. */
+INSIDE void sum_block(const double *factors, int64_t m, const double *u, double *sums)
+{
+    double sum[BLOCK] = {0.0};
+    for (int64_t i = 0; i < m; i++)
+        for (int k = 0; k < BLOCK; k++)
+            sum[k] += factors[i] * u[i + k];
+    memcpy(sums, sum, sizeof sum);
+}
+
+/* sums (n), zero at first: of the m factors in turn, each times a number of u; from one sum to the
+ * next these go on by one. The last block overlaps with the one before. */
+WIDE static int64_t sliding_sums(const double *factors, int64_t m, const double *u, int64_t n,
+                                 double *sums)
+{
+    for (int64_t i = 0; i < m && n < BLOCK; i++)
+        for (int64_t k = 0; k < n; k++)
+            sums[k] += factors[i] * u[i + k];
+    for (int64_t k = 0; k < n && n >= BLOCK; k += BLOCK) {
+        int64_t at = k + BLOCK <= n ? k : n - BLOCK;
+        sum_block(factors, m, u + at, sums + at);
+    }
+    return n;
+}
+
+/* Output y (n) of a finite filter at the last samples of its input u (h): taps (m), that of the oldest
+ * acceleration first, then rest times the input ``late`` samples before, less its speed times lag.
+ * room (n + m - 1). */
+static int64_t finite_filter(const double *taps, int64_t m, const double *u, int64_t h, int64_t n,
+                             int64_t late, double rest, double lag, double *room, double *y)
+{
+    const double *from = u + h - n - m - 1, *then = u + h - n - late;
+    for (int64_t i = 0; i < n + m - 1; i++)
+        room[i] = (from[i + 2] - from[i + 1]) - (from[i + 1] - from[i]);
+    memset(y, 0, sizeof(double) * (size_t)n);
+    sliding_sums(taps, m, room, n, y);
+    for (int64_t i = 0; i < n; i++)
+        y[i] += rest * then[i];
+    for (int64_t i = 0; i < n && lag != 0.0; i++)
+        y[i] -= lag * (then[i] - then[i - 1]);
+    return n;
+}
+
+LOOP(finite_filter, FLOATS(0, COUNT(1)), WITHIN(1, 1, MOST_ITEMS), FLOATS(2, COUNT(3)),
+     WITHIN(3, COUNT(4) + greater(COUNT(1), WITHIN(5, 0, MOST_FEW)) + 1, MOST_ITEMS), COUNT(4),
+     WITHIN(5, 0, MOST_FEW), REAL(6), REAL(7), OUT_FLOATS(8, COUNT(4) + COUNT(1) - 1),
+     OUT_FLOATS(9, COUNT(4)))
+
+LOOP(sliding_sums, FLOATS(0, COUNT(1)), COUNT(1), FLOATS(2, COUNT(1) - 1 + COUNT(3)), COUNT(3),
+     OUT_FLOATS(4, COUNT(3)))
+
+struct vector {
+    double x, y;
+};
+
+struct path { /* n samples, x and y first */
+    const double *places;
+    int64_t columns, n;
+};
+
+static int64_t within(int64_t k, int64_t n) { return k < 0 ? 0 : k < n ? k : n - 1; }
+
+static double square(struct vector v) { return v.x * v.x + v.y * v.y; }
+
+/* Return the way to a point from sample k. */
+INSIDE struct vector from_sample(struct path path, struct vector a, int64_t k)
+{
+    const double *p = path.places + path.columns * k;
+    return (struct vector){a.x - p[X], a.y - p[Y]};
+}
+
+/* Return the way to a point from the nearest place on the segment between samples p and q. */
+INSIDE struct vector from_segment(struct path path, struct vector a, int64_t p, int64_t q)
+{
+    const double *from = path.places + path.columns * p, *to = path.places + path.columns * q;
+    double dx = to[X] - from[X], dy = to[Y] - from[Y];
+    a = from_sample(path, a, p);
+    double length2 = dx * dx + dy * dy;
+    double share = length2 > 0.0 ? (a.x * dx + a.y * dy) / length2 : 0.0;
+    share = lesser(greater(share, 0.0), 1.0);
+    return (struct vector){a.x - dx * share, a.y - dy * share};
+}
+
+/* Return the sample nearest to the point: try some around ``at``, then the neighbours of the best.
+ * inside: whether the path has all of these samples; a constant, so that most calls need no bounds. */
+INSIDE int64_t nearest(struct path path, struct vector a, int64_t at, int64_t reach, int64_t coarse,
+                       int inside)
+{
+    int64_t found = at - reach, best_k = 0;
+    double best = INFINITY;
+    for (int64_t k = at - reach; k <= at + reach; k += coarse) {
+        double distance2 = square(from_sample(path, a, inside ? k : within(k, path.n)));
+        if (distance2 < best)
+            best = distance2, found = k;
+    }
+    int64_t candidates[] = {found - 1, found, found + 1, at - 1, at, at + 1};
+    best = INFINITY;
+    for (int i = 0; i < 6; i++) {
+        int64_t k = inside ? candidates[i] : within(candidates[i], path.n);
+        double distance2 = square(from_sample(path, a, k));
+        if (distance2 < best)
+            best = distance2, best_k = k;
+    }
+    return best_k;
+}
+
+/* turns (n + 1): how many samples before each change the path's direction. */
+static int64_t count_turns(const double *places, int64_t columns, int64_t n, double straight,
+                           int64_t *turns)
+{
+    turns[0] = 0;
+    for (int64_t k = 0; k < n; k++) {
+        int turning = k == 0 || k == n - 1;
+        if (!turning) {
+            const double *p = places + columns * (k - 1), *q = p + columns, *r = q + columns;
+            double ax = q[X] - p[X], ay = q[Y] - p[Y], bx = r[X] - q[X], by = r[Y] - q[Y];
+            double cross = ax * by - ay * bx, dot = ax * bx + ay * by;
+            int still = ax == 0.0 && ay == 0.0, still_then = bx == 0.0 && by == 0.0;
+            turning = fabs(cross) > straight * fabs(dot) || dot < 0.0 || still != still_then;
+        }
+        turns[k + 1] = turns[k] + turning;
+    }
+    return n;
+}
+
+LOOP(count_turns, FLOATS(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2), REAL(3),
+     OUT_INTEGERS(4, COUNT(2) + 1))
+
+/* nozzle (m, width): x and y first, at samples first, first + 1, … of the path; at (count): which of
+ * these to judge; off (count): the way to the nozzle from the path. */
+static int64_t deviation(const double *places, int64_t columns, int64_t n, const int64_t *turns,
+                         const double *nozzle, int64_t width, int64_t m, int64_t first,
+                         const int64_t *at, int64_t count, int64_t reach, int64_t coarse,
+                         struct vector *off)
+{
+    struct path path = {places, columns, n};
+    for (int64_t i = 0; i < count; i++) {
+        const double *point = nozzle + width * within(at[i] - first, m);
+        struct vector a = {point[X], point[Y]};
+        int64_t low = within(at[i] - reach, n), high = within(at[i] + reach, n);
+        if (turns[high] == turns[low + 1]) {
+            off[i] = from_segment(path, a, low, high);
+            continue;
+        }
+        int inside = at[i] > reach && at[i] < n - reach - 1;
+        int64_t k = inside ? nearest(path, a, at[i], reach, coarse, 1)
+                           : nearest(path, a, at[i], reach, coarse, 0);
+        struct vector before = from_segment(path, a, k, within(k - 1, n));
+        struct vector after = from_segment(path, a, k, within(k + 1, n));
+        off[i] = square(before) < square(after) ? before : after;
+    }
+    return count;
+}
+
+LOOP(deviation, FLOATS(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2),
+     INTEGERS(3, COUNT(2) + 1), FLOATS(4, COUNT(5) * COUNT(6)), WITHIN(5, 2, MOST_FEW),
+     WITHIN(6, COUNT(9) > 0, MOST_ITEMS), WHOLE(7), INDICES(8, COUNT(9), 0, COUNT(2)), COUNT(9),
+     FEW(10), WITHIN(11, 1, MOST_ITEMS), (struct vector *)OUT_FLOATS(12, 2 * COUNT(9)))
+
+/* xyze (n, 4). Note at which samples the path moves, of every n-th from ``first`` on, and whether it
+ * extrudes there; return their number. at, extruding (n): room. */
+static int64_t moving(const double *xyze, int64_t n, int64_t first, int64_t every, int64_t *at,
+                      uint8_t *extruding)
+{
+    int64_t count = 0;
+    for (int64_t k = first; k < n; k += every) {
+        const double *now = xyze + COLUMNS * k, *before = k > 0 ? now - COLUMNS : now;
+        if (now[X] != before[X] || now[Y] != before[Y]) {
+            extruding[count] = now[E] > before[E];
+            at[count++] = k;
+        }
+    }
+    return count;
+}
+
+LOOP(moving, FLOATS(0, COLUMNS * COUNT(1)), COUNT(1), COUNT(2),
+     WITHIN(3, 1, MOST_ITEMS), OUT_INTEGERS(4, COUNT(1)), OUT_BYTES(5, COUNT(1)))
+
+struct sums { /* way of the nozzle, filament laid, filament wanted */
+    double way, laid, wanted;
+};
+
+struct ended { /* pieces */
+    int64_t count, *at;
+    double *error;
+};
+
+/* Note a piece that ended before sample k, if it counts. */
+static void end(struct ended *pieces, int64_t k, struct sums now, struct sums from, double piece)
+{
+    if (now.way - from.way > 0.5 * piece) {
+        pieces->at[pieces->count] = k;
+        pieces->error[pieces->count++] = fabs((now.laid - from.laid) / (now.wanted - from.wanted) - 1.0);
+    }
+}
+
+/* path (n, 4), nozzle (n, 2), laid (n): filament that comes out in the step to each sample. Write how far the line's width is off on each piece that ends, and the
+ * sample before which it does; return their number. open (4): of a piece that is open before and after: how far its line is beyond the
+ * last end of a piece, and its sums; no way: none is. at, errors (n): room. */
+static int64_t line_pieces(const double *path, const double *nozzle, const double *laid, int64_t n,
+                           double piece, double *open, int64_t *at, double *errors)
+{
+    struct sums now = {open[1], open[2], open[3]}, from = {0.0, 0.0, 0.0};
+    double begin = now.way - open[0], number = 0.0;
+    struct ended pieces = {0, at, errors};
+    int drawing = now.way > 0.0;
+    for (int64_t k = 1; k < n; k++) {
+        const double *p = path + COLUMNS * k, *q = nozzle + 2 * k;
+        double dx = p[X] - p[X - COLUMNS], dy = p[Y] - p[Y - COLUMNS], fed = p[E] - p[E - COLUMNS];
+        if (!(fed > 0.0 && (dx != 0.0 || dy != 0.0))) {
+            if (drawing)
+                end(&pieces, k, now, from, piece);
+            drawing = 0;
+            continue;
+        }
+        double passed = (now.way - begin) / piece;
+        if (!drawing)
+            drawing = 1, from = now, begin = now.way, number = 0.0;
+        else if (passed < number || passed >= number + 1.0) { /* seldom, so floor is called seldom */
+            end(&pieces, k, now, from, piece);
+            from = now, number = floor(passed);
+        }
+        double vx = q[X] - q[X - 2], vy = q[Y] - q[Y - 2], way = sqrt(vx * vx + vy * vy);
+        now.way += way;
+        now.laid += laid[k];
+        now.wanted += fed / sqrt(dx * dx + dy * dy) * way;
+    }
+    open[0] = drawing ? now.way - begin - number * piece : 0.0;
+    open[1] = drawing ? now.way - from.way : 0.0;
+    open[2] = drawing ? now.laid - from.laid : 0.0;
+    open[3] = drawing ? now.wanted - from.wanted : 0.0;
+    return pieces.count;
+}
+
+LOOP(line_pieces, FLOATS(0, COLUMNS * COUNT(3)), FLOATS(1, 2 * COUNT(3)), FLOATS(2, COUNT(3)), COUNT(3), REAL(4),
+     OUT_FLOATS(5, 4), OUT_INTEGERS(6, COUNT(3)), OUT_FLOATS(7, COUNT(3)))
+
+struct table { /* n columns; rows: x, y, the line's, layer's and feature's number, begins, ways */
+    const float *values;
+    int64_t rows, n;
+};
+
+static const float *row(struct table of, int64_t k) { return of.values + of.n * k; }
+
+/* Return whether in each of some rows b is as near to the line from a to c as ``most``. */
+static int near_line(struct table of, int64_t low, int64_t high, int64_t a, int64_t b, int64_t c,
+                     float share, float most)
+{
+    for (int64_t k = low; k < high; k++) {
+        const float *at = row(of, k);
+        if (!(fabsf(at[b] - at[a] - share * (at[c] - at[a])) <= most))
+            return 0;
+    }
+    return 1;
+}
+
+/* Return whether piece b may be joined to the next one, c; a is the one before. */
+static int straight(struct table of, int64_t numbers, int64_t ways, int64_t a, int64_t b, int64_t c,
+                    float length2, float near, float off)
+{
+    const float *x = row(of, X), *y = row(of, Y);
+    const int32_t *begins = (const int32_t *)row(of, ways - 1);
+    float dx = x[c] - x[a], dy = y[c] - y[a], square = dx * dx + dy * dy;
+    float share = (x[b] - x[a]) * dx + (y[b] - y[a]) * dy;
+    share /= square > 1e-12f ? square : 1e-12f;
+    if (!(square <= length2 && share >= 0.0f && share <= 1.0f) || begins[b] || begins[c])
+        return 0;
+    for (int64_t k = numbers; k < ways - 1; k++) {
+        const int32_t *number = (const int32_t *)row(of, k);
+        if (number[b] != number[c])
+            return 0;
+    }
+    return near_line(of, X, Z, a, b, c, share, near) &&
+           near_line(of, ways, of.rows, a, b, c, share, off);
+}
+
+/* kept (n): the pieces that are left, whose number is returned, once neighbours were joined pair by
+ * pair, up to ``passes`` times. values (rows, n); the numbers from row ``numbers`` on must be alike;
+ * ``ways`` is the first row of the ways off the path. */
+static int64_t joined_pieces(const float *values, int64_t rows, int64_t n, int64_t numbers,
+                             int64_t ways, double length2, double near, double off, int64_t passes,
+                             int64_t *kept)
+{
+    struct table of = {values, rows, n};
+    int64_t count = n;
+    for (int64_t k = 0; k < n; k++)
+        kept[k] = k;
+    for (; passes > 0 && count > 2; passes--) {
+        int64_t left = 1, apart = 0, a = kept[0], b = kept[1], before = count;
+        for (int64_t k = 1; k < before - 1; k++) {
+            int64_t c = kept[k + 1];
+            int joined = 0;
+            if (straight(of, numbers, ways, a, b, c, (float)length2, (float)near, (float)off))
+                joined = (k - apart) % 2 == 1;
+            else
+                apart = k;
+            if (!joined)
+                kept[left++] = b;
+            a = b, b = c;
+        }
+        kept[left++] = b;
+        count = left;
+        if (8 * (before - left) < left)
+            break;
+    }
+    return count;
+}
+
+LOOP(joined_pieces, SINGLES(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2), COUNT(3),
+     WITHIN(4, 1, COUNT(1)), REAL(5), REAL(6), REAL(7), WHOLE(8), OUT_INTEGERS(9, COUNT(2)))
+
+static struct vector difference(struct vector a, struct vector b)
+{
+    return (struct vector){a.x - b.x, a.y - b.y};
+}
+
+static double faster(const double *belts, struct vector v)
+{
+    return greater(fabs(belts[0] * v.x + belts[1] * v.y), fabs(belts[2] * v.x + belts[3] * v.y));
+}
+
+/* xyze (n, 4), command (n) after the samples before[0], before[1]. limits: lower and upper bounds of
+ * z, x, y, then belt velocity and acceleration; belts (2, 2). Return whether all is finite and within
+ * the limits; only then before and peaks are updated: of both belts' velocity and acceleration, and
+ * of the acceleration in x and in y. */
+static int64_t safe(const double *xyze, const struct vector *command, int64_t n,
+                    struct vector *before, const double *limits, const double *belts,
+                    double interval, double *peaks)
+{
+    struct vector earlier = before[0], last = before[1], low = last, high = last;
+    double z_low = xyze[Z], z_high = z_low, zero = 0.0, most[4] = {0};
+    for (int64_t i = 0; i < n; i++) {
+        const double *p = xyze + COLUMNS * i;
+        struct vector c = command[i], v = difference(c, last);
+        struct vector a = difference(v, difference(last, earlier));
+        zero += 0.0 * p[X] + 0.0 * p[Y] + 0.0 * p[Z] + 0.0 * p[E] + 0.0 * c.x + 0.0 * c.y;
+        z_low = lesser(z_low, p[Z]), z_high = greater(z_high, p[Z]);
+        low.x = lesser(low.x, c.x), high.x = greater(high.x, c.x);
+        low.y = lesser(low.y, c.y), high.y = greater(high.y, c.y);
+        v.x /= interval, v.y /= interval;
+        a.x /= interval * interval, a.y /= interval * interval;
+        most[0] = greater(most[0], faster(belts, v)), most[1] = greater(most[1], faster(belts, a));
+        most[2] = greater(most[2], fabs(a.x)), most[3] = greater(most[3], fabs(a.y));
+        earlier = last, last = c;
+    }
+    if (zero != 0.0 || z_low < limits[0] || z_high > limits[1] || low.x < limits[2] ||
+        high.x > limits[3] || low.y < limits[4] || high.y > limits[5] || most[0] > limits[6] ||
+        most[1] > limits[7])
+        return 0;
+    for (int k = 0; k < 4; k++)
+        peaks[k] = greater(peaks[k], most[k]);
+    before[0] = earlier, before[1] = last;
+    return 1;
+}
+
+LOOP(safe, FLOATS(0, COLUMNS * COUNT(2)), (const struct vector *)FLOATS(1, 2 * COUNT(2)),
+     WITHIN(2, 1, MOST_ITEMS), (struct vector *)OUT_FLOATS(3, 4), FLOATS(4, 8), FLOATS(5, 4),
+     REAL(6), OUT_FLOATS(7, 4))
+
+/* Return the sample whose command (n) is farthest from the path xyze (n, 4), or one without a number. */
+static int64_t farthest(const double *xyze, const struct vector *command, int64_t n)
+{
+    double most = -1.0;
+    int64_t found = 0;
+    for (int64_t i = 0; i < n; i++) {
+        double dx = command[i].x - xyze[COLUMNS * i + X], dy = command[i].y - xyze[COLUMNS * i + Y];
+        double off2 = dx * dx + dy * dy;
+        if (off2 != off2)
+            return i;
+        if (off2 > most)
+            most = off2, found = i;
+    }
+    return found;
+}
+
+LOOP(farthest, FLOATS(0, COLUMNS * COUNT(2)), (const struct vector *)FLOATS(1, 2 * COUNT(2)), COUNT(2))

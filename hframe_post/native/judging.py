@@ -1,0 +1,184 @@
+"""What becomes of a command: its limits, the nozzle's way, its distance from the path, the line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hframe_post.arrays import TS, Array, Flags, Integers, X, Y
+from hframe_post.native import kernels
+
+
+@dataclass(frozen=True, slots=True)
+class Couplings:
+    """What filters add to the nozzle, times lever arms.
+
+    axes (c, 3): of the response, of the command, and of the lever arm or -1, where it is 1; centres
+    (c,): places where lever arms are 0, mm.
+    """
+
+    axes: Integers
+    centres: Array
+
+    def lever(self, k: int, place: Array) -> Array | float:
+        """Return the lever arm (n,) of a coupling at places (n, 2), mm."""
+        along = self.axes[k, 2]
+        return 1.0 if along < 0 else np.asarray(place[:, along] - self.centres[k])
+
+
+def sum_of(outputs: list[Array], couplings: Couplings, place: Array) -> Array:
+    """Return what couplings that respond in one axis add at places (n, 2), by outputs (n,)."""
+    added = np.zeros(len(place))
+    for k, output in enumerate(outputs):
+        added += couplings.lever(k, place) * output
+    return added
+
+
+def nozzle(outputs: list[Array], couplings: Couplings, origin: Array, motion: Array) -> Array:
+    """Return the nozzle's motion, (n, 2 + m), by the outputs (n,) of all its filters."""
+    for axis in (X, Y):
+        np.add(outputs[axis], origin[axis], out=motion[:, axis])
+    if len(couplings.axes):
+        place = motion[:, :2].copy()
+        for k, output in enumerate(outputs[2:]):
+            motion[:, couplings.axes[k, 0]] += couplings.lever(k, place) * output
+    for k, output in enumerate(outputs[2 : motion.shape[1]], 2):
+        motion[:, k] = output
+    return motion
+
+
+def finite_filter(
+    taps: Array, u: Array, n: int, late: int, rest: float, lag: float
+) -> Array:  # fmt: skip
+    """Return the output (n,) of a filter at the last n samples of its input u (h,).
+
+    taps (m,): by acceleration, that of the oldest sample first; rest: gain of the input ``late``
+    samples before; lag: s⁻¹ of its speed. h is at least n + 1 + the greater of m and ``late``.
+    """
+    y, room = np.empty(n), np.empty(n + len(taps) - 1)
+    kernels.finite_filter(taps, len(taps), u, len(u), n, late, rest, lag, room, y)
+    return y
+
+
+def sliding_sums(factors: Array, u: Array) -> Array:
+    """Return the sum of the factors times as many samples of u, from each sample that has them."""
+    sums = np.zeros(len(u) + 1 - len(factors))
+    kernels.sliding_sums(factors, len(factors), u, len(sums), sums)
+    return sums
+
+
+# ----------------------------------------------------------------------
+# The way from a path to the nozzle.
+
+COARSE = 3  # samples from one candidate to the next in the first search
+STRAIGHT = 1e-6  # sine of an angle below which a path goes straight on
+
+
+def count_turns(path: Array) -> Integers:
+    """Return how many samples of a path (p, ≥2) before each change its direction, (p + 1,)."""
+    turns = np.zeros(len(path) + 1, np.int64)
+    kernels.count_turns(path, path.shape[1], len(path), STRAIGHT, turns)
+    return turns
+
+
+def deviation(
+    path: Array, turns: Integers, nozzle: Array, first: int, at: Integers, reach: int
+) -> Array:
+    """Return the shortest way (k, 2) from a path (p, ≥2) to the nozzle at its samples ``at`` (k,).
+
+    turns: see ``count_turns``; nozzle (n, ≥2): at samples first … first + n − 1. x and y come
+    first. The path counts within ``reach`` samples of each. Where it is a straight line, the
+    distance is that to the line; elsewhere the nearest sample is found first, then the nearer of
+    the two segments that meet there.
+    """
+    p = len(path)
+    nozzle, off = np.ascontiguousarray(nozzle), np.empty((len(at), 2))
+    of_path, of_nozzle = (path, path.shape[1], p, turns), (nozzle, nozzle.shape[1], len(nozzle))
+    kernels.deviation(*of_path, *of_nozzle, first, at, len(at), reach, COARSE, off)
+    return off
+
+
+def square(off: Array) -> Array:
+    """Return the squares (q,) of lengths of ways (q, 2)."""
+    return np.asarray(off[:, X] * off[:, X] + off[:, Y] * off[:, Y])
+
+
+def moving(xyze: Array, first: int, every: int) -> tuple[Integers, Flags]:
+    """Return which of every n-th sample from ``first`` on move, and which of them extrude, (k,)."""
+    at, extruding = np.empty(len(xyze), np.int64), np.empty(len(xyze), bool)
+    count = kernels.moving(xyze, len(xyze), first, every, at, extruding)
+    return at[:count], extruding[:count]
+
+
+# ----------------------------------------------------------------------
+# How far a printed line's width is off, piece by piece.
+
+WAY = 0  # of a piece's sums: the nozzle's way; filament laid; filament wanted
+
+
+def line_pieces(
+    path: Array, nozzle: Array, laid: Array, piece: float, begun: Array
+) -> tuple[Integers, Array, Array]:
+    """Return before which samples (k,) pieces end, |w − 1| (k,) of each, and the open piece.
+
+    path (n, 4), nozzle (n, 2): the first sample is the last one of before. laid (n,): filament that
+    comes out in the step to each. w: filament laid over filament wanted, which is what the path's
+    flow would lay on the nozzle's way. A line ends where
+    the path stands or nothing is extruded. Its pieces are ``piece`` long, in mm of the nozzle's
+    way, and a rest of less than half does not count. begun (4,): how far an open piece is beyond
+    the place where it should have begun, and its sums; zeros if none is open.
+    """
+    n, after = len(path), begun.copy()
+    if n < 2:
+        return np.zeros(0, np.int64), np.zeros(0), after
+    at, errors = np.empty(n, np.int64), np.empty(n)
+    nozzle = np.ascontiguousarray(nozzle)
+    count = kernels.line_pieces(path, nozzle, laid, n, piece, after, at, errors)
+    return at[:count], errors[:count], after
+
+
+# ----------------------------------------------------------------------
+# Joining of the straight pieces of a picture.
+
+PASSES = 4  # of joining pairs, as long as they join an eighth
+
+Table = NDArray[np.float32]
+
+
+def joined_pieces(
+    shape: Table, alike: int, ways: int, length: float, near: float, off: float
+) -> Integers:
+    """Return where pieces end after neighbours were joined pair by pair.
+
+    shape: x, y; from row ``alike`` on numbers, the bits of int32, that must be equal; in the row
+    before ``ways`` whether a piece starts again; then ways off the path. Pieces are joined up to a
+    length, if x and y stay ``near`` their line, and the ways are off theirs by less than ``off``.
+    """
+    kept = np.arange(shape.shape[1])
+    rules = alike, ways, length * length, near, off, PASSES
+    return kept[: kernels.joined_pieces(np.ascontiguousarray(shape), *shape.shape, *rules, kept)]
+
+
+# ----------------------------------------------------------------------
+# Checks of every sample of a command.
+
+
+def is_safe(
+    xyze: Array, command: Array, before: Array, limits: Array, belts: Array, peaks: Array
+) -> bool:
+    """Return whether a command (n, 2) for a path xyze (n, 4) is finite and within limits.
+
+    before (2, 2): the two samples of the command before it; limits (8,): least and greatest z of
+    the path, x and y of the command, then velocity and acceleration of the belts; belts (2, 2):
+    from x, y to the belts. Only if it is safe, ``before`` becomes the last two samples, and peaks
+    (4,), the greatest velocity and acceleration of the belts and acceleration in x and in y, rise.
+    """
+    command = np.ascontiguousarray(command)
+    return bool(kernels.safe(xyze, command, len(command), before, limits, belts, TS, peaks))
+
+
+def farthest(xyze: Array, command: Array) -> int:
+    """Return the sample whose command is farthest from the path, or one without a number."""
+    return int(kernels.farthest(xyze, np.ascontiguousarray(command), len(command)))

@@ -1,0 +1,253 @@
+"""Speeds at junctions, the look-ahead, and phases of constant jerk.
+
+Junctions: the greatest speeds at which firmware passes the junction of two moves.
+
+They are those of Klipper's ``toolhead`` (docs/Kinematics.md, "Look-ahead"), after Grbl's junction
+deviation: the corner is passed as if on an arc that is tangent to both moves and misses their
+vertex by the junction deviation. With θ the angle between the moves (180° is straight on),
+R = sin(θ/2)/(1 − sin(θ/2)):
+
+    v² ≤ R·deviation·a                  centripetal acceleration on the arc
+    v² ≤ ½·length·a·tan(θ/2)            the arc must fit into half of each move
+    v ≤ corner velocity / |Δ(e per mm)| sudden change of extrusion speed
+
+A square corner (θ = 90°) is passed at v_sc where deviation = (√2 − 1)·v_sc²/a. In C this is a part
+of the loops of ``lookahead.c`` and ``ramps.c``.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hframe_post.arrays import TS, Array, E, Flags, Integers
+from hframe_post.native import kernels
+
+# cosine of the turns with which an arc must fit into short moves: Marlin takes √½, with which
+# rounding decides at the 45° of infill
+GENTLE = 0.71
+
+
+def junction_deviation(square_corner_velocity: Array | float, acceleration: Array | float) -> Array:
+    """Return the junction deviation, mm, for a speed through a right angle; same shapes."""
+    squared = np.square(square_corner_velocity)
+    return np.asarray((math.sqrt(2.0) - 1.0) * squared / acceleration)
+
+
+def square_corner_velocity(deviation: float, acceleration: float) -> float:
+    """Return the speed through a right angle, mm/s, for a junction deviation in mm."""
+    return math.sqrt(deviation * acceleration / (math.sqrt(2.0) - 1.0))
+
+
+def junction_speeds(
+    delta: Array,
+    length: Array,
+    acceleration: Array,
+    deviations: Array | float,
+    extruder_corner_velocity: float,
+    shorter: float = math.inf,
+) -> Array:
+    """Return the greatest speed (n − 1,) between n consecutive moves, mm/s.
+
+    delta (n, 4): x, y, z, e of each; length (n,): mm of path in x, y, z; acceleration (n,);
+    deviations (n,) or one for all. Of two neighbours, the lower deviation·acceleration counts.
+    shorter: arcs must fit into moves that are shorter, mm. If it is finite, as in Marlin, they must
+    where the path turns by less than 45° only.
+    """
+    # not delta / length: in a reversal, 1 − cosθ consists of rounding, which must be Klipper's
+    unit = delta[:, :E] * (1.0 / length)[:, None]
+    x, y, z = (unit[:-1] * unit[1:]).T
+    cosine = np.clip(-(x + y + z), -1.0, 1.0)
+    sin_half, cos_half = np.sqrt(0.5 * (1.0 - cosine)), np.sqrt(0.5 * (1.0 + cosine))
+    turn, fit = deviations * acceleration, 0.5 * length * acceleration
+    with np.errstate(divide="ignore", invalid="ignore"):
+        v2 = np.minimum(turn[:-1], turn[1:]) * sin_half / (1.0 - sin_half)
+        arc = np.minimum(fit[:-1], fit[1:]) * sin_half / cos_half
+        if math.isfinite(shorter):
+            short = (cosine <= -GENTLE) & (np.minimum(length[:-1], length[1:]) < shorter)
+            arc = np.where(short, arc, math.inf)
+        v2 = np.fmin(v2, arc)
+        extruder = extruder_corner_velocity / np.abs(np.diff(delta[:, E] / length))
+    return np.asarray(np.fmin(np.sqrt(v2), extruder))
+
+
+# ----------------------------------------------------------------------
+# Look-ahead over a queue of moves: limits, junctions, and speeds of runs.
+#
+# Moves are a table (n, 4): length, cruise speed, acceleration and junction deviation of each. See
+# ``planner.lookahead`` for the rules.
+
+PLATEAU = 256  # moves at cruise speed in a run
+# Shares of acceleration and jerk, and of the cruise speed at vertices, that keep Ruckig off the
+# edge of what is feasible
+FEASIBLE, BELOW_CRUISE = 1.0 - 1e-6, 1.0 - 1e-4
+STEEP = 1.0  # rise over run above which a move starts and ends at rest
+CREEP = 0.01  # mm/s; a junction that allows less is a stop
+
+Runs = tuple[Array, Integers, Array]
+
+
+def limit_moves(
+    points: Array, speed: Array, acceleration: Array, corner: Array, rules: Array
+) -> Array:
+    """Return the table (n, 4) of moves between points (n + 1, 4) with limits.
+
+    speed, acceleration, corner (n,): what the file asks for. rules (23,): cruise speed,
+    that of travels, acceleration, that of travels, speed in z, of retractions, of melted filament,
+    acceleration in z, of filament, speed through a square corner, junction deviation; then speed
+    and acceleration of motors A and B, z and e, and the matrix from x, y to A and B.
+    """
+    table = np.empty((len(speed), 4))
+    kernels.limit_moves(points, speed, acceleration, corner, len(table), rules, table)
+    return table
+
+
+def lower_moves(points: Array, limits: Array, speed: Array, acceleration: Array) -> int:
+    """Lower speed and acceleration (n,) of moves between points (n + 1, 4); return how many were.
+
+    limits (13,): speed and acceleration of motors A and B, z and e, the matrix from x, y to A and
+    B, and speed along the path.
+    """
+    lowered: int = kernels.lower_moves(points, len(speed), limits, speed, acceleration)
+    return lowered
+
+
+def greatest_speeds(
+    points: Array, moves: Array, extruder_corner_velocity: float, shorter: float = math.inf,
+    steep: float = STEEP,
+) -> Array:  # fmt: skip
+    """Return the greatest speed at each vertex, (n + 1,), without limits at the ends.
+
+    shorter: see ``junction_speeds``. steep: rise over run above which a move is made from rest.
+    """
+    caps = np.empty(len(points))
+    constants = extruder_corner_velocity, shorter, BELOW_CRUISE, steep, CREEP
+    kernels.junctions(points, moves, len(moves), *constants, caps)
+    return caps
+
+
+def find_runs(moves: Array, caps: Array, jerk: float, deceleration: float, last: float) -> Runs:
+    """Return the path length at each vertex, which vertices end runs, and the speeds there.
+
+    caps (n + 1,): greatest speeds at the vertices; last: speed at the last vertex, mm/s.
+    """
+    n = len(moves)
+    (s, speed), ends = np.empty((2, n + 1)), np.empty(n + 1, np.int64)
+    constants = FEASIBLE * jerk, deceleration, last, FEASIBLE, PLATEAU
+    r = kernels.find_runs(moves, caps, n, *constants, np.empty(8 * (n + 1)), s, ends, speed)
+    return s, ends[: r + 1], speed[: r + 1]
+
+
+def run_seconds(s: Array, ends: Integers, speed: Array, cruise: Array, most: Array) -> Array:
+    """Return how long runs take if nothing limits their jerk, (r,).
+
+    s: path length at the vertices; ends, speed (r + 1,): see ``find_runs``; cruise, most (r,):
+    greatest speed and acceleration.
+    """
+    seconds = np.empty(len(cruise))
+    kernels.run_seconds(s, len(s), ends, speed, cruise, most, len(cruise), seconds)
+    return seconds
+
+
+def smoothed_runs(
+    s: Array, ends: Integers, speed: Array, cruise: Array, most: Array, ratios: Array
+) -> tuple[Array, Array, Array]:
+    """Return speeds at the ends of runs, (r + 1,), top speeds and seconds (r,), as Klipper's.
+
+    ratios (r,): see ``FileLimits.cruise_ratio``. See ``run_seconds`` for the others.
+    """
+    r = len(cruise)
+    speed, top, seconds = speed.copy(), np.empty(r), np.empty(r)
+    room = np.empty(4 * (r + 1))
+    n = len(s)
+    kernels.smoothed_runs(s, n, ends, cruise, most, ratios, r, room, speed, top, seconds)
+    return speed, top, seconds
+
+
+# ----------------------------------------------------------------------
+# Profiles and samples of a plan.
+#
+# A profile has seven phases of constant jerk for each of r runs: durations t and jerks j, (r, 7).
+
+DRIFT = 1e-6  # mm by which a profile may miss its run's end through rounding
+FORGIVEN = 1e-9  # of a sample, by which a time may be after it
+
+
+def samples_until(seconds: float) -> int:
+    """Return the first whole sample at or after a time, forgiving a billionth of a sample."""
+    return math.ceil(seconds / TS - FORGIVEN)
+
+
+def ramps(v0: Array, v1: Array, length: Array, jerk: float) -> tuple[Array, Array, Array]:
+    """Return one change of speed along the whole of each length, with the least acceleration.
+
+    All (r,). Returns durations and jerks of the seven phases, (r, 7), and the acceleration
+    (r,): the root of a²/j − T·a + |v1 − v0| = 0 with T = 2·length/(v0 + v1).
+    """
+    (t, j), a = np.empty((2, len(v0), 7)), np.empty(len(v0))
+    kernels.ramps(v0, v1, length, len(v0), jerk, t, j, a)
+    return t, j, a
+
+
+def misses(t: Array, j: Array, v0: Array, length: Array) -> Flags:
+    """Return which runs have a profile that goes backwards or misses their length, (r,)."""
+    missed = np.empty(len(t), bool)
+    kernels.misses(t, j, v0, length, len(t), DRIFT, missed)
+    return missed
+
+
+def phases(t: Array, j: Array, speed: Array, s: Array, start: float) -> tuple[Array, float]:
+    """Return the phases of runs that begin at time ``start``, s, and the time of their end.
+
+    speed, s (r + 1,): speed and path length at the ends of runs. The phases (6, p): start time,
+    duration, and path length, speed, acceleration, jerk at the start. Points of rest are put on
+    whole samples.
+    """
+    room, last = np.empty(6 * t.size), np.empty(1)
+    p = kernels.phases(t, j, speed, s, len(t), start, TS, FORGIVEN, room, last)
+    return room[: 6 * p].reshape(6, p), float(last[0])
+
+
+def path_lengths(table: Array, first: int, n: int, end: float) -> Array:
+    """Return the path length (n,) at samples first, first + 1, …, within 0 … ``end``.
+
+    table (6, p): see ``phases``. Between two phases the path rests where the earlier one ended.
+    """
+    s = np.empty(n)
+    kernels.path_lengths(table, table.shape[1], first, n, TS, end, s)
+    return s
+
+
+def follow(lengths: Array, points: Array, s: Array) -> tuple[Array, Integers]:
+    """Return x, y, z, e at path lengths ``s`` (n,), and the move that each lies on.
+
+    lengths (m + 1,): path length at the vertices points (m + 1, 4) of m moves.
+    """
+    n, moves = len(s), len(lengths) - 1
+    xyze, move = np.empty((n, 4)), np.empty(n, dtype=np.int64)
+    kernels.follow(lengths, np.ascontiguousarray(points), moves, s, n, xyze, move)
+    return xyze, move
+
+
+def move_at_rest(way: Array, ends: Array, first: int, n: int, samples: int) -> Array:
+    """Return x, y, z, e (n, 4) after ``first``, first + 1, … samples of a move in z and e.
+
+    way: see ``distance``; ends (2, 4): where it begins and ends; samples: when it is done.
+    """
+    xyze = np.empty((n, 4))
+    kernels.move_at_rest(way, ends, first, n, samples, TS, xyze)
+    return xyze
+
+
+def distance(way: Array, t: Array) -> Array:
+    """Return the distance done (n,), mm, at times t (n,), s, after the start of a trapezoid.
+
+    way (7,): its length, speed at the start, acceleration, peak speed, how long it speeds up and
+    how long it slows down, and its seconds in all.
+    """
+    _, v_s, a, peak, up, down, seconds = way.tolist()
+    t = np.clip(t, 0.0, seconds)
+    begun, ending = np.minimum(t, up), np.maximum(t - (seconds - down), 0.0)
+    lost = a * ending * ending / 2.0
+    return np.asarray(begun * (v_s + a * begun / 2.0) + peak * (t - begun) - lost)
