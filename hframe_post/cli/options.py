@@ -207,7 +207,7 @@ def print_options(*names: str) -> Callable[[Command], Command]:
 
 
 STEPS = 200  # of a bar
-PATIENCE = 2.0  # s of work, after which a terminal shows a bar
+PATIENCE_S = 2.0  # s of work, after which a terminal shows a bar
 START = time.monotonic()
 _VERBOSE = "hframe_post.verbose"  # in a context's meta
 
@@ -238,7 +238,7 @@ def bar(length: float, label: str) -> Iterator[Callable[[float], object]]:
     def advance(part: float) -> None:
         nonlocal done, shown
         done += part
-        if shown is None and sys.stderr.isatty() and time.monotonic() - began > PATIENCE:
+        if shown is None and sys.stderr.isatty() and time.monotonic() - began > PATIENCE_S:
             shown = click.progressbar(
                 length=STEPS, label=label, file=sys.stderr, item_show_func=None
             )  # fmt: skip
@@ -264,7 +264,7 @@ def shown_working(quiet: bool = False) -> Iterator[None]:
 
     def tick() -> None:
         while not done.wait(1.0):
-            if (seconds := time.monotonic() - start) > 2.0:
+            if (seconds := time.monotonic() - start) > PATIENCE_S:
                 click.echo(f"\rworking, {seconds:.0f} s ", err=True, nl=False)
 
     ticking = Thread(target=tick, daemon=True)
