@@ -48,7 +48,7 @@ from hframe_post.planner.sampling import sample
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.statistics import Labels
-from hframe_post.printer.settings import Motors, Printer
+from hframe_post.printer.settings import Limits, Motors, Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
 from hframe_post.stream.running import StageTimes, prefetch
@@ -332,6 +332,7 @@ class PlannedFile:
             shaping=shaping, predicted_sliced=share,
             couples=printer.kinematics.racks and bool(printer.plant.couplings),
             notices=tuple(printer.warnings()) if options.strategy != "none" else (),
+            capped=_binds(self._chain.firmware.caps()),
             plastic=self._plastic(ledger), other_tools=printer.firmware.other_tools,
             bands=_bands(ledger, printer.speed.avoid),
         )  # fmt: skip
@@ -379,6 +380,12 @@ def _bands(ledger: Ledger, bands: tuple[tuple[float, float], ...]) -> BandReport
     if not bands or ledger.sliced_bands is None:
         return None
     return BandReport(bands, ledger.sliced_bands, ledger.in_bands)
+
+
+def _binds(caps: Limits) -> bool:
+    """Return whether limits of a profile bind what a file asks."""
+    asked = caps.velocity, caps.acceleration, caps.square_corner_velocity
+    return any(map(math.isfinite, asked))
 
 
 class SampleStream:

@@ -46,7 +46,8 @@ class PrintTime:
     """Duration of the print, s: as the firmware plays the sliced file, and as converted.
 
     ramps: of the converted path if nothing limited its jerk; resting: added at stops. slowed: share
-    of the path that is slower so that the motors can follow.
+    of the path that is slower so that the motors can follow. capped: whether limits of the
+    profile bind what the file asks.
     """
 
     before: float = 0.0
@@ -54,6 +55,7 @@ class PrintTime:
     ramps: float = 0.0
     resting: float = 0.0
     slowed: float = 0.0
+    capped: bool = True
 
     @property
     def costs(self) -> dict[str, float]:
@@ -82,7 +84,9 @@ class PrintTime:
         if self.change < WORTH_SAYING:
             return text
         motors = f"the limits in [motors], on {percent(self.slowed)} of the path"
-        names = COSTS | {"limits": motors} if self.slowed else COSTS
+        names = dict(COSTS)
+        if self.slowed or not self.capped:
+            names["limits"] = motors if self.slowed else "slower corners and stops"
         causes = [
             f"{s:.0f} s for {names[cause]}"
             for cause, s in sorted(self.costs.items(), key=lambda each: -each[1])
@@ -207,20 +211,21 @@ class Report(Ledger):
     """What one conversion did: its ledger, and what must be known of the printer to read it.
 
     speed, speed_text: how accuracy was traded for speed. notices: warnings of the printer's
-    profile. plastic: of a bed that moves. other_tools: commands after which the plant is not that
-    of the tool that prints; None if the profile does not say. advance: pressure advance, if there
-    is any. bands: of motor speed, if the profile avoids any. couples: whether a coupling, such as
-    racking, is compensated. shaping: the best input shaper, whose errors stand among the others.
-    predicted_sliced: share of the print whose errors as sliced are predicted. sliced_off: mm RMS
-    across the path by which whole steps put the sliced file off. lines_per_second: that the
-    firmware takes. with_summary: the output ends with this report. when_stopped: what to send after
-    the print was stopped midway.
+    profile. capped: see ``PrintTime``. plastic: of a bed that moves. other_tools: commands after
+    which the plant is not that of the tool that prints; None if the profile does not say. advance:
+    pressure advance, if there is any. bands: of motor speed, if the profile avoids any. couples:
+    whether a coupling, such as racking, is compensated. shaping: the best input shaper, whose
+    errors stand among the others. predicted_sliced: share of the print whose errors as sliced are
+    predicted. sliced_off: mm RMS across the path by which whole steps put the sliced file off.
+    lines_per_second: that the firmware takes. with_summary: the output ends with this report.
+    when_stopped: what to send after the print was stopped midway.
     """
 
     strategy: str
     speed: dict[str, Any] | None = None
     speed_text: str = ""
     notices: tuple[str, ...] = ()
+    capped: bool = True
     plastic: Plastic | None = None
     other_tools: tuple[str, ...] | None = None
     shaping: Shaping | None = None
@@ -238,7 +243,8 @@ class Report(Ledger):
         """Return the duration of the print."""
         before, after = self.sliced_s + self.elsewhere, self.duration + self.elsewhere
         ramps = self.ramps + self.elsewhere
-        return PrintTime(before, after, ramps, TS * self.resting, self.slowed)
+        resting = TS * self.resting
+        return PrintTime(before, after, ramps, resting, self.slowed, self.capped)
 
     @property
     def predicted(self) -> float:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+import hframe_post as hp
 from hframe_post.writers.outputs import Outputs
 from hframe_post.writers.print_time import (
     SUMMARY,
@@ -149,3 +151,18 @@ def test_times_in_the_head_and_a_file_of_comments() -> None:
 def test_a_corrupted_time_stays(text: bytes) -> None:
     line = text % (b"9" * 5000)
     assert with_times(DeferredLine(line, 1.0), 100.0, 110.0) == line
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "cause"),
+    [(500.0, "slower corners and stops"), (300.0, "lower limits in the profile")],
+)
+def test_limits_are_blamed_only_where_the_owner_lowered_them(
+    tmp_path: Path, acceleration: float, cause: str
+) -> None:
+    printer = hp.load_printer("example-ender")
+    printer = replace(printer, limits=replace(printer.limits, acceleration=acceleration))
+    strokes = [b"G1 X110 E0.4\n", b"G1 Z0.4\n", b"G1 X100 E0.4\n", b"G1 Z0.2\n"]
+    lines = [b"G28\n", b"M83\n", b"G1 X100 Y100 Z0.2 F6000\n", *(20 * strokes)]
+    found = hp.convert(lines, tmp_path / "o.gcode", printer, hp.Options(force=True, predict=()))
+    assert f" s for {cause}" in found.time.as_text()
