@@ -122,7 +122,7 @@ def test_no_vertex_leaves_the_bed_where_no_sample_does() -> None:
     assert vertices[:, 1].min() >= 0.0
 
 
-def test_the_nozzle_is_a_micrometre_off_at_half_the_lines(
+def test_the_nozzle_is_half_a_micrometre_off_at_a_seventh_of_the_samples(
     paper: Printer, commands: Callable[[str], Samples]
 ) -> None:
     """What counts is what the nozzle does: the rectangle at 10 000 mm/s², shipped tolerance."""
@@ -137,8 +137,8 @@ def test_the_nozzle_is_a_micrometre_off_at_half_the_lines(
         Response(paper.plant, points[0, :2]).run(xy) for xy in (points[:, :2], written)
     )
     off = np.hypot(*(as_written - nozzle).T)
-    below(np.sqrt(np.mean(off**2)), 1e-3, "RMS distance of the nozzle to that of all samples, mm")
-    below(len(ends), 0.12 * n, "segments")
+    below(np.sqrt(np.mean(off**2)), 7e-4, "RMS distance of the nozzle to that of all samples, mm")
+    below(len(ends), 0.14 * n, "segments")
 
 
 @pytest.mark.parametrize("rate", [20.0, 60.0, 200.0])
