@@ -34,17 +34,15 @@ GROUPS = {  # by group: name, its function in a module of hframe_post.cli, a lin
     },
     "Study": {
         "simulate": ("simulate", "Predict what compensation does for a print."),
-        "speed": ("speed", "Show how long a file takes within each error."),
     },
     "Other programs": {
         "connect": ("connect", "Connect a slicer, Cura, OctoPrint or Moonraker."),
     },
-    "For developers": {
-        "compare": ("compare", "Compare the motion of two G-code files."),
-    },
 }
 COMMANDS = {name: found[0] for group in GROUPS.values() for name, found in group.items()}
 GONE = {  # former commands, and what replaced them
+    "compare": "equal input gives equal bytes: compare files with cmp or diff",
+    "speed": "'hframe-post IN.GCODE --max-error 100um --dry-run' shows the time within an error",
     "paper": "run 'python -m examples.paper.tables' in the folder of hframe-post",
     "tune": "'hframe-post identify' writes the best window; 'simulate --shapers' has the shapers",
     "use": "'hframe-post setup PROFILE.TOML' makes it the default, 'hframe-post doctor' shows it",
@@ -86,15 +84,6 @@ class _Failure(click.ClickException):
         from hframe_post.cli.options import coloured
 
         click.echo(coloured(f"Error: {self.format_message()}"), err=True)
-
-
-class _CompareError(_Failure):
-    """A failure of a command whose status 1 has another meaning, as in diff and cmp."""
-
-    exit_code = 2
-
-
-FAILURES: dict[str, type[_Failure]] = {"compare": _CompareError}
 
 
 class _Commands(click.Group):
@@ -160,7 +149,7 @@ class _Commands(click.Group):
                 and self._clamps(context, name)
             ):
                 text += ", or use --on-limit clamp"
-            shown = FAILURES.get(name, _Failure)(text)
+            shown = _Failure(text)
         from hframe_post.cli.json_summary import write_failure  # imported by the command by now
 
         write_failure(context, shown.exit_code, shown.format_message(), failure)
