@@ -27,9 +27,9 @@ from .disk import (
     stamp,
 )
 from .originals import PAGE_SUFFIX, Upload, refuse, settings_of
-from .recordings import conclude, prepare, reuse
+from .recordings import conclude, prepare
 
-__all__ = ["Settings", "again", "conclude", "page", "prepare", "reuse", "stale", "tidy", "upload"]
+__all__ = ["Settings", "again", "conclude", "page", "prepare", "stale", "tidy", "upload"]
 
 OF_THE_FILE = re.compile(r"line \d+: ")  # how the reasons begin that a line of the file gives
 NOT_MEASURED = "plant.invented: "  # in the reason why a profile is not used before it is measured
