@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 import hframe_post as hp
-from hframe_post.arrays import Array
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain, Stages
@@ -14,8 +12,6 @@ from hframe_post.planner import sampling
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer import profile
 from hframe_post.writers.print_time import DeferredLine
-
-from .host import Playback
 
 PRINT = b"""G28
 G1 Z0.3 F600
@@ -54,12 +50,6 @@ def both(strategy: str, monkeypatch: pytest.MonkeyPatch) -> tuple[bytes, bytes]:
     short = converted(strategy)
     monkeypatch.setattr(sampling, "FEWEST", 1 << 60)
     return short, converted(strategy)
-
-
-def motion(run: Playback, seconds: float) -> Array:
-    """Return x, y, z, e (n, 4) every millisecond from the end of the first lift on."""
-    t = float(run.moves["print_time"][1]) + np.arange(0.0, seconds, 1e-3)
-    return np.column_stack([run.position(t), run.extruded(t)])
 
 
 @pytest.mark.parametrize("strategy", ["racking", "none"])

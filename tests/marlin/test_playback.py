@@ -28,7 +28,6 @@ from tests.quantities import below, near
 from .planner import Build, FixedTimeRun, Machine, Run, xy
 
 STREAMS = Path(__file__).parent / "streams"
-SKIRT = 14_000  # samples of the cube before its first retraction in mid-layer
 LAPS = 15  # of the rectangle: half a minute
 FINE = 2000  # steps to which lateness is searched, of the reach of the search
 WINDOW, STEP = 500, 1000  # samples over which lateness is measured, and from one to the next

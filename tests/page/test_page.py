@@ -13,10 +13,9 @@ from hframe_post.library import convert
 from hframe_post.printer.settings import Printer
 from tests.chromium import Browser
 from tests.command_line import run
-from tests.conftest import ROOT, SAMPLES
+from tests.conftest import SAMPLES
 from tests.page.pages import RATIOS, check_readable, data_of
 
-PAGES = ROOT / "hframe_post" / "page"
 EVIL = "</script><script>window.evil=1</script><img src=x onerror=window.evil=2>"
 BOX = "['left', 'top', 'width', 'height'].map(side => canvas.getBoundingClientRect()[side])"
 
