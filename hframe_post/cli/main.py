@@ -6,20 +6,18 @@ import contextlib
 import os
 import re
 import sys
-import traceback
-from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
-from typing import IO, Any, NoReturn
+from typing import IO, TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from hframe_post import process
-from hframe_post.cli.options import coloured
 from hframe_post.errors import HframeError, LimitError, PrinterError
-from hframe_post.printer.choice import CHOICE, Choice
 from hframe_post.version import __version__
-from hframe_post.writers.outputs import FULL
+
+if TYPE_CHECKING:
+    from hframe_post.printer.choice import Choice
 
 GROUPS = {  # by group: name, its function in a module of hframe_post.cli, a line of help
     "Start": {
@@ -83,6 +81,8 @@ class _Failure(click.ClickException):
     """A failure, in one line."""
 
     def show(self, file: IO[Any] | None = None) -> None:
+        from hframe_post.cli.options import coloured
+
         click.echo(coloured(f"Error: {self.format_message()}"), err=True)
 
 
@@ -116,6 +116,8 @@ class _Commands(click.Group):
             if _looks_like_a_command(args[0]):
                 if args[0] in GONE:
                     raise click.UsageError(f"{args[0]!r} is gone: {GONE[args[0]]}", context)
+                from difflib import get_close_matches
+
                 similar = get_close_matches(args[0].lower(), COMMANDS, n=1, cutoff=0.6)
                 advice = f"did you mean 'hframe-post {similar[0]}'?" if similar else "see --help"
                 raise click.UsageError(
@@ -131,6 +133,8 @@ class _Commands(click.Group):
         except (click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except Exception as error:
+            from hframe_post.printer.choice import CHOICE
+
             failure = _naming_the_file(error, context.meta.get(CHOICE))
         if isinstance(failure, click.ClickException):
             shown: click.ClickException = failure
@@ -196,6 +200,8 @@ def _cause(error: OSError) -> str:
     """Return what is wrong with a file, and with its folder if that is the cause."""
     if not error.filename:
         return error.strerror or str(error)
+    from hframe_post.writers.outputs import FULL
+
     path = Path(os.fsdecode(error.filename))
     cause = error.strerror or str(error)
     if isinstance(error, FileNotFoundError) and not path.parent.exists():
@@ -250,6 +256,8 @@ def _fail(message: str) -> int:
 
 
 def _bug_report(error: Exception) -> str:
+    import traceback
+
     frames = traceback.extract_tb(error.__traceback__)[-3:]
     places = ", ".join(f"{os.path.basename(f.filename)}:{f.lineno}" for f in reversed(frames))
     message = " ".join(f"{type(error).__name__}: {error}".split())[:300]
