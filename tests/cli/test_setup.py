@@ -89,7 +89,7 @@ def test_again_it_changes_nothing_and_says_what_differs(config: Path) -> None:
     before = own.read_bytes()
     printed = set_up(config)
     assert own.read_bytes() == before
-    assert "limits.acceleration: 8000 (max_accel of [printer]), it has 10000" in printed
+    assert "limits.acceleration: 8000 (max_accel of [printer]), but" in printed
     assert "limits.z_velocity: 20" in printed
     assert f"To overwrite it: hframe-post setup {config} --reset" in printed
     set_up(config, "--reset")

@@ -81,7 +81,7 @@ def test_report_counts_what_is_in_the_file(paper: Printer) -> None:
     report = pieces.report()
     steps = [row.split(b",") for row in rows if row[:1].isdigit()]
     assert report.steps is not None
-    assert report.lines_written == len(rows)
+    assert report.written.lines == len(rows)
     assert report.steps.rows == len(steps)
     for motor in MOTORS:
         count = sum(row[1] == motor.encode() for row in steps)

@@ -78,4 +78,4 @@ def test_motors_that_the_owner_states_get_a_slower_path(tmp_path: Path) -> None:
     none, compensated = errors(report)
     below(compensated, 0.5 * none, "contour error, µm RMS")
     assert report.time.slowed > 0.1
-    assert "[motors]" in report.time.as_text()
+    assert "[motors]" in report.time.as_row().text
