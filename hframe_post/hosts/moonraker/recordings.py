@@ -6,7 +6,6 @@ one axis stay until it is recorded again, so that the sensor may be moved in bet
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import re
@@ -17,8 +16,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from .conversion import PAGE, Interface, Settings, said
-from .disk import FOLDER, Event, FailureError, add, cause
+from .conversion import Interface, Settings, said
+from .disk import FOLDER, FailureError, cause
 
 WRITING = {  # the words of a command before the file of G-code
     "calibration": ("measure", "-q", "--times", "2", "-o"),
@@ -88,7 +87,6 @@ def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
 def _refused(settings: Settings, kind: str, error: Exception) -> int:
     reason = f"the model was not changed: {cause(error)}"
     Interface(settings.socket).report(reason, failed=True)
-    _remember(settings, Event(kind, reason=reason))
     return 1
 
 
@@ -106,29 +104,13 @@ def _updated(
     except (FailureError, OSError, ValueError) as error:
         return _refused(settings, kind, error)
     interface = Interface(settings.socket)
-    _remember(settings, Event(kind, hz=_resonances(known)))
     result_lines = {"calibration": _identified, "check": _checked}[kind](known)
     plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
     lines = [*result_lines, f"the model is written into {profile}{plots}"]
     if profile.with_suffix(".kernel").is_file():
         lines.append("with [hframe_live] in printer.cfg, restart Klipper: it takes this model")
     interface.report("\n".join(lines))  # at once: some consoles show the newest message first
-    interface.report(f"how the printer does: {PAGE}")  # KlipperScreen shows no message with a link
     return 0
-
-
-def _remember(settings: Settings, event: Event) -> None:
-    with contextlib.suppress(OSError):  # of a full disk: the console has said it
-        add(settings.history, event)
-
-
-def _resonances(found: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
-    """Return the main resonance of each axis that identify found, or check before and after."""
-    return {
-        AXES[name]: tuple(one["resonance"]["hz"] if "resonance" in one else [one["modes"][0]["hz"]])
-        for name, one in found["functions"].items()
-        if name in AXES and ("resonance" in one or one["modes"])
-    }
 
 
 def _is_written(folder: Path, profile: Path) -> bool:
