@@ -88,7 +88,7 @@ def identify(
 
     Give the folder with the recordings: those of 'measure' with their commands, Klipper's
     (TEST_RESONANCES with OUTPUT=raw_data), or Shake&Tune's. One sensor on the nozzle is enough.
-    Recordings of 'measure --for bands' show the motor speeds that outer walls should avoid.
+    Shake&Tune's CREATE_VIBRATIONS_PROFILE shows the motor speeds that outer walls should avoid.
 
     \b
     Example:
@@ -137,10 +137,10 @@ def identify(
 
 
 def _are_vibrations(files: Iterable[Path]) -> bool:
-    """Return whether all recordings are of 'measure --for bands' or of its like."""
+    """Return whether the recordings are of constant speeds, but for Shake&Tune's axes map."""
     from hframe_post.identification.recordings.names import parsed
 
-    return {parsed(path.name).other for path in files} == {"vibrations"}
+    return {parsed(path.name).other for path in files} - {"axes map"} == {"vibrations"}
 
 
 def _bands(recordings: tuple[Path, ...], profile: Printer, written: bool) -> Findings:

@@ -18,7 +18,7 @@ from hframe_post.gcode.lines import lines_of
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.printer.settings import CHIP_NAME
 from hframe_post.writers.outputs import Outputs
-from hframe_post.writers.print_time import duration, write_output
+from hframe_post.writers.print_time import write_output
 
 if TYPE_CHECKING:
     from hframe_post.identification.recordings.runs import PlannedRun
@@ -37,6 +37,16 @@ def _chip(text: str) -> str:
     return text
 
 
+def _purpose(text: str) -> str:
+    if text == "bands":
+        raise click.BadParameter(
+            "bands is gone: record CREATE_VIBRATIONS_PROFILE of Shake&Tune, and give its folder to "
+            "'hframe-post identify'"
+        )
+    choices = click.Choice(["identify", "check", "verify", "planner"])
+    return str(choices.convert(text, None, None))
+
+
 @click.command()
 @click.option(
     "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False),
@@ -45,7 +55,7 @@ def _chip(text: str) -> str:
 @printer_option
 @click.option(
     "--for", "purpose", default="identify", show_default=True,
-    type=click.Choice(["identify", "check", "verify", "bands", "planner"]),
+    type=_purpose, metavar="[identify|check|verify|planner]",
     help="What to find out.",
 )  # fmt: skip
 @click.option(
@@ -75,7 +85,6 @@ def measure(
     identify  strokes as in prints, a minute at each position; with Marlin, sweeps
     check     20 s: what has drifted since identify
     verify    the same motion uncompensated and compensated
-    bands     one speed after the other: where do the motors shake the nozzle?
     planner   Marlin only: a file whose duration shows the board's planner
 
     The command of each run is written next to the file. The summary says what to do next.
@@ -92,8 +101,6 @@ def measure(
     profile = load(printer)
     if purpose == "planner":
         text = _planner(output, printer, profile)
-    elif purpose == "bands":
-        text = _bands(output, printer, profile, chips)
     elif purpose == "identify" and not profile.firmware.kind.records:
         text = _sweep(output, printer, profile, places)
     else:
@@ -217,31 +224,6 @@ def _sweep(
             outputs.open(Path(f"{named}.csv")).writelines(command_csv(run.command))
     done = [run for run, _ in planned]
     return summary(target.stem, done, profile.kinematics.type == "cartesian")
-
-
-def _bands(target: Path, printer: str, profile: Printer, chips: tuple[str, ...]) -> str:
-    """Write strokes at one speed after the other, which Klipper records."""
-    from hframe_post.identification.bands import gcode, runs, seconds_of, sensors_of
-
-    planned = runs(profile)
-    sensors = {chip for run in planned for chip in chips or sensors_of(profile, run)}
-    jobs = {target: planned}
-    if profile.kinematics.bed_moves and len(sensors) == 1:
-        jobs = {_of_axis(target, axis): [run] for axis, run in zip("xy", planned, strict=True)}
-    with Outputs(files_read(printer)) as outputs:
-        for file, some in jobs.items():
-            outputs.open(file).writelines(gcode(profile, some, chips, HEIGHT))
-    count = sum(len(run.strokes) for run in planned)
-    names = " and ".join(path.name for path in jobs)
-    moved = " with the sensor on the head, then on the bed" if len(jobs) > 1 else ""
-    folder = quoted(target.parent / "bands")
-    return (
-        f"{count} recordings in {duration(seconds_of(planned))} of motion\n"
-        f"Next, home the printer, print {names}{moved}, and fetch what Klipper recorded:\n"
-        f'  mkdir {folder}; scp "pi@printer.local:/tmp/*-vib_an*.csv" {folder}\n'
-        "Then type\n"
-        f"  hframe-post identify -p {quoted(printer)} {folder} -o {quoted(printer)}"
-    )
 
 
 def _planner(target: Path, printer: str, profile: Printer) -> str:

@@ -1,8 +1,7 @@
-"""Bands of motor speed that shake the nozzle: the strokes that show them, and what these say.
+"""Bands of motor speed that shake the nozzle, from Shake&Tune's CREATE_VIBRATIONS_PROFILE.
 
-Klipper records each speed by itself, in a file named as Shake&Tune names it:
-``vib_an45_00sp120_00``, 45° and 120 mm/s. The strokes are plain moves in directions in which only
-one motor turns, so that nothing but that motor shakes the nozzle between the turns.
+Shake&Tune records each speed by itself, in strokes in directions in which only one motor turns, and
+names the recording by both: ``vib_an45_00sp120_00``, 45° and 120 mm/s.
 
 A motor's torque ripples with its phase: once per 0.8 mm of a GT2 belt on 20 teeth, and at
 multiples; the belt meshes once per 2 mm. So the nozzle shakes where one of these meets a resonance.
@@ -18,25 +17,18 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import signal
 
-from hframe_post.arrays import Array, Flags
-from hframe_post.errors import HframeError, IdentificationError, LimitError
-from hframe_post.firmware.code import plain
-from hframe_post.gcode.commands import STAMP
-from hframe_post.identification.recordings.accelerometer import Recording, from_table
-from hframe_post.identification.recordings.folder import Aside, files_in, reason_of
-from hframe_post.identification.recordings.formats import read_tables, unpacked
-from hframe_post.identification.recordings.runs import APPROACH, LIFT, check_records, room
+from hframe_post.arrays import Array
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.recordings.accelerometer import Recording
+from hframe_post.identification.recordings.folder import Aside, Measurement, read_files
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.printer.firmware_tables import USUAL_CHIP
-from hframe_post.printer.settings import Printer
-from hframe_post.version import __version__
-from hframe_post.writers.print_time import duration
 
 LABEL = re.compile(r"an(\d+)_(\d+)sp(\d+)_(\d+)", re.IGNORECASE)
 WINDOW = 0.25  # s of a spectrum; a stroke at full speed lasts longer
@@ -77,20 +69,24 @@ def shaking(
     """
     energies: dict[int, dict[float, list[Array]]] = defaultdict(lambda: defaultdict(list))
     angles, aside = dict[int, float](), list[Aside]()
-    for label, name, recording in _recordings(paths, aside):
-        if (named := LABEL.search(name)) is None:
-            aside.append(Aside(label, "its name does not say angle and speed, as an45_00sp120_00"))
+    for one in read_files(paths, unusable={})[1]:
+        if not isinstance(one, Measurement):
+            aside.append(one)
+            continue
+        if (named := LABEL.search(one.label)) is None:
+            reason = "its name does not say angle and speed, as an45_00sp120_00"
+            aside.append(Aside(one.label, reason))
             continue
         angle, speed = (float(f"{named[k]}.{named[k + 1]}") for k in (1, 3))
         direction = np.array([[math.cos(math.radians(angle))], [math.sin(math.radians(angle))]])
         belts = speed * np.abs(kinematics.belts(*direction)[:, 0])
         turning = np.flatnonzero(belts > STANDS * speed)
         if len(turning) != 1:
-            aside.append(Aside(label, f"both motors turn at {angle:g}°"))
+            aside.append(Aside(one.label, f"both motors turn at {angle:g}°"))
             continue
         motor = int(turning[0])
         energies[motor][round(float(belts[motor]), 3)].append(
-            _energy(recording, float(belts[motor]))
+            _energy(one.recording, float(belts[motor]))
         )
         angles[motor] = angle
     found = [
@@ -115,27 +111,8 @@ def _nothing(
     why = f". Not used: {aside[0].label}: {aside[0].reason}" if aside else ""
     return (
         f"{', '.join(map(str, paths))}: {most} speeds of a motor, and {LEAST_SPEEDS} are needed. "
-        "Record what 'hframe-post measure --for bands' writes, or CREATE_VIBRATIONS_PROFILE of "
-        "Shake&Tune"
-        f"{why}"
+        f"Record them with CREATE_VIBRATIONS_PROFILE of Shake&Tune{why}"
     )
-
-
-def _recordings(paths: Sequence[Path], aside: list[Aside]) -> Iterator[tuple[str, str, Recording]]:
-    """Yield a label, the name and the recording of each; what cannot be read is put aside."""
-    for path, label in files_in(paths).items():
-        try:
-            tables = read_tables(path, unpacked(path), None)
-        except HframeError as error:
-            aside.append(Aside(label, reason_of(path, error)))
-            continue
-        for table in tables:
-            name = table.name or path.name
-            which = f"{label}: {name}" if table.name else label
-            try:
-                yield which, name, from_table(path, table)
-            except HframeError as error:
-                aside.append(Aside(which, reason_of(path, error)))
 
 
 def _energy(recording: Recording, speed: float) -> Array:
@@ -155,12 +132,12 @@ STEP = 0.5  # mm/s, between speeds
 AROUND = 1.6  # factor on the speed, up and down, within which the usual shaking is the median
 PEAK, EDGE = 1.5, 1.25  # times the usual shaking: at the worst speed of a band, at its ends
 WIDEST = 1.45  # greatest over least speed of a band; what is wider cannot be avoided
-FAINT = 0.3  # of the strongest peak; fainter ones do not count
+WIDEST_LOG = 0.5 * math.log(WIDEST)
+FAINT = 0.3  # of the strongest excess; fainter ones are noise
 LEAST = 1e-3  # mm; noise of an ADXL345 looks like less
 MAIN = 0.5  # of all shaking at a speed, from which one ripple is its cause
 SLOWEST = 20.0  # mm/s at the belt
 MOST = 4  # bands of a motor
-TINY = 1e-9  # mm
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,17 +182,27 @@ def to_avoid(found: Sequence[Band]) -> tuple[tuple[int, int], ...]:
 
 
 def _of_motor(shaking: MotorShaking) -> list[Band]:
+    """Return the bands of a motor that shake most above the usual, by speed."""
     speed = np.arange(shaking.speed[0], shaking.speed[-1] + STEP / 2.0, STEP)
-    around = [(speed >= s / AROUND) & (speed <= s * AROUND) for s in speed]
     *ripples, rms = (
         np.interp(speed, shaking.speed, each) for each in (*shaking.ripples.T, shaking.rms)
     )
-    more = (speed >= SLOWEST) & (rms > EDGE * _median(rms, around))
+    more = (speed >= SLOWEST) & (rms > EDGE * _usual(speed, rms))
     found = list[Band]()
     for ripple in ripples:
-        usual = _median(ripple, around)
+        usual = _usual(speed, ripple)
         free = more & (ripple > np.maximum(MAIN * rms, LEAST))
-        found += _of_ripple(shaking.motor, speed, ripple, usual, free)
+        edge = np.diff((ripple > EDGE * usual).astype(np.int8), prepend=0, append=0)
+        of_ripple = list[Band]()
+        for low, high in zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True):
+            if free[low:high].any():
+                k = low + int(np.argmax(np.where(free, ripple - usual, 0.0)[low:high]))
+                near = speed[low:high][np.abs(np.log(speed[low:high] / speed[k])) < WIDEST_LOG]
+                here = (float(v) for v in (near[0], near[-1], speed[k], ripple[k], usual[k]))
+                of_ripple.append(Band(shaking.motor, *here))
+        # what exceeds a fainter peak, but hardly its own usual, shows that both are chance
+        of_ripple.sort(key=lambda band: band.usual - band.rms)
+        found += takewhile(lambda band: band.rms > PEAK * band.usual, of_ripple)
     found.sort(key=lambda band: band.usual - band.rms)
     kept = list[Band]()
     for band in found[:MOST]:
@@ -225,170 +212,9 @@ def _of_motor(shaking: MotorShaking) -> list[Band]:
     return sorted(kept, key=lambda band: band.least)
 
 
-def _median(rms: Array, around: Sequence[Flags]) -> Array:
-    return np.array([np.median(rms[near]) for near in around])
-
-
-def _of_ripple(motor: int, speed: Array, rms: Array, usual: Array, free: Flags) -> Iterator[Band]:
-    """Yield the bands of one ripple. free (n,): where they may have their worst speed."""
-    over = rms / np.maximum(usual, TINY)
-    while free.any():
-        k = int(np.flatnonzero(free)[np.argmax((rms - usual)[free])])
-        if over[k] < PEAK:
-            return
-        low, high = _edges(speed, over, k)
-        free[low : high + 1] = False
-        here = (float(value) for value in (*speed[[low, high, k]], rms[k], usual[k]))
-        yield Band(motor, *here)
-
-
-def _edges(speed: Array, over: Array, peak: int) -> tuple[int, int]:
-    """Return where a band around its worst speed begins and ends.
-
-    It grows to the side that shakes more, until both shake little more than usual or it is WIDEST.
-    """
-    low = high = peak
-    while True:
-        below = over[low - 1] if low else 0.0
-        above = over[high + 1] if high + 1 < len(over) else 0.0
-        if max(below, above) < EDGE:
-            return low, high
-        low, high = (low - 1, high) if below > above else (low, high + 1)
-        if speed[high] > WIDEST * speed[low]:
-            return (low + 1, high) if below > above else (low, high - 1)
-
-
-LEAST_SPEED, MOST_SPEED, SPEED_STEP = 10.0, 200.0, 2.0  # mm/s of the path
-GENTLE = 3000.0  # mm/s²: what the turns shake has ended soon
-STROKE, RECORDED = 0.6, 1.2  # s that a stroke takes, and strokes of a recording together
-SHORTEST = 10.0  # mm
-MARGIN = 1.0  # mm from the edge
-SETTLED = 300  # ms at rest before a recording
-HEAD = """\
-; strokes at constant speeds for printer {printer}, {version}: {runs} recordings, {total}
-; Before printing this file: home (G28), clear the bed, and check that the accelerometers answer
-; (ACCELEROMETER_QUERY). The nozzle rises to z {z} mm and moves in x and y; nothing is extruded.
-; If you cancel it, Klipper keeps this file's acceleration: run FIRMWARE_RESTART.
-G90
-G1 Z{z} F{lift}
-SET_VELOCITY_LIMIT ACCEL={acceleration}
-"""
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """The strokes of one motor, in the middle of the travel.
-
-    direction: of the path, a unit vector; strokes: (path speed in mm/s, length in mm, to and fro)
-    of each recording.
-    """
-
-    motor: int
-    direction: tuple[float, float]
-    middle: tuple[float, float]
-    acceleration: float
-    strokes: tuple[tuple[float, float, int], ...]
-
-    @property
-    def angle(self) -> float:
-        """Return the angle of the path to x, from 0 to 180 degrees."""
-        x, y = self.direction
-        return math.degrees(math.atan2(y, x)) % 180.0
-
-    @property
-    def seconds(self) -> float:
-        """Return the time that it takes, without the recordings' files."""
-        return sum(
-            2 * times * (length / speed + speed / self.acceleration) + 1e-3 * SETTLED
-            for speed, length, times in self.strokes
-        )
-
-
-def runs(printer: Printer) -> list[Run]:
-    """Return the strokes of both motors. Raises PrinterError, and LimitError without room."""
-    check_records(printer)
-    inverse = np.linalg.inv(printer.kinematics.matrix)
-    return [_run(printer, motor, inverse[:, motor]) for motor in (0, 1)]
-
-
-def _run(printer: Printer, motor: int, way: np.ndarray) -> Run:
-    x, y = (way / np.linalg.norm(way)).tolist()
-    if (y, x) < (0.0, 0.0):
-        x, y = -x, -y
-    travel = printer.travel
-    middle = (sum(travel.x) / 2.0, sum(travel.y) / 2.0)
-    rooms = (room(printer, axis, middle) - MARGIN for axis in (0, 1))
-    reach = min(
-        left / abs(part) for left, part in zip(rooms, (x, y), strict=True) if abs(part) > 1e-9
-    )
-    limits = printer.limits
-    acceleration = min(GENTLE, limits.acceleration)
-    strokes = list[tuple[float, float, int]]()
-    for speed in np.arange(
-        LEAST_SPEED, min(MOST_SPEED, limits.velocity) + 1e-9, SPEED_STEP
-    ).tolist():
-        # Klipper reaches a speed only if it is kept for half the way (minimum_cruise_ratio)
-        needed = speed * STROKE / 2.0 + 2.0 * speed**2 / acceleration
-        if needed > 2.0 * reach:
-            break
-        length = min(max(speed * STROKE, needed, SHORTEST), 2.0 * reach)
-        strokes.append((speed, length, math.ceil(RECORDED / (2.0 * length / speed))))
-    if not strokes:
-        raise LimitError("room for strokes (mm)", 2.0 * reach, SHORTEST, None, "check [travel]")
-    return Run(motor, (x, y), middle, acceleration, tuple(strokes))
-
-
-def gcode(
-    printer: Printer, planned: Sequence[Run], chips: Sequence[str], z: float
-) -> Iterator[bytes]:
-    """Yield the G-code of runs. chips: as Klipper names them; empty: those of the profile."""
-    table = printer.firmware.klipper
-    usual = printer.limits.acceleration if table is None else table.acceleration
-    stamp = f"{STAMP.decode()} {__version__}, printer {printer.name}, settings {printer.digest}\n"
-    yield stamp.encode() + HEAD.format(
-        printer=printer.name, version=__version__, z=plain(z, 3), lift=plain(60.0 * LIFT, 1),
-        runs=sum(len(run.strokes) for run in planned), total=duration(seconds_of(planned)),
-        acceleration=plain(planned[0].acceleration, 1),
-    ).encode()  # fmt: skip
-    for run in planned:
-        for stroke in run.strokes:
-            yield "\n".join([*_recording(printer, run, stroke, chips), ""]).encode()
-    yield f"SET_VELOCITY_LIMIT ACCEL={plain(usual, 1)}\n".encode()
-
-
-def _recording(
-    printer: Printer, run: Run, stroke: tuple[float, float, int], chips: Sequence[str]
-) -> Iterator[str]:
-    speed, length, times = stroke
-    there, back = (
-        " ".join(
-            f"{name}{plain(at + sign * part * length / 2.0, 3)}"
-            for name, at, part in zip("XY", run.middle, run.direction, strict=True)
-        )
-        for sign in (1.0, -1.0)
-    )
-    sensors = chips or sensors_of(printer, run)
-    name = f"vib_an{run.angle:.2f}sp{speed:.2f}".replace(".", "_")
-    yield f"G1 {back} F{plain(60.0 * APPROACH, 1)}"
-    yield from ("M400", f"G4 P{SETTLED}")
-    yield from (f"ACCELEROMETER_MEASURE CHIP={chip}" for chip in sensors)
-    for _ in range(times):
-        yield f"G1 {there} F{plain(60.0 * speed, 1)}"
-        yield f"G1 {back}"
-    yield "M400"
-    yield from (f"ACCELEROMETER_MEASURE CHIP={chip} NAME={name}" for chip in sensors)
-
-
-def sensors_of(printer: Printer, run: Run) -> tuple[str, ...]:
-    """Return the profile's accelerometers of the axes that a run moves."""
-    known = (printer.sweep.chip_x, printer.sweep.chip_y)
-    found = [chip for chip, part in zip(known, run.direction, strict=True) if chip and part]
-    return tuple(dict.fromkeys(found)) or (USUAL_CHIP,)
-
-
-def seconds_of(planned: Sequence[Run]) -> float:
-    """Return the time of all runs."""
-    return sum(run.seconds for run in planned)
+def _usual(speed: Array, rms: Array) -> Array:
+    """Return the median (n,) at the speeds around each speed (n,)."""
+    return np.array([np.median(rms[np.abs(np.log(speed / s)) <= math.log(AROUND)]) for s in speed])
 
 
 MICRON = 1e3

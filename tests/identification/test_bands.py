@@ -14,10 +14,10 @@ from scipy import signal
 
 from hframe_post.arrays import Array
 from hframe_post.cli.main import main
-from hframe_post.errors import IdentificationError, LimitError
-from hframe_post.identification.bands import Band, bands, runs, shaking, to_avoid
+from hframe_post.errors import IdentificationError
+from hframe_post.identification.bands import Band, bands, shaking, to_avoid
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.printer.profile import load, parse
+from hframe_post.printer.profile import load
 
 RATE = 3200.0
 NOISE = 160.0  # mm/s² RMS at 3200 Hz: 4 mm/s²/√Hz, an ADXL345
@@ -153,26 +153,6 @@ def test_bands_that_meet_are_joined_unless_that_is_too_wide() -> None:
     assert to_avoid([band(30.2, 33.0), band(32.5, 36.7, 1)]) == ((30, 37),)
     assert to_avoid([band(30.0, 40.0), band(39.0, 55.0, 1)]) == ((30, 40), (41, 55))
     assert to_avoid([]) == ()
-
-
-@pytest.mark.parametrize("kinematics", ["corexy", "hbot", "hybrid-corexy", "cartesian"])
-def test_each_run_turns_one_motor_within_the_travel(kinematics: str) -> None:
-    printer = parse(f'extends = "example-corexy"\n[kinematics]\ntype = "{kinematics}"\n', "x")
-    for motor, run in enumerate(runs(printer)):
-        belts = printer.kinematics.matrix @ run.direction
-        assert np.flatnonzero(np.abs(belts) > 1e-9).tolist() == [motor]
-        for speed, length, times in run.strokes:
-            assert length >= 2.0 * speed**2 / run.acceleration
-            assert times * length / speed >= 0.6
-            for axis, travel in enumerate((printer.travel.x, printer.travel.y)):
-                ends = [run.middle[axis] + s * run.direction[axis] * length / 2.0 for s in (1, -1)]
-                assert travel[0] < min(ends) <= max(ends) < travel[1]
-
-
-def test_a_small_bed_has_no_room() -> None:
-    printer = parse('extends = "example-corexy"\n[travel]\nx = [0, 4]\ny = [0, 200]\n', "small")
-    with pytest.raises(LimitError, match="room for strokes"):
-        runs(printer)
 
 
 def test_what_does_not_follow_the_motor_is_no_band(tmp_path: Path) -> None:

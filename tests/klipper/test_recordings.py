@@ -10,8 +10,6 @@ import pytest
 
 from hframe_post.arrays import TS, Array
 from hframe_post.firmware.klipper.macros import macros
-from hframe_post.identification import bands
-from hframe_post.identification.bands import shaking
 from hframe_post.identification.recordings import accelerometer
 from hframe_post.identification.recordings.clock import KnownStart, known_start
 from hframe_post.identification.recordings.names import parsed
@@ -45,29 +43,6 @@ def played(folder: Path, sections: str, seconds: float) -> tuple[Array, Playback
     text = b"".join(p.line if isinstance(p, DeferredLine) else p for p in pieces)
     (folder / "measure.gcode").write_bytes(b"G28\n" + text)
     return run.command, play(folder / "measure.gcode", workdir=folder, sections=sections)
-
-
-@pytest.mark.slow
-def test_each_speed_of_each_motor_is_recorded(tmp_path: Path) -> None:
-    limits = "[limits]\nvelocity = 32.0\n"
-    printer = parse(f'{WEAK}[kinematics]\ntype = "corexy"\n{limits}', "slow")
-    planned = bands.runs(printer)
-    text = b"".join(bands.gcode(printer, planned, ("adxl345",), 10.0))
-    (tmp_path / "bands.gcode").write_bytes(b"G28\n" + text)
-    playback = play(tmp_path / "bands.gcode", workdir=tmp_path, sections=SENSORS)
-    assert playback.warnings == ()
-    motors, aside = shaking([tmp_path], printer.kinematics)
-    assert not aside
-    speeds = np.sqrt(2.0) * np.arange(10.0, 33.0, 2.0)
-    for motor, recorded in enumerate(motors):
-        assert recorded.motor == motor
-        assert recorded.speed == pytest.approx(speeds, abs=1e-3)
-    # the host keeps each speed, by one motor alone, for most of the strokes
-    t = np.arange(playback.start, playback.end, 1e-3)
-    a, b = np.abs(printer.kinematics.belts(*np.diff(playback.position(t)[:, :2].T) / 1e-3))
-    for one, other in ((a, b), (b, a)):
-        for speed in speeds:
-            assert ((np.abs(one - speed) < 0.05) & (other < 0.05)).sum() > 900
 
 
 def begun(command: Array, playback: Playback) -> float:

@@ -82,9 +82,6 @@ DONE = {
     "measure -o m.gcode": Done(
         "", r"(m(-x|-y)?\.gcode ){1,2}(m\.measure(-x|-y)?-at-\d+\.csv ?){1,3}"
     ),
-    "measure --for bands -o b.gcode": Done(
-        "  hframe-post identify -p ", r"(b(-[xy])?\.gcode ?){1,2}"
-    ),
     "measure -o s.gcode": Done("", rf"(s\.gcode )?(s\.{NAMES}\.(csv|gcode) ?)+"),
     "connect klipper": Done("    _HFRAME_CANCEL_PRINT {rawparams}"),
     "measure --for planner -o c.gcode": Done("The part .lines. is 10000", "c.gcode"),

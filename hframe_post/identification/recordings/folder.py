@@ -149,11 +149,13 @@ def contents(
 
 
 def read_files(
-    paths: Sequence[Path], columns: Sequence[str] | None = None
+    paths: Sequence[Path],
+    columns: Sequence[str] | None = None,
+    unusable: Mapping[str, str] = UNUSABLE,
 ) -> tuple[list[RunMotion], list[Measurement | Aside]]:
     """Return the commands and the recordings in files and folders, not yet paired.
 
-    Raises as ``contents``.
+    unusable: by the kind of a test, why its files are not read. Raises as ``contents``.
     """
     files = files_in(paths)
     if not files:
@@ -164,7 +166,7 @@ def read_files(
             "AXIS=Y; it writes to /tmp of its host. With Marlin, print what 'hframe-post measure' "
             "writes"
         )
-    read = [each for path, label in files.items() for each in _read(path, label, columns)]
+    read = [each for path, label in files.items() for each in _read(path, label, columns, unusable)]
     return (
         [each for each in read if isinstance(each, RunMotion)],
         [each for each in read if not isinstance(each, RunMotion)],
@@ -201,11 +203,11 @@ def _raise(error: OSError) -> None:
 
 
 def _read(
-    path: Path, label: str, columns: Sequence[str] | None
+    path: Path, label: str, columns: Sequence[str] | None, unusable: Mapping[str, str]
 ) -> list[RunMotion | Measurement | Aside]:
     by_file = parsed(path.name)
-    if by_file.other:
-        return [Aside(label, UNUSABLE[by_file.other])]
+    if by_file.other in unusable:
+        return [Aside(label, unusable[by_file.other])]
     try:
         content = unpacked(path)
         if content[:100].lstrip().partition(b"\n")[0].strip().lower() == CSV_HEAD.encode():
