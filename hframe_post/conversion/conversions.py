@@ -112,7 +112,7 @@ class SpanWriter:
 
         def output() -> Iterator[Output]:
             commands = stages.predicted(stages.commands(span.items), threads)
-            yield from stages.times.timed("write", writer.write(commands))
+            yield from writer.write(commands)
             result.ledger = replace(stages.ledger, written=writer.summary)
 
         result.output = output()

@@ -119,7 +119,7 @@ class Ledger:
     what of them a motor spends in a band that it avoids; contour and width, errors by strategy;
     picture, if one was asked for; metered, sums of the options' meters.
 
-    Of the output: written, steps. seconds: processor time by stage.
+    Of the output: written, steps.
     """
 
     read: FileTally = field(default_factory=FileTally)
@@ -144,7 +144,6 @@ class Ledger:
     metered: Any = field(default=None, compare=False, repr=False)
     written: GcodeSummary = field(default_factory=GcodeSummary)
     steps: StepTally | None = None
-    seconds: dict[str, float] = field(default_factory=dict, compare=False)
 
     @property
     def duration(self) -> float:

@@ -51,7 +51,7 @@ from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Limits, Motors, Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
-from hframe_post.stream.running import StageTimes, prefetch
+from hframe_post.stream.running import prefetch
 from hframe_post.stream.tally import joined
 from hframe_post.stream.types import Item, Moves, Passthrough, Planned, Samples
 
@@ -190,16 +190,13 @@ class Stages:
         )  # fmt: skip
         self._notes = SampleNotes(options.strategy, printing, chain.bands)
         self._meter = options.meters.begun(printing) if options.meters else None
-        self.times = StageTimes()
 
     def commands(self, items: Iterable[Planned]) -> Iterator[Samples]:
         """Yield checked commands for planned motion; the first sample is number 0.
 
         Raises HframeError.
         """
-        samples = self._chain.sampled(items, self._skip_slow)
-        samples = self.times.timed("sample", samples)
-        return self.checked(self.compensated(samples))
+        return self.checked(self.compensated(self._chain.sampled(items, self._skip_slow)))
 
     def whole(self, spans: Spans) -> Iterator[Samples]:
         """Yield checked commands for a print; the spans continue each other. Raises HframeError."""
@@ -208,8 +205,7 @@ class Stages:
 
     def compensated(self, samples: Iterable[Samples]) -> Iterator[Samples]:
         commands = compensate(samples, self._compensator, self._strategies)
-        commands = dwell_at_stops(self.times.timed("compensate", commands), self._at_stops)
-        return self.times.timed("dwell", commands)
+        return dwell_at_stops(commands, self._at_stops)
 
     def checked(self, commands: Iterable[Samples]) -> Iterator[Samples]:
         """Yield commands that are safe for the machine. Raises HframeError for others."""
@@ -217,7 +213,7 @@ class Stages:
         commands = check_deviation(commands, strategy, self._plant, self._limits)
         if self._options.clamp:
             commands = self._clamp.limit(commands, strategy)
-        return self.times.timed("guard", self._guard.check(commands, strategy))
+        return self._guard.check(commands, strategy)
 
     def advanced(
         self, commands: Iterable[Samples], advance: Advance | None = None
@@ -226,7 +222,7 @@ class Stages:
 
         advance: at the beginning of another stream, whose first sample is number 0 again.
         """
-        return self.times.timed("advance", self._advancing.samples(commands, advance))
+        return self._advancing.samples(commands, advance)
 
     def predicted(self, commands: Iterable[Samples], threads: bool) -> Iterator[Samples]:
         """Add advance; measure contour error and print time, on the way to the output.
@@ -242,10 +238,10 @@ class Stages:
                 from hframe_post.compensation.shape import SHAPER, shape
 
                 commands = shape(commands, {SHAPER: self._options.shaping})
-            commands = self.times.timed("predict", self._errors.samples(commands))
+            commands = self._errors.samples(commands)
             commands = prefetch(commands) if threads else commands
         if self._meter is not None:
-            commands = self.times.timed("measure", self._meter.samples(commands))
+            commands = self._meter.samples(commands)
         return self._notes.samples(commands)
 
     @property
@@ -256,7 +252,7 @@ class Stages:
             samples=notes.end, resting=notes.resting, judged=errors.judged,
             filament_out=notes.filament, peaks=self._guard.peaks, clamped=self._clamp.clamped,
             advancing=self._advancing.summary, in_bands=notes.in_bands, contour=errors.contour,
-            width=errors.width, picture=errors.picture, seconds=self.times.seconds,
+            width=errors.width, picture=errors.picture,
             metered=self._meter.sums if self._meter is not None else None,
         )  # fmt: skip
 
@@ -283,7 +279,7 @@ class PlannedFile:
         self._lines, self._chain, self._options = lines, chain, chain.options
         self._notes = FileNotes(chain.firmware.dialect.label, printer.limits)
         self._sliced = SlicedFile(printer, chain.firmware, chain.bands)
-        self._times, self._following = StageTimes(), chain.following()
+        self._following = chain.following()
         self._within = chain.within_motors()
 
     @property
@@ -295,10 +291,10 @@ class PlannedFile:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         notes, chain = self._notes, self._chain
         items = notes.items(chain.read(notes.lines(self._lines), notes.note))
-        items = read_ahead(self._times.timed("read", items))
+        items = read_ahead(items)
         items = notes.paced(chain.paced(self._sliced.items(items)))
         plans = chain.scheduled(items, followed=self._following, within=self._within)
-        plans = self._times.timed("plan", notes.plans(plans))
+        plans = notes.plans(plans)
         return Spans(plans, chain.firmware.advance())
 
     @property
@@ -308,7 +304,6 @@ class PlannedFile:
         return Ledger(
             read=notes.read, path=notes.path, ramps=notes.ramps,
             slowed=self._within.share, sliced_s=own.seconds, elsewhere=own.elsewhere,
-            seconds=self._times.seconds,
             following=None if slowed is None else (slowed.share, slowed.least),
             sliced_bands=own.in_bands,
         )  # fmt: skip
