@@ -117,7 +117,7 @@ class Ledger:
     Of the samples: their number; resting, those added at stops; judged, those whose errors were
     predicted; filament_out; peaks; clamped; advancing, pressure advance; in_bands, outer walls and
     what of them a motor spends in a band that it avoids; contour and width, errors by strategy;
-    picture, if one was asked for; metered, sums of the options' meters.
+    picture, if one was asked for; metered, sums of a trial's meters.
 
     Of the output: written, steps.
     """

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,7 @@ from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
-from hframe_post.conversion.ledger import FileNotes, Ledger, SampleNotes
+from hframe_post.conversion.ledger import FileNotes, Ledger, Meters, SampleNotes
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import AdvanceReport, BandReport, Report
 from hframe_post.conversion.sliced_errors import SlicedFile
@@ -43,7 +43,7 @@ from hframe_post.planner.bands import MotorBands, avoid_bands
 from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.motors import WithinMotors
-from hframe_post.planner.pacing import PieceStart, pace
+from hframe_post.planner.pacing import Paces, PieceStart, pace
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import ErrorMeter
@@ -63,11 +63,19 @@ MOVES_AHEAD = 300_000  # read before the first is planned, of 64 bytes: 20 MB
 # ---------------------------------------------------------------------- the stages
 
 
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A print at other speeds. paces: of its moves; meters: of its commands, on their way."""
+
+    paces: Paces
+    meters: Meters | None = None
+
+
 class Chain:
     """The stages of a conversion: each gets what it needs of a printer and of the options."""
 
-    def __init__(self, printer: Printer, options: Options) -> None:
-        self.printer, self.options = printer, options
+    def __init__(self, printer: Printer, options: Options, trial: Trial | None = None) -> None:
+        self.printer, self.options, self.trial = printer, options, trial
         self.firmware = firmware(printer)
         self.bands = MotorBands.from_profile(printer.speed.avoid, printer.kinematics)
 
@@ -86,7 +94,7 @@ class Chain:
 
     def paced(self, items: Iterator[Item]) -> Iterator[Item]:
         """Set the pace of moves, if a speed was asked for."""
-        return items if self.options.paces is None else pace(items, self.options.paces)
+        return items if self.trial is None else pace(items, self.trial.paces)
 
     def parsed(self, lines: Iterable[bytes]) -> Iterator[Item]:
         """Read G-code and set the pace of its moves. Raises HframeError."""
@@ -189,7 +197,8 @@ class Stages:
             whole=None if picture else whole,
         )  # fmt: skip
         self._notes = SampleNotes(options.strategy, printing, chain.bands)
-        self._meter = options.meters.begun(printing) if options.meters else None
+        meters = chain.trial.meters if chain.trial else None
+        self._meter = meters.begun(printing) if meters else None
 
     def commands(self, items: Iterable[Planned]) -> Iterator[Samples]:
         """Yield checked commands for planned motion; the first sample is number 0.
@@ -385,9 +394,10 @@ class SampleStream:
     def __init__(
         self, lines: Iterable[bytes], printer: Printer, options: Options,
         strategies: tuple[str, ...] = (), compensator: Compensator | None = None,
+        trial: Trial | None = None,
     ) -> None:  # fmt: skip
         lines, printer = with_motors(lines, printer, options.limits)
-        chain = Chain(printer, options)
+        chain = Chain(printer, options, trial)
         self._source = PlannedFile(lines, chain)
         self._stages = Stages(chain, compensator or chain.compensator, strategies)
         self.check_filament = self._source.check_filament
