@@ -51,7 +51,7 @@ def quantity(text: str, units: dict[str, float]) -> float:
 )  # fmt: skip
 @click.option(
     "--firmware", type=typed(known_firmware), default="klipper", show_default=True, metavar="NAME",
-    help="Firmware that reads the files: klipper, marlin, or one that a package adds. G90 and G91 "
+    help="Firmware that reads the files: klipper or marlin. G90 and G91 "
     "affect E in Marlin, but not in Klipper.",
 )  # fmt: skip
 @json_option

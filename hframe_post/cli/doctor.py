@@ -81,7 +81,7 @@ class _Findings:
     "printer.cfg, or in the folder logs next to that of printer.cfg.",
 )  # fmt: skip
 @click.option(
-    "--report", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.html",
+    "--report", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.HTML",
     help="Write what was found as a page for a browser.",
 )  # fmt: skip
 @click.option(
@@ -183,8 +183,8 @@ def _check_profile(
     findings.ok(f"profile {printer} ({choice.why}): {profile.description or 'no description'}")
     if profile.invented:
         findings.note(
-            "its plant is not measured, so nothing is compensated until 'hframe-post identify' or "
-            "'calibrate-print' has written your printer's: see docs/start.md"
+            "its resonances are not measured, so nothing is compensated: run 'hframe-post measure' "
+            "or, without an accelerometer, 'hframe-post calibrate-print' (docs/start.md)"
         )
     own = firmware(profile)
     if config is None:
@@ -250,9 +250,8 @@ def _differences(
         here = path.absolute().parent == Path.cwd()
         folder = "" if here else f" -o {quoted(path.parent)}"
         again = f"run 'hframe-post setup {quoted(config.path)}{folder}' again"
-        remedy += (
-            f", or let 'hframe-post setup {quoted(config.path)}{folder} --reset' write that anew"
-        )
+        reset = f"hframe-post setup {quoted(config.path)}{folder} --reset"
+        remedy += f", or overwrite the profile with '{reset}'"
     yield from check(config, profile, remedy)
     yield from check_live(config, profile)
     yield from firmware(profile).host_findings(config.path, log, again)

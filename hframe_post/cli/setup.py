@@ -21,7 +21,7 @@ from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.registry import source_of
 from hframe_post.printer.choice import PROFILE, VARIABLE, set_default
 from hframe_post.printer.model_file import measured, with_windows
-from hframe_post.printer.new_profile import Known, Tables, profile_text
+from hframe_post.printer.new_profile import Known, Tables, profile_text, unwritten
 from hframe_post.printer.profile import load, parse, text_of
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.outputs import Outputs
@@ -131,7 +131,8 @@ def setup(
         done = [*make(changes, outputs), *moonraker.link(create=True)] if moonraker else []
     written = f"{target}, {_made_default(target, source.warnings)}"
     if old:
-        click.echo("\n".join(_differences(tables, old, text, target, quoted(files[0]))))
+        again = quoted(files[0]) + (f" --bed {bed[0]:g},{bed[1]:g}" if bed else "")
+        click.echo("\n".join(_differences(tables, old, text, target, again)))
     click.echo("\n".join(_summary(source, profile, written, kind)))
     if done:
         click.echo("\n".join(["", *done, "", RESTART, CALIBRATE]))
@@ -235,7 +236,7 @@ def _differences(tables: Tables, old: str, text: str, target: Path, source: str)
             kept.append(f"[{name}]: the printer has none any more")
         for key, known in table.items():
             value = tomllib.loads(f"value = {known.as_toml()}")["value"]
-            if own.get(key) != value:
+            if own.get(key, unwritten(name).get(key)) != known.value and own.get(key) != value:
                 has = f"it has {own[key]}" if key in own else "it has none"
                 kept.append(f"{name}.{key}: {known.as_toml()} ({known.origin}), {has}")
     if text != old:

@@ -35,7 +35,7 @@ COSTS = {  # causes of a longer print, for people
 }
 WORTH_SAYING = 5e-3  # of the print's time, which no owner notices
 FASTER = 0.02  # of the print's time: won by a speed that was asked for, and so is worth a stream
-REMEDIES = {  # of extrusion that is not compensated, by causes that are no commands
+REMEDIES = {  # of extrusion that is not compensated, by causes other than commands
     START_OF_FILE: "because its place is not known: begin with a move to X, Y and Z",
     CHANGE_OF_OBJECT: "because an object begins without a travel to it",
 }

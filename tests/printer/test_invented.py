@@ -50,7 +50,7 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
     for refused in (run(*line), run("batch", RECTANGLE, "-o", folder, "-p", "example-corexy"),
                     run("measure", "--for=verify", "-o", out, "-p", "example-corexy")):  # fmt: skip
         assert refused.returncode == 1
-        assert b"plant.invented: this printer is not measured yet" in refused.stderr
+        assert b": this printer is not measured yet" in refused.stderr
         assert b"'hframe-post measure -o measure.gcode'" in refused.stderr
         assert b"sweep" not in refused.stderr
         assert b"--force" not in refused.stderr

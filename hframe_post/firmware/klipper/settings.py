@@ -13,7 +13,6 @@ from hframe_post.firmware.klipper.macros import FILE, macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
 from hframe_post.printer.new_profile import (
-    CLOCK,
     Known,
     Tables,
     as_float,
@@ -127,8 +126,9 @@ def _range(config: KlipperConfig, axis: str) -> Known:
     section = f"stepper_{axis}"
     low, high = config.number(section, "position_min", 0.0), config.number(section, "position_max")
     if not low < high:
+        lost = f"; {config.missing[0]}" if config.missing else ""
         raise HframeError(
-            f"{config.path}: [{section}] position_max is missing, or below position_min"
+            f"{config.path}: [{section}] position_max is missing, or below position_min{lost}"
         )
     return Known((low, high), f"position_min and position_max of [{section}]")
 
@@ -164,11 +164,10 @@ def _steps(config: KlipperConfig) -> dict[str, Known]:
     same = math.isclose(sizes["belt"], config.step("stepper_y"), rel_tol=0.01)  # for x and y
     if not same or not all(1e-6 <= size <= 10.0 for size in sizes.values()):
         return {}
-    found = {
+    return {
         name: Known(sizes[name], f"rotation_distance and microsteps of [{section}]")
         for name, section in sections.items()
     }
-    return {**found, "clock_hz": CLOCK}
 
 
 def _retraction(config: KlipperConfig) -> dict[str, Known]:
