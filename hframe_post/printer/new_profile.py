@@ -68,7 +68,7 @@ TITLES = {
 # About what prints have without compensation; walls show it, infill does not.
 MAX_ERROR = """\
 # max_error = {outer-wall = 0.05, inner-wall = 0.1, infill = 0.2}
-#   mm: print as fast as that allows; 'hframe-post speed part.gcode' shows the time of each error.
+#   mm: print as fast as that allows; '--max-error 100um --dry-run' shows the time of an error.
 #   The hot end counts as melting 15 mm³/s unless limits.flow says more or less. The limits of the
 #   filament are read from files of OrcaSlicer, Bambu Studio, PrusaSlicer and Cura."""
 FIRMWARE = "firmware."  # how the name of a firmware's table begins

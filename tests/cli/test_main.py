@@ -124,12 +124,11 @@ def test_names_that_begin_with_a_dash(part: Path, monkeypatch: pytest.MonkeyPatc
         assert refused.returncode == 2, name
         assert f"(for the file {name!r} type ./{name})" in refused.stderr.decode()
         assert not refused.stdout
-    for command in ("convert", "simulate", "compare"):
+    for command in ("convert", "simulate"):
         assert b"type ./-dash.gcode" in run(command, name).stderr
     for given in ((f"./{name}",), ("--", name)):
         assert run("-n", "-q", *given).returncode == 0
         assert run("convert", "-n", "-q", *given).returncode == 0
-    assert run("compare", "-q", "--", name, RECTANGLE).returncode == 0
     assert part.read_bytes() == RECTANGLE.read_bytes()
     behind = run("--", part.name, "-n")
     assert behind.returncode == 2
@@ -143,7 +142,7 @@ def test_a_mistyped_command_is_answered_with_the_nearest(tmp_path: Path) -> None
     done = run("simulat", RECTANGLE)
     assert done.returncode == 2
     assert b"did you mean 'hframe-post simulate'?" in done.stderr
-    assert b"no command and no file 'job'; see --help" in run("job", RECTANGLE).stderr
+    assert b"'job' is neither a command nor a file; see --help" in run("job", RECTANGLE).stderr
     own = Path(shutil.copy(RECTANGLE, tmp_path / "simulat"))
     assert run(own, "-n", "-q").returncode == 0
 
