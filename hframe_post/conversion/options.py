@@ -64,7 +64,7 @@ def width_bound(text: str) -> float:
     match = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)\s*(%?)", text.strip())
     share = float(match[1]) / (100.0 if match[2] else 1.0) if match else 0.0
     if not 1e-3 <= share <= 1.0:
-        raise ArgumentError(f"{text!r} is neither 'off' nor from 0.1% to 100%, such as 5%")
+        raise ArgumentError(f"{text!r} must be 'off' or from 0.1% to 100%, such as 5%")
     return share
 
 
@@ -82,7 +82,7 @@ def speed_factor(text: str) -> float:
     except ValueError:
         value = 0.0
     if not 1.0 <= value <= MAX_SPEED_UP:
-        raise ArgumentError(f"{text!r} is neither 'max' nor from 1 to {MAX_SPEED_UP:g}")
+        raise ArgumentError(f"{text!r} must be 'max' or from 1 to {MAX_SPEED_UP:g}")
     return value
 
 
