@@ -6,7 +6,6 @@ import os
 import platform
 import sys
 import tempfile
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -16,15 +15,11 @@ import click
 from hframe_post.cli.options import coloured, files_read, quoted
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
-from hframe_post.firmware.base import Finding
-from hframe_post.firmware.klipper.check import check, log_of
-from hframe_post.firmware.klipper.live import check_live
-from hframe_post.firmware.klipper.macros import FILE
-from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.registry import firmware
+from hframe_post.firmware.registry import firmware, source_of
 from hframe_post.hosts.moonraker.disk import events
 from hframe_post.page.history import STALE_DAYS, history_page
 from hframe_post.printer.choice import PROFILE, VARIABLE, Choice, choose, config_file, presets
+from hframe_post.printer.firmware_tables import MACROS
 from hframe_post.printer.profile import load, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
@@ -73,7 +68,8 @@ class _Findings:
 )  # fmt: skip
 @click.option(
     "--printer-cfg", "config", type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    metavar="FILE", help="Check Klipper's printer.cfg, its includes and macros, and this profile.",
+    metavar="FILE", help="Compare Klipper's printer.cfg, with its includes and macros, or Marlin's "
+    "answers to M503, with the profile.",
 )  # fmt: skip
 @click.option(
     "--klippy-log", "log", type=click.Path(path_type=Path, exists=True, dir_okay=False),
@@ -204,7 +200,7 @@ def _check_profile(
     if config is None:
         findings.note(own.unchecked)
     else:
-        _check_config(findings, config, log or log_of(config), profile, printer)
+        _check_config(findings, config, log, profile, printer)
     return profile
 
 
@@ -213,13 +209,12 @@ def _check_config(
 ) -> None:
     """Compare printer.cfg with a profile of this name; log: Klipper's, which shows its version."""
     try:
-        config = KlipperConfig(path)
-        differences = list(_differences(config, log, profile, name))
+        source = source_of([path])
+        differences = list(source.findings(profile, *_remedies(path, name), log))
     except HframeError as error:
         findings.problem(str(error))
         return
-    if config.missing:
-        findings.unchecked = "the include that finds no file"
+    findings.unchecked = source.missing
     for difference in differences:
         (findings.problem if difference.wrong else findings.note)(difference.text)
     if not any(difference.wrong for difference in differences):
@@ -240,21 +235,18 @@ def _check_age(findings: _Findings, path: Path, profile: Printer) -> None:
         )
 
 
-def _differences(
-    config: KlipperConfig, log: Path | None, profile: Printer, name: str
-) -> Iterator[Finding]:
+def _remedies(config: Path, name: str) -> tuple[str, str]:
+    """Return what to do where a profile differs, and how what it gives is written again."""
     path = Path(name)
     remedy = f"change it there or in {name}"
-    again = f"run 'hframe-post connect klipper -p {quoted(name)} > {FILE}'"
+    again = f"run 'hframe-post connect klipper -p {quoted(name)} > {MACROS}'"
     if path.name == PROFILE:
         here = path.absolute().parent == Path.cwd()
         folder = "" if here else f" -o {quoted(path.parent)}"
-        again = f"run 'hframe-post setup {quoted(config.path)}{folder}' again"
-        reset = f"hframe-post setup {quoted(config.path)}{folder} --reset"
+        again = f"run 'hframe-post setup {quoted(config)}{folder}' again"
+        reset = f"hframe-post setup {quoted(config)}{folder} --reset"
         remedy += f", or overwrite the profile with '{reset}'"
-    yield from check(config, profile, remedy)
-    yield from check_live(config, profile)
-    yield from firmware(profile).host_findings(config.path, log, again)
+    return remedy, again
 
 
 def _check_hooks(findings: _Findings, printer: str) -> None:

@@ -124,11 +124,3 @@ def test_one_macro_and_one_upload(printer: Printer) -> None:
     assert printer.console()[-1] == "Done printing file"
     assert said(printer, "nothing is measured: No accelerometer measurements found")
     assert printer.profile.read_bytes() == profile
-
-
-def calibrated(printer: Printer, machine: dict[str, Any], typed: str, until_said: str) -> None:
-    """Calibrate, once Moonraker is connected and idle, until a line is on the console."""
-    until(lambda: not printer.get("/server/hframe_post/status")["measuring"])
-    machine_becomes(printer, machine)
-    printer.type(typed)
-    until(lambda: said(printer, until_said))
