@@ -42,7 +42,7 @@ def part(tmp_path: Path) -> Path:
 
 
 def kept(part: Path) -> list[str]:
-    return sorted(name for name in os.listdir(part.parents[1] / FOLDER) if name != "history")
+    return sorted(os.listdir(part.parents[1] / FOLDER))
 
 
 KEPT = [".html", ".original"]  # of each converted file
