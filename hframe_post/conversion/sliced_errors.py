@@ -16,7 +16,6 @@ import numpy as np
 from hframe_post.arrays import TS, E
 from hframe_post.compensation.shape import LIVE, SHAPER, Shapes, shape
 from hframe_post.firmware.base import Firmware
-from hframe_post.firmware.klipper.live import by_itself
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
@@ -92,7 +91,10 @@ class SlicedFile:
         shaping = self.shaping(self._printer.plant)
         meter, samples = ErrorMeter(self._printer.plant), self._samples(self._pieces)
         shapes: dict[str, Shapes] = {} if shaping is None else {SHAPER: shaping}
-        shapes |= by_itself(self._printer, LIVE) if live else {}
+        if live:
+            from hframe_post.firmware.klipper.live import by_itself
+
+            shapes |= by_itself(self._printer, LIVE)
         for _ in meter.samples(shape(samples, shapes)):
             pass
         share = self._kept / self._total if self._total else 1.0
@@ -146,7 +148,7 @@ class SlicedFile:
                 self._piece.append(item)
 
     def _end(self) -> None:
-        """End the piece; keep every n-th in which anything is extruded, or moves if none is."""
+        """End the piece; keep every n-th that extrudes anything, or every n-th if no piece does."""
         piece, seconds = tuple(self._piece), self._seconds
         self._piece, self._seconds = [], 0.0
         plans = [item.points[:, E] for item in piece if isinstance(item, Plan)]

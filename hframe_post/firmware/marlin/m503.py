@@ -15,7 +15,7 @@ from pathlib import Path
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Source
 from hframe_post.native.planning import square_corner_velocity
-from hframe_post.printer.new_profile import CLOCK, Known, Tables, as_float, sweep
+from hframe_post.printer.new_profile import Known, Tables, as_float, sweep
 from hframe_post.printer.schema import file_text
 from hframe_post.printer.settings import Printer
 
@@ -223,7 +223,7 @@ def _planner(found: re.Match[str] | None) -> Known | None:
 # ---------------------------------------------------------------------- as settings of a profile
 
 
-def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Known]) -> Tables:
+def from_marlin(settings: MarlinSettings, travel: dict[str, Known]) -> Tables:
     """Return the settings of a new profile. Raises HframeError if a number is missing."""
     velocity = _least(settings, "M203", "XY")
     highest = _least(settings, "M201", "XY")
@@ -291,7 +291,7 @@ def _steps(settings: MarlinSettings) -> dict[str, Known]:
         if not as_float(steps) > 0.0:
             raise HframeError(f"{settings.name}: M92 {letter} must be above 0")
         found[name] = Known(1.0 / as_float(steps), f"1 / M92 {letter}")
-    return {**found, "clock_hz": CLOCK}
+    return found
 
 
 def _retraction(settings: MarlinSettings) -> dict[str, Known]:
@@ -393,7 +393,7 @@ class MarlinSource(Source):
         if bed is not None:
             x, y = bed
             travel = {"x": Known((0.0, x), "as you said"), "y": Known((0.0, y), "as you said")}
-        return from_marlin(self._settings, kinematics, travel)
+        return from_marlin(self._settings, travel)
 
     def next_steps(self, profile: Printer, target: Path, quoted: Callable[[Path], str]) -> str:
         if not profile.invented:
