@@ -23,7 +23,7 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.klipper.settings import KlipperSource
+from hframe_post.firmware.klipper.source import KlipperSource
 from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin
 from hframe_post.gcode.lines import as_binary, lines_of
 from hframe_post.identification.recordings import accelerometer
