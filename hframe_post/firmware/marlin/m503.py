@@ -17,7 +17,7 @@ import numpy as np
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Source
 from hframe_post.native.planning import square_corner_velocity
-from hframe_post.printer.new_profile import CLOCK, Known, Tables, as_float, sweep
+from hframe_post.printer.new_profile import Known, Tables, as_float, sweep
 from hframe_post.printer.schema import file_text
 from hframe_post.printer.settings import Printer
 
@@ -307,7 +307,7 @@ def _steps(settings: MarlinSettings) -> dict[str, Known]:
         if not (steps := as_float(settings.word("M92", letter))) > 0.0:
             raise HframeError(f"{settings.name}: M92 {letter} must be above 0")
         found[name] = Known(1.0 / steps, f"1 / M92 {letter}")
-    return {**found, "clock_hz": CLOCK}
+    return found
 
 
 def _retraction(settings: MarlinSettings) -> dict[str, Known]:
