@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import coloured, old_option, quoted
+from hframe_post.cli.options import coloured, quoted
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware, source_of
@@ -76,8 +76,6 @@ class _Findings:
     metavar="FILE", help="Klipper's log, which shows its version. Default: klippy.log next to "
     "printer.cfg, or in the folder logs next to that of printer.cfg.",
 )  # fmt: skip
-@old_option("--report", "its output says all")
-@old_option("--history", "the console says what each check has found")
 @click.pass_context
 def doctor(
     context: click.Context,
@@ -156,8 +154,8 @@ def _check_profile(
     findings.ok(f"profile {printer} ({choice.why}): {profile.description or 'no description'}")
     if profile.invented:
         findings.note(
-            "its plant is not measured, so nothing is compensated until 'hframe-post identify' or "
-            "'calibrate-print' has written your printer's: see docs/start.md"
+            "its resonances are not measured, so nothing is compensated: run 'hframe-post measure' "
+            "or, without an accelerometer, 'hframe-post calibrate-print' (docs/start.md)"
         )
     own = firmware(profile)
     if config is None:
@@ -220,7 +218,8 @@ def _remedies(config: Path, name: str) -> tuple[str, str]:
         here = path.absolute().parent == Path.cwd()
         folder = "" if here else f" -o {quoted(path.parent)}"
         again = f"run 'hframe-post setup {quoted(config)}{folder}' again"
-        remedy += f", or let 'hframe-post setup {quoted(config)}{folder} --reset' write that again"
+        reset = f"hframe-post setup {quoted(config)}{folder} --reset"
+        remedy += f", or overwrite the profile with '{reset}'"
     return remedy, again
 
 
