@@ -17,6 +17,7 @@ from scipy.fft import irfft, rfft, rfftfreq
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
+from hframe_post.identification import verdict
 from hframe_post.identification.estimation import known_start
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
@@ -24,7 +25,7 @@ from hframe_post.identification.estimation.frequency_response import (
     whole_record,
 )
 from hframe_post.identification.estimation.measured import Run, by_axis
-from hframe_post.identification.identify import AXIS, DRIFT, LEAST_CHANGE, MOST_LEFT
+from hframe_post.identification.identify import AXIS, DRIFT, LEAST_CHANGE
 from hframe_post.identification.recordings import strokes
 from hframe_post.identification.recordings.clock import acceleration
 from hframe_post.identification.recordings.folder import CHECK
@@ -40,7 +41,6 @@ RESTS = 300  # samples between figures, at least
 BAND_HZ = (3.0, 100.0)
 JUDGED_HZ = (6.0, 100.0)
 PEAK_HZ = np.arange(15.0, 120.0, 0.05)  # in which the main resonance is
-FARTHEST = 0.1  # relative, by which it drifts
 SAME_DELAY = 0.3  # samples: damping of a mode that drifts makes up to 0.2
 CHANGED = 0.02  # share of the response, from which it has changed: motor steps make up to 0.01
 
@@ -121,7 +121,7 @@ def drift(old: ImpulseResponse, response: FrequencyResponse, unseen: tuple[Array
     measured = whole_record(*unseen, 0.0).within(JUDGED_HZ)
     left = [share_left(one.H, measured, measured.power) for one in judged]
     apart = share_left(judged[0].H, judged[1], measured.power)
-    if abs(now[0] / before[0] - 1.0) > FARTHEST or left[1] > MOST_LEFT:
+    if abs(now[0] / before[0] - 1.0) > verdict.FREQUENCY_CHANGE or left[1] > verdict.UNEXPLAINED:
         raise IdentificationError(
             "the recording is of another printer, or a belt, the head or the bed was changed: the "
             f"main resonance is at {now[0]:.1f} Hz instead of {before[0]:.1f}, and a new model "
@@ -159,7 +159,7 @@ def _main(G: ImpulseResponse) -> tuple[float, float]:
     """Return Hz and |G| of the resonance that moves a print most: of G − 1 over f²."""
     H = _at_hz(G, PEAK_HZ)
     moving = PEAK_HZ[np.argmax(np.abs(H - 1.0) / PEAK_HZ**2)]
-    near = np.abs(PEAK_HZ / moving - 1.0) < FARTHEST
+    near = np.abs(PEAK_HZ / moving - 1.0) < verdict.FREQUENCY_CHANGE
     k = int(np.argmax(np.abs(H) * near))
     return float(PEAK_HZ[k]), float(np.abs(H[k]))
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from hframe_post.arrays import Flags, X
 from hframe_post.errors import IdentificationError
+from hframe_post.identification import verdict
 from hframe_post.identification.coupling import Crossed, MeasuredCoupling, crossed, find_coupling
 from hframe_post.identification.estimation.axes import (
     Fit,
@@ -46,9 +47,6 @@ from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.stream.running import one_blas_thread
 
-STROKES_OFF, OFF = 0.075, 0.35  # of a sensor's gain: accel_per_hz may be wrong, too
-MOST_LEFT = 0.6  # of a measurement, by the model: of an SV08 after ten weeks 0.52
-OTHER_PRINTER = 0.4  # spread of an axis; a printer that was used for ten weeks: 0.3
 LEAST_CHANGE = 0.02  # relative, that is assumed of a printer that repeats itself
 # standard deviation of all frequencies of an axis from one session to another: 2.0 % on six axes of
 # three published printers, 12 minutes to ten weeks later
@@ -110,26 +108,27 @@ class Identified:
         """Return why the models are too poor for a profile, or None if they are good enough."""
         for name in AXIS.keys() & self.fits.keys():
             measured = self.measured[name]
-            if measured.resonance_hz is not None and measured.repeated > OTHER_PRINTER:
+            if measured.resonance_hz is not None and measured.repeated > verdict.SPREAD:
                 return (
                     f"the recordings of {AXIS[name]} differ from each other by "
-                    f"{100 * measured.repeated:.0f} %. They are of two printers, of one that was "
-                    "changed in between, or of other motions than their names say: identify each "
-                    "by itself"
+                    f"{100 * measured.repeated:.0f} %, more than {100 * verdict.SPREAD:.0f} %. "
+                    "They are of two printers, of one that was changed in between, or of other "
+                    "motions than their names say: identify each by itself"
                 )
         for name in AXIS.keys() & self.fits.keys():
             off, struck = abs(self.fits[name].gain - 1.0), self.measured[name].known_start
-            if off > (STROKES_OFF if struck else OFF):
+            bound = verdict.GAIN_ERROR_STROKES if struck else verdict.GAIN_ERROR_TEST
+            if off > bound:
                 return (
                     f"the sensor would have to read {100 * off:.0f} % wrong in {AXIS[name]}, more "
-                    f"than sensors do: {self._cause}"
+                    f"than the {100 * bound:g} % that sensors do: {self._cause}"
                 )
         for name in AXIS.keys() & self.fits.keys():
             found = self.fits[name]
-            if found.residual > MOST_LEFT:
+            if found.residual > verdict.UNEXPLAINED:
                 return (
                     f"the model of {name} leaves {100 * found.residual:.0f} % of the measurement "
-                    f"unexplained: {self._cause}"
+                    f"unexplained (at most {100 * verdict.UNEXPLAINED:.0f} %): {self._cause}"
                 )
         return None
 

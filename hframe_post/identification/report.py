@@ -5,18 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from hframe_post.identification import verdict
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identify import AXIS, Identified, MeasurementSettings, identify
 from hframe_post.identification.recommend import Recommendation, recommend
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
-
-TESTED = 0.8  # of the band that the model must explain, from which a test was long enough
-
-LEFT = (
-    0.2  # of a measurement, by the model: of an SV08 0.37, of a Neptune and two Vorons 0.03 to 0.13
-)
 
 
 def conclude(
@@ -75,14 +70,17 @@ class IdentificationReport:
         messages = [*identified.warnings]
         for name, axis in AXIS.items():
             measured = identified.measured.get(name)
-            if measured is not None and measured.excited_hz[1] < TESTED * measured.mean.hz[-1]:
+            if (
+                measured is not None
+                and measured.excited_hz[1] < verdict.TESTED_BAND * measured.mean.hz[-1]
+            ):
                 messages.append(
                     f"{axis} was tested up to {measured.excited_hz[1]:.0f} Hz, so what rings above "
                     "is not known. Test up to 135 Hz (max_freq of [resonance_tester])"
                 )
         for name in AXIS.keys() & identified.fits.keys():
             share = identified.fits[name].residual
-            if share > LEFT:
+            if share > verdict.NONLINEAR:
                 messages.append(
                     f"{100 * share:.0f} % of what {AXIS[name]} does is not linear in its "
                     "command: look for friction, play and loose parts" + self._uncompensated(share)

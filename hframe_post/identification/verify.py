@@ -22,6 +22,7 @@ from hframe_post.arrays import TS, Array, Complex, Flags, X, Y, Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError, IdentificationError, LimitError
+from hframe_post.identification import verdict
 from hframe_post.identification.estimation.measured import Run
 from hframe_post.identification.recordings.clock import acceleration
 from hframe_post.identification.recordings.runs import PlannedRun, check_records
@@ -142,12 +143,6 @@ GAIN_HZ = (2.0, 9.0)  # slow motion, which any printer follows and any model pre
 HARMLESS_DELAY = 5e-3  # s of both axes alike: the nozzle is on the path, only later
 RACKING_HZ = (9.0, 100.0)  # in which racking can be distinguished from a rotated sensor
 
-LEAST_REDUCTION = 0.2  # of the contour error; with less a profile is not worth its risk
-LEAST_OF_PREDICTED = 0.6  # of the predicted reduction
-MOST_UNEXPLAINED = 0.34  # of the nozzle's motion off its path
-MOST_RACKING_ERROR = 0.4  # relative, in addition to three standard deviations
-LEAST_COUPLING = 0.5  # of the model's, likewise: with less its compensation makes prints worse
-
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
@@ -186,27 +181,27 @@ class Verdict:
                 "or the printer has changed. Do not print with it; sweep and identify again"
             )
         ratio, sd = self.coupling or (1.0, 0.0)
-        if ratio < LEAST_COUPLING - 3.0 * sd:
+        if ratio < verdict.COUPLING_RATIO - 3.0 * sd:
             return (
                 f"x and y move each other {ratio:.1f} times as far as the model predicts: this "
                 "coupling does not repeat. Identify again, with recordings of both days, or "
                 "set plant.cross = []"
             )
-        if self.unexplained > MOST_UNEXPLAINED:
+        if self.unexplained > verdict.UNEXPLAINED_OFF_PATH:
             return (
                 f"the model misses {100 * self.unexplained:.0f} % of the nozzle's motion off its "
-                "path: the profile is not that of this printer as it is now. Measure and identify "
-                "again"
+                f"path, more than {100 * verdict.UNEXPLAINED_OFF_PATH:.0f} %: the profile is not "
+                "that of this printer as it is now. Measure and identify again"
             )
         ratio, sd = self.racking or (1.0, 0.0)
-        if abs(ratio - 1.0) > MOST_RACKING_ERROR + 3.0 * sd:
+        if abs(ratio - 1.0) > verdict.RACKING_ERROR + 3.0 * sd:
             how = "the other way, " if ratio < 0.0 else ""
             return (
                 f"the gantry racks {how}{abs(ratio):.1f} times as far as the model predicts: "
                 "files are exchanged, x_c is wrong, or this is another printer. Measure and "
                 "identify again"
             )
-        if self.reduction < max(LEAST_REDUCTION, LEAST_OF_PREDICTED * self.expected):
+        if self.reduction < max(verdict.REDUCTION, verdict.REDUCTION_OF_PREDICTED * self.expected):
             return (
                 f"compensation removes {100 * self.reduction:.0f} % of the error, not the "
                 f"{100 * self.expected:.0f} % that the model predicts. Measure and identify again"
@@ -226,8 +221,8 @@ class Verdict:
             if found is not None:
                 lines.append(f"{f'{name} / model':26s}{found[0]:10.2f} ± {found[1]:.2f}")
         good = f"good: compensation removes {100 * self.reduction:.0f} % of the error"
-        verdict = f"FAILED: {self.fault}" if self.fault else good
-        return "\n".join([*lines, f"VERDICT     {verdict}"])
+        words = f"FAILED: {self.fault}" if self.fault else good
+        return "\n".join([*lines, f"VERDICT     {words}"])
 
     def as_json(self) -> dict[str, object]:
         pairs = {"measured_um": self.measured, "predicted_um": self.predicted}

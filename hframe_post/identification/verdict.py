@@ -1,0 +1,26 @@
+"""Bounds of every verdict: what identify, check and verify refuse, and what they warn of.
+
+A bound is a share unless its name has a unit. Each message shows the number and its bound.
+"""
+
+from __future__ import annotations
+
+# identify refuses
+GAIN_ERROR_STROKES = 0.075  # of a sensor's gain; its start and its motion are known
+GAIN_ERROR_TEST = 0.35  # likewise, where accel_per_hz may be wrong, too
+UNEXPLAINED = 0.6  # of a measurement, by the model: of an SV08 after ten weeks 0.52
+SPREAD = 0.4  # of the recordings of an axis; of a printer that was used for ten weeks: 0.3
+
+# identify warns
+TESTED_BAND = 0.8  # of the band that the model must explain, from which a test was long enough
+NONLINEAR = 0.2  # unexplained: of an SV08 0.37, of a Neptune and two Vorons 0.03 to 0.13
+
+# check refuses
+FREQUENCY_CHANGE = 0.1  # of the main resonance, from which it is another printer
+
+# verify refuses
+REDUCTION = 0.2  # of the contour error; with less a profile is not worth its risk
+REDUCTION_OF_PREDICTED = 0.6
+UNEXPLAINED_OFF_PATH = 0.34  # of the nozzle's motion off its path
+RACKING_ERROR = 0.4  # of the model's racking, in addition to three standard deviations
+COUPLING_RATIO = 0.5  # to the model's, likewise: with less its compensation makes prints worse
