@@ -17,13 +17,10 @@ from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.bands import TimeInBands
 from hframe_post.prediction.error_meter import PIECE
-from hframe_post.prediction.statistics import DECIMALS, ContourErrors
+from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.writers.print_time import duration
 
 TOOL = re.compile(r"T[1-9]\d*")
-# Share of the lines' distance from the command by which the nozzle is off its path: only what is
-# across the path counts. Simulated Marlin leaves 0.62 to 0.63
-ACROSS = math.sqrt(0.5)
 VISIBLE = 0.012  # mm RMS; ringing below it shows on no wall, whatever the light
 NO_GAIN = 0.9  # share of the best shaper's error from which on compensation is not worth its stream
 OUTRUN = 1.05  # times its limit, the acceleration of an extruder is worth a line
@@ -216,7 +213,7 @@ class Report(Ledger):
     pressure advance, if there is any. bands: of motor speed, if the profile avoids any. couples:
     whether a coupling, such as racking, is compensated. shaping: the best input shaper, whose
     errors stand among the others. predicted_sliced: share of the print whose errors as sliced are
-    predicted. sliced_off: mm RMS across the path by which whole steps put the sliced file off.
+    predicted.
     lines_per_second: that the firmware takes. with_summary: the output ends with this report.
     when_stopped: what to send after the print was stopped midway.
     """
@@ -233,7 +230,6 @@ class Report(Ledger):
     advance: AdvanceReport | None = None
     bands: BandReport | None = None
     predicted_sliced: float = 1.0
-    sliced_off: float = 0.0
     lines_per_second: float = math.inf
     with_summary: bool = False
     when_stopped: str = ""
@@ -264,19 +260,6 @@ class Report(Ledger):
         """Return the filament (mm) of the output; None if nothing is written."""
         return self.written.filament if self.written.lines else None
 
-    def lines_error(self, name: str) -> float:
-        """Return by how much (mm RMS) whole steps of the lines add to a strategy's error.
-
-        The error and this one are independent, so that their squares add up.
-        """
-        if name == self.strategy:
-            return ACROSS * self.written.off
-        return self.sliced_off if name in ("none", SHAPER) else 0.0
-
-    def printed(self, name: str) -> float:
-        """Return the RMS error (mm) that a strategy or the shaper leaves, whole steps included."""
-        return math.hypot(self.contour[name].expected, self.lines_error(name))
-
     def as_json(self) -> dict[str, Any]:
         """Return all figures, ready for ``json.dumps``."""
         filament = {"before": self.read.filament, "after": self.filament_after}
@@ -300,7 +283,7 @@ class Report(Ledger):
     def _errors_by_strategy(self) -> dict[str, Any]:
         names = sorted(self.strategies)
         return {
-            "contour_error_um": {name: self._errors_as_json(name) for name in names},
+            "contour_error_um": {name: self.contour[name].micrometres() for name in names},
             "predicted_percent": round(100.0 * self.predicted, 1),
             "predicted_as_sliced_percent": round(100.0 * self.predicted_sliced, 1),
             "line_width_error_percent": {
@@ -321,7 +304,6 @@ class Report(Ledger):
         return {
             "lines_written": self.lines_written,
             "busiest_second_lines": self.written.busiest_second or None,
-            "approximation_um": round(1e3 * self.written.off, 2) or None,
             "steps": asdict(self.steps) if self.steps else None,
             "speed": self.speed,
             "plastic_on_bed": asdict(self.plastic) if self.plastic else None,
@@ -348,15 +330,9 @@ class Report(Ledger):
             return []
         return [{
             "name": self.shaping.x.name, **self.shaping.as_json(),
-            "contour_error_um": self._errors_as_json(SHAPER),
+            "contour_error_um": self.contour[SHAPER].micrometres(),
             "line_width_error_percent": self.width[SHAPER].percents(),
         }]  # fmt: skip
-
-    def _errors_as_json(self, name: str) -> dict[str, Any]:
-        found, lines = self.contour[name].micrometres(), self.lines_error(name)
-        if lines:
-            found["with_steps"] = round(1e3 * self.printed(name), DECIMALS)
-        return found
 
     def as_text(self) -> str:
         """Return a few lines for a person."""
@@ -391,11 +367,6 @@ class Report(Ledger):
             f"belts            at most {self.peaks.belt_velocity:.0f} mm/s, "
             f"{self.peaks.belt_acceleration:.0f} mm/s²",
         ]
-        if off := self.written.off:
-            lines.append(
-                f"lines            at most {self.written.busiest_second} in a second, "
-                f"{1e3 * off:.1f} µm RMS off the exact command"
-            )
         lines += [self.plastic.as_text()] if self.plastic else []
         lines += [self.bands.as_text()] if self.bands else []
         if self.steps:
@@ -415,14 +386,14 @@ class Report(Ledger):
             return ["result           nothing is compensated (-c none)"]
         if not {"none", self.strategy} <= self.contour.keys():
             return []
-        lines = self.lines_error(self.strategy)
-        steps = f", of which whole steps leave {1e3 * lines:.1f}" if lines else ""
         shaper = ""
         if SHAPER in self.contour:
-            shaper = f"; the best input shaper would leave {1e3 * self.printed(SHAPER):.1f}"
-        before = f"{self.label(self.strategy)} {1e3 * self.printed('none'):.1f}"
-        ours = range_as_text(self.contour[self.strategy], lines)
-        return [f"result           {before} → {ours}{steps}{shaper}"]
+            shaper = (
+                f"; the best input shaper would leave {1e3 * self.contour[SHAPER].expected:.1f}"
+            )
+        before = f"{self.label(self.strategy)} {1e3 * self.contour['none'].expected:.1f}"
+        ours = range_as_text(self.contour[self.strategy])
+        return [f"result           {before} → {ours}{shaper}"]
 
     def _predicted(self) -> list[str]:
         """Return on how much of the print the errors are predicted, if not on all."""
@@ -441,8 +412,8 @@ class Report(Ledger):
             return [f"advice           {text}"]
         if not {"none", self.strategy} <= self.contour.keys():
             return []
-        before, ours = self.printed("none"), self.printed(self.strategy)
-        shaper = self.printed(SHAPER) if SHAPER in self.contour else math.inf
+        before, ours = (self.contour[name].expected for name in ("none", self.strategy))
+        shaper = self.contour[SHAPER].expected if SHAPER in self.contour else math.inf
         use_it = "use it instead ('hframe-post simulate --shapers' prints its settings)"
         if self.time.change < -FASTER:
             return []  # a shaper could not print as fast as this
@@ -530,13 +501,12 @@ class Report(Ledger):
         return any(fnmatchcase(cause, name) for name in names)
 
 
-def range_as_text(contour: ContourErrors, lines: float = 0.0) -> str:
-    """Return the RMS error in µm, with its range if it has one. lines: see ``_predicted``."""
-    text = f"{1e3 * math.hypot(contour.expected, lines):.1f} µm RMS"
+def range_as_text(contour: ContourErrors) -> str:
+    """Return the RMS error in µm, with its range if it has one."""
+    text = f"{1e3 * contour.expected:.1f} µm RMS"
     if (known := contour.range) is None:
         return text
-    low, high = (1e3 * math.hypot(end, lines) for end in (known.low, known.high))
-    return f"{text} ({low:.1f} to {high:.1f} as the printer changes)"
+    return f"{text} ({1e3 * known.low:.1f} to {1e3 * known.high:.1f} as the printer changes)"
 
 
 def _uncompensated_as_text(path: PathTally) -> str:
