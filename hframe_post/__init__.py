@@ -85,8 +85,6 @@ _ROOMS = {  # name → module, and the name in it if that differs
 
 def __getattr__(name: str) -> Any:
     """Import a name when it is first used, so that importing the package is cheap (PEP 562)."""
-    if name == "testing":  # a module, for the tests of others
-        return import_module(f"{__name__}.testing")
     if name not in _ROOMS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, _, attribute = _ROOMS[name].partition(":")

@@ -46,7 +46,6 @@ from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:
     from hframe_post.studies.simulation import SimulationReport
-    from hframe_post.studies.speed_curve import Curve
 
 DEFAULT = Options()
 SHAPED_LINES = 20_000  # of a file, from which a page's input shaper is chosen; 2 % off at most
@@ -225,24 +224,6 @@ def simulate(
             file = (outputs or opened.enter_context(Outputs([]))).open(Path(page))
             _write_page(file, report, given, printer, options, title, "\n".join(notes))
     return report
-
-
-def speed_curve(
-    source: Source, printer: Printer, options: Options = DEFAULT,
-    progress: Callable[[float], object] | None = None,
-) -> Curve:  # fmt: skip
-    """Return how long a print takes within each error, and what limits its speed.
-
-    source: is read several times. options: limits and extrusion, which say how it is read. Raises
-    HframeError, OSError.
-    """
-    from hframe_post.studies.speed_curve import curve
-
-    if options.max_width_error is not None:
-        speed = replace(printer.speed, max_width_error=options.max_width_error)
-        printer, options = replace(printer, speed=speed), replace(options, max_width_error=None)
-    resolved = replace(options, predict=()).resolved(printer)
-    return curve(Input(source).again, printer, resolved, progress)
 
 
 def is_doubtful(printer: Printer) -> bool:

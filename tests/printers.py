@@ -16,5 +16,5 @@ M503 = ROOT / "tests" / "printer" / "m503.txt"  # with the answer to M115
 def profile_of(config: KlipperConfig, kinematics: str = "") -> Printer:
     """Return the new profile of a printer.cfg; by default with the safest kinematics."""
     kind = kinematics or kinematics_in(config)[0]
-    tables = {"kinematics": {"type": Known(kind, "test")}, **from_klipper(config, kind)}
+    tables = {"kinematics": {"type": Known(kind, "test")}, **from_klipper(config)}
     return parse(profile_text(tables, "own"), "own")

@@ -6,20 +6,18 @@ import contextlib
 import os
 import re
 import sys
-import traceback
-from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
-from typing import IO, Any, NoReturn
+from typing import IO, TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from hframe_post import process
-from hframe_post.cli.options import coloured
 from hframe_post.errors import HframeError, LimitError, PrinterError
-from hframe_post.printer.choice import CHOICE, Choice
 from hframe_post.version import __version__
-from hframe_post.writers.outputs import FULL
+
+if TYPE_CHECKING:
+    from hframe_post.printer.choice import Choice
 
 GROUPS = {  # by group: name, its function in a module of hframe_post.cli, a line of help
     "Start": {
@@ -36,17 +34,15 @@ GROUPS = {  # by group: name, its function in a module of hframe_post.cli, a lin
     },
     "Study": {
         "simulate": ("simulate", "Predict what compensation does for a print."),
-        "speed": ("speed", "Show how long a file takes within each error."),
     },
     "Other programs": {
         "connect": ("connect", "Connect a slicer, Cura, OctoPrint or Moonraker."),
     },
-    "For developers": {
-        "compare": ("compare", "Compare the motion of two G-code files."),
-    },
 }
 COMMANDS = {name: found[0] for group in GROUPS.values() for name, found in group.items()}
 GONE = {  # former commands, and what replaced them
+    "compare": "equal input gives equal bytes: compare files with cmp or diff",
+    "speed": "'hframe-post IN.GCODE --max-error 100um --dry-run' shows the time within an error",
     "paper": "run 'python -m examples.paper.tables' in the folder of hframe-post",
     "tune": "'hframe-post identify' writes the best window; 'simulate --shapers' has the shapers",
     "use": "'hframe-post setup PROFILE.TOML' makes it the default, 'hframe-post doctor' shows it",
@@ -85,16 +81,9 @@ class _Failure(click.ClickException):
     """A failure, in one line."""
 
     def show(self, file: IO[Any] | None = None) -> None:
+        from hframe_post.cli.options import coloured
+
         click.echo(coloured(f"Error: {self.format_message()}"), err=True)
-
-
-class _CompareError(_Failure):
-    """A failure of a command whose status 1 has another meaning, as in diff and cmp."""
-
-    exit_code = 2
-
-
-FAILURES: dict[str, type[_Failure]] = {"compare": _CompareError}
 
 
 class _Commands(click.Group):
@@ -127,6 +116,8 @@ class _Commands(click.Group):
             if _looks_like_a_command(args[0]):
                 if args[0] in GONE:
                     raise click.UsageError(f"{args[0]!r} is gone: {GONE[args[0]]}", context)
+                from difflib import get_close_matches
+
                 similar = get_close_matches(args[0].lower(), COMMANDS, n=1, cutoff=0.6)
                 advice = f"did you mean 'hframe-post {similar[0]}'?" if similar else "see --help"
                 raise click.UsageError(
@@ -142,6 +133,8 @@ class _Commands(click.Group):
         except (click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except Exception as error:
+            from hframe_post.printer.choice import CHOICE
+
             failure = _naming_the_file(error, context.meta.get(CHOICE))
         if isinstance(failure, click.ClickException):
             shown: click.ClickException = failure
@@ -156,7 +149,7 @@ class _Commands(click.Group):
                 and self._clamps(context, name)
             ):
                 text += ", or use --on-limit clamp"
-            shown = FAILURES.get(name, _Failure)(text)
+            shown = _Failure(text)
         from hframe_post.cli.json_summary import write_failure  # imported by the command by now
 
         write_failure(context, shown.exit_code, shown.format_message(), failure)
@@ -207,6 +200,8 @@ def _cause(error: OSError) -> str:
     """Return what is wrong with a file, and with its folder if that is the cause."""
     if not error.filename:
         return error.strerror or str(error)
+    from hframe_post.writers.outputs import FULL
+
     path = Path(os.fsdecode(error.filename))
     cause = error.strerror or str(error)
     if isinstance(error, FileNotFoundError) and not path.parent.exists():
@@ -261,6 +256,8 @@ def _fail(message: str) -> int:
 
 
 def _bug_report(error: Exception) -> str:
+    import traceback
+
     frames = traceback.extract_tb(error.__traceback__)[-3:]
     places = ", ".join(f"{os.path.basename(f.filename)}:{f.lineno}" for f in reversed(frames))
     message = " ".join(f"{type(error).__name__}: {error}".split())[:300]

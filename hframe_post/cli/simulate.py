@@ -49,7 +49,7 @@ from hframe_post.writers.outputs import Outputs
 @click.option("--steps", is_flag=True, help="Round the motors' motion to whole steps.")
 @click.option(
     "--shapers", is_flag=True,
-    help="Compare with input shapers, the best ones and as Klipper calibrates; print settings.",
+    help="Compare with input shapers at their best, and print settings.",
 )  # fmt: skip
 @json_option
 @click.option(

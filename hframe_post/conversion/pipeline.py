@@ -29,7 +29,7 @@ from hframe_post.compensation.guard import Guard, check_deviation, check_model, 
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
 from hframe_post.conversion.ledger import FileNotes, Ledger, SampleNotes
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.report import AdvanceReport, BandReport, Plastic, Report
+from hframe_post.conversion.report import AdvanceReport, BandReport, Report
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
@@ -254,7 +254,7 @@ class Stages:
         """Return what was noted of all samples that were taken so far."""
         notes, errors = self._notes, self._errors
         return Ledger(
-            samples=notes.end, resting=notes.resting, judged=errors.judged, fed=notes.fed,
+            samples=notes.end, resting=notes.resting, judged=errors.judged,
             filament_out=notes.filament, peaks=self._guard.peaks, clamped=self._clamp.clamped,
             advancing=self._advancing.summary, in_bands=notes.in_bands, contour=errors.contour,
             width=errors.width, picture=errors.picture, seconds=self.times.seconds,
@@ -334,7 +334,7 @@ class PlannedFile:
             couples=printer.kinematics.racks and bool(printer.plant.couplings),
             notices=tuple(printer.warnings()) if options.strategy != "none" else (),
             capped=_binds(self._chain.firmware.caps()),
-            plastic=self._plastic(ledger), other_tools=printer.firmware.other_tools,
+            other_tools=printer.firmware.other_tools,
             bands=_bands(ledger, printer.speed.avoid),
         )  # fmt: skip
 
@@ -353,14 +353,6 @@ class PlannedFile:
             found.least, found.most, computed, found.hardest, limits.extruder_acceleration, share,
             least,
         )  # fmt: skip
-
-    def _plastic(self, ledger: Ledger) -> Plastic | None:
-        bed, limits = self._chain.printer.plant.bed, self._chain.printer.limits
-        if bed is None or self._options.strategy == "none":
-            return None
-        filament = limits.filament_diameter, limits.filament_density
-        printed, step = ledger.read.filament * bed.filament, ledger.fed * bed.filament
-        return Plastic(bed.mass, printed, step, *filament)
 
     def check_filament(self, written: float, late: float = 0.0) -> None:
         """Raise HframeError unless all filament read was written, both in mm.

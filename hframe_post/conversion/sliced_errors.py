@@ -16,7 +16,6 @@ import numpy as np
 from hframe_post.arrays import TS, E
 from hframe_post.compensation.shape import LIVE, SHAPER, Shapes, shape
 from hframe_post.firmware.base import Firmware
-from hframe_post.firmware.klipper.live import by_itself
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
@@ -92,7 +91,10 @@ class SlicedFile:
         shaping = self.shaping(self._printer.plant)
         meter, samples = ErrorMeter(self._printer.plant), self._samples(self._pieces)
         shapes: dict[str, Shapes] = {} if shaping is None else {SHAPER: shaping}
-        shapes |= by_itself(self._printer, LIVE) if live else {}
+        if live:
+            from hframe_post.firmware.klipper.live import by_itself
+
+            shapes |= by_itself(self._printer, LIVE)
         shaped = shape(samples, shapes)
         if (steps := self._firmware.steps) is not None:
             shaped = quantise(shaped, self._printer.kinematics, steps)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Firmware, Source
 from hframe_post.firmware.klipper.firmware import Klipper
 from hframe_post.firmware.marlin.firmware import Marlin
@@ -19,13 +18,6 @@ def firmware(printer: Printer) -> Firmware:
     """Return the firmware that a printer's profile names. Raises PrinterError."""
     named(printer.firmware.dialect, "firmware.dialect", printer.name)
     return FIRMWARES[printer.firmware.dialect](printer)
-
-
-def firmware_named(name: str) -> type[Firmware]:
-    """Return a firmware by its name. Raises HframeError if there is none."""
-    if name not in FIRMWARES:
-        raise HframeError(f"unknown firmware {name!r}; choose from {', '.join(FIRMWARES)}")
-    return FIRMWARES[name]
 
 
 def source_of(files: Sequence[Path]) -> Source:

@@ -107,7 +107,7 @@ def _around(axis: AxisShaping, factor: float, step: float) -> list[AxisShaping]:
     most = min(MOST_DAMPING, most_damping(axis.name))
     damping = np.clip(axis.damping + step * np.array([-1.0, 0.0, 1.0]), 0.0, most)
     hz = axis.hz * factor ** np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-    return [AxisShaping(axis.name, f, d) for f in hz.tolist() for d in np.unique(damping).tolist()]
+    return [AxisShaping(axis.name, f, d) for f in hz.tolist() for d in sorted({*damping.tolist()})]
 
 
 def _usable(axes: list[AxisShaping]) -> Candidates:

@@ -16,8 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from platformdirs import user_config_path
-
 from hframe_post.errors import HframeError, one_line
 
 if TYPE_CHECKING:
@@ -57,6 +55,8 @@ class Choice:
 
 
 def config_file() -> Path:
+    from platformdirs import user_config_path
+
     return user_config_path("hframe-post", appauthor=False) / "config.toml"
 
 
@@ -144,6 +144,8 @@ class Preset:
 
 def presets() -> Iterator[Preset]:
     """Yield the presets of slicers that run hframe-post or name its profile."""
+    from platformdirs import user_config_path
+
     for folder in (user_config_path(name, appauthor=False, roaming=True) for name in PROGRAMS):
         for path in sorted(path for pattern in PRESETS for path in folder.glob(pattern)):
             yield from _in_file(path)

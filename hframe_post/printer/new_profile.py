@@ -6,10 +6,13 @@ A line of such a profile is ``acceleration = 8000    # max_accel of [printer]``.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 from hframe_post.printer.firmware_tables import TABLES
+from hframe_post.printer.settings import Printer
 
 SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
 
@@ -18,16 +21,21 @@ Value = float | tuple[float, ...] | tuple[tuple[float, float], ...] | tuple[str]
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A value of a profile and its origin, in words."""
+    """A value of a profile and its origin, in words.
+
+    place: file and line that give it, if any. assumed: a file that was not found may say otherwise.
+    """
 
     value: Value
     origin: str
+    place: str = ""
+    assumed: bool = False
 
     def as_toml(self) -> str:
         return _toml(self.value)
 
 
-def _toml(value: Value) -> str:
+def _toml(value: Any) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml, value))}]"
     return (
@@ -64,7 +72,7 @@ TITLES = {
 # About what prints have without compensation; walls show it, infill does not.
 MAX_ERROR = """\
 # max_error = {outer-wall = 0.05, inner-wall = 0.1, infill = 0.2}
-#   mm: print as fast as that allows; 'hframe-post speed part.gcode' shows the time of each error.
+#   mm: print as fast as that allows; '--max-error 100um --dry-run' shows the time of an error.
 #   The hot end counts as melting 15 mm³/s unless limits.flow says more or less. The limits of the
 #   filament are read from files of OrcaSlicer, Bambu Studio, PrusaSlicer and Cura."""
 FIRMWARE = "firmware."  # how the name of a firmware's table begins
@@ -105,3 +113,67 @@ def _table(name: str, table: dict[str, Known]) -> Iterator[str]:
 
 def _line(key: str, known: Known) -> str:
     return f"{f'{key} = {known.as_toml()}':{COLUMN}s}# {known.origin}"
+
+
+# ----------------------------------------------------------------------
+# What a firmware says, compared with a profile that exists.
+
+ROUNDING = 1e-3  # share, mm and so on by which two numbers may differ
+# what an owner chooses, whatever the firmware says
+CHOSEN = (
+    "limits.velocity", "limits.acceleration", "limits.square_corner_velocity",
+    "limits.junction_deviation", "speed.", "sweep.", "steps.clock_hz", "kinematics.",
+    "firmware.other_tools", "firmware.klipper.end_macro",
+)  # fmt: skip
+
+
+class Difference(NamedTuple):
+    """A difference of what was found from a profile.
+
+    harmful: the printer would not move as computed. place: file and line, if known.
+    """
+
+    harmful: bool
+    place: str
+    text: str
+
+
+def differences(tables: Tables, printer: Printer) -> Iterator[Difference]:
+    """Yield where a profile differs from what a firmware says of itself."""
+    for name, table in tables.items():
+        own = _table_of(printer, name)
+        if own is None or not table:
+            if own is not None:
+                yield Difference(True, "", f"[{name}]: the printer has none any more")
+            elif name.startswith(FIRMWARE):
+                yield Difference(True, "", f"[{name}]: the profile has none")
+            continue
+        for key, known in table.items():
+            has = getattr(own, key)
+            if key == "return_speed":
+                has = has or own.speed
+            if known.assumed or _equal(known.value, has):
+                continue
+            inside = name == "travel" and _inside(has, known.value)
+            harmful = not f"{name}.{key}".startswith(CHOSEN) and not inside
+            found = f"{name}.{key}: {known.as_toml()} ({known.origin})"
+            yield Difference(harmful, known.place, f"{found}, but the profile has {_toml(has)}")
+
+
+def _table_of(printer: Printer, name: str) -> Any:
+    """Return what a table of a profile has become; None if the profile has none."""
+    if name.startswith(FIRMWARE):
+        return printer.firmware.table(TABLES[name[len(FIRMWARE) :]])
+    return getattr(printer, name)
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return len(one) == len(other) and all(map(_equal, one, other))
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=ROUNDING, abs_tol=1e-9)
+    return bool(one == other)
+
+
+def _inside(has: tuple[float, float], known: Any) -> bool:
+    return bool(known[0] - ROUNDING <= has[0] and has[1] <= known[1] + ROUNDING)

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from hframe_post.arrays import TS
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain, Stages, prepared, stop_solvers
 from hframe_post.conversion.report import Report
@@ -24,7 +22,7 @@ from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
-from hframe_post.stream.types import Item, Moves, Samples
+from hframe_post.stream.types import Item, Moves
 from hframe_post.studies.inputs import SECONDS, Piece, Section, excerpt, sections, useful_feeds
 from hframe_post.studies.speed_trial import (
     JUDGED_EVERY,
@@ -69,7 +67,6 @@ class Drive:
     ) -> None:  # fmt: skip
         self._lines, self._printer, self._width = lines, printer, width
         self._kept: list[Item] | None = None
-        self.moves = 1  # of the file, once it was read
         self._measure, self._freedom = measure, freedom
         self._requested = options
         self._options = replace(options, predict=(), clamp=True, paces=None)
@@ -120,19 +117,19 @@ class Drive:
         """Return the greatest factor on the file's feed rates."""
         return self._freedom.speed_up
 
-    def freed(self, freedom: Freedom) -> Drive:
-        """Return trial prints of the same file with another freedom."""
-        other = copy(self)
-        other._freedom = freedom
-        return other
-
     def try_pieces(
         self, pieces: Iterable[Piece], settings: SpeedSettings, plants: tuple[Plant, ...]
     ) -> TrialPrint:
         sums, refused = self._sums(settings), ""
-        stages, printed = self.print_pieces(pieces, settings)
+        printer, options = self.configured(settings)
+        assert options.paces is not None
+        chain = Chain(printer, self._options)
+        stages = Stages(chain, self._compensator, at_stops=self._at_stops)
         try:
-            for piece, commands in printed:
+            for piece in pieces:
+                items = pace(iter(piece.items), options.paces, piece.start)
+                followed = chain.following(piece.advance)
+                commands = stages.commands(chain.scheduled(items, piece.start, followed))
                 meter = TrialMeter(
                     sums, plants, self._options.strategy, piece.start.place, self._width
                 )
@@ -141,29 +138,6 @@ class Drive:
         except HframeError as error:
             refused = str(error)
         return sums.trial(stages.ledger.clamped.samples, refused)
-
-    def print_pieces(
-        self, pieces: Iterable[Piece], settings: SpeedSettings | None
-    ) -> tuple[Stages, Iterator[tuple[Piece, Iterator[Samples]]]]:
-        """Return the stages of a trial, and each piece with its commands.
-
-        settings: None for the file's own speeds. Raises HframeError while commands are taken.
-        """
-        printer, paces = self._printer, None
-        if settings is not None:
-            printer, options = self.configured(settings)
-            paces = options.paces
-        chain = Chain(printer, self._options)
-        stages = Stages(chain, self._compensator, at_stops=self._at_stops)
-
-        def printed() -> Iterator[tuple[Piece, Iterator[Samples]]]:
-            for piece in pieces:
-                items = iter(piece.items)
-                items = items if paces is None else pace(items, paces, piece.start)
-                followed = chain.following(piece.advance)
-                yield piece, stages.commands(chain.scheduled(items, piece.start, followed))
-
-        return stages, printed()
 
     def try_whole(
         self, settings: SpeedSettings, plants: tuple[Plant, ...], convert: Convert
@@ -229,19 +203,6 @@ class Drive:
             add_layer_times(layers, labels.number(chunk)[0])
         return layers
 
-    def timed(self, settings: SpeedSettings) -> TrialPrint:
-        """Return the times of the whole print, planned only: there are no errors."""
-        printer, options = self.configured(settings)
-        chain, sums = Chain(printer, replace(options, retract="standing")), self._sums(settings)
-        sums.add_time(chain.sampled(chain.scheduled(self._items(options.paces))))
-        return sums.trial(0)
-
-    def own_seconds(self) -> float:
-        """Return the duration of the print at the file's own speeds, with the stops of our own."""
-        chain = Chain(self._printer, replace(self._options, retract="standing"))
-        samples = chain.sampled(chain.scheduled(self._items()), skip_slow=True)
-        return TS * max((chunk.end for chunk in samples), default=0)
-
     def original(self) -> Original:
         """Return what the file is without this tool, at its own speeds."""
         sliced = AsSliced(firmware(self._printer).limits())
@@ -257,10 +218,9 @@ class Drive:
         found = {name: errors.measured(self._measure) for name, errors in statistics.items()}
         return Original(sliced.seconds, layers, found)
 
-    def _items(self, paces: Paces | None = None) -> Iterator[Item]:
+    def _items(self) -> Iterator[Item]:
         """Yield the items of the file, which is read once if they take little memory."""
-        items = self._read() if self._kept is None else iter(self._kept)
-        return items if paces is None else pace(items, paces)
+        return self._read() if self._kept is None else iter(self._kept)
 
     def _read(self) -> Iterator[Item]:
         kept, moves = list[Item](), 0
@@ -269,6 +229,5 @@ class Drive:
             if moves <= MOST_KEPT:
                 kept.append(item)
             yield item
-        self.moves = moves
         if moves <= MOST_KEPT:
             self._kept = kept

@@ -190,11 +190,6 @@ class ExcerptSearch:
         searches.trials.append(last)
         return searches.corrected(feed), plants
 
-    def error_at(self, acceleration: float) -> float:
-        """Return the greatest error (mm) of any feature with this acceleration, mm/s²."""
-        trial = self.tried(self._settings(acceleration), self._plants)
-        return max((max(errors) for errors in trial.errors.values()), default=0.0)
-
     def _settings(self, acceleration: float) -> SpeedSettings:
         """Return settings with this acceleration, and feed rates as high as is of use."""
         acceleration = min(acceleration, self._drive.max_acceleration)

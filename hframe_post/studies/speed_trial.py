@@ -132,12 +132,6 @@ class TrialSums:
             self._layers[layer] = self._layers.get(layer, 0.0) + seconds
         self._limited += later._limited
 
-    def add_time(self, samples: Iterable[Samples]) -> None:
-        """Add the time of a whole print, and what limits it; no errors."""
-        labels = Labels(by_name=False)
-        for chunk in samples:
-            self._time(chunk, labels)
-
     def _time(self, chunk: Samples, labels: Labels) -> tuple[Integers, Integers]:
         """Add the time of a chunk; return the numbers of layer and feature of its samples."""
         layer, feature = labels.number(chunk)

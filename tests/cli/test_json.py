@@ -43,16 +43,13 @@ def test_a_failure_has_its_status_text_and_line(outside: Path, tmp_path: Path) -
     assert summary(tmp_path / "none.gcode", "-n")["error"].endswith("No such file or directory")
 
 
-def test_success_and_difference_have_their_status() -> None:
+def test_success_has_its_status() -> None:
     assert summary(RECTANGLE, "-n")["status"] == 0
-    found = summary("compare", RECTANGLE, RECTANGLE)
-    assert (found["command"], found["status"], found["same"]) == ("compare", 0, True)
-    assert summary("compare", RECTANGLE, ROOT / "sample_gcode" / "cube.gcode")["status"] == 1
 
 
 WITHOUT_INPUT: dict[str, list[str]] = {
     "convert": ["none.gcode"], "batch": ["none.gcode", "-o", "out"],
-    "compare": ["none.gcode", "none.gcode"], "simulate": ["none.gcode"], "speed": ["none.gcode"],
+    "simulate": ["none.gcode"],
     "identify": ["empty", "-o", "my.toml"], "check": ["empty"],
 }  # fmt: skip
 
@@ -65,7 +62,7 @@ def test_every_command_with_the_option_writes_why_it_failed(
     Path("empty").mkdir()
     done = run(name, *WITHOUT_INPUT[name], "--json", "s.json")
     found = json.loads(Path("s.json").read_text())
-    status = {"compare": 2, "batch": 2}.get(name, 1)
+    status = {"batch": 2}.get(name, 1)
     assert (done.returncode, found["status"], found["command"]) == (status, status, name)
     assert found["error"] in done.stderr.decode()
     assert {path.name for path in tmp_path.iterdir()} == {"empty", "s.json"}
@@ -101,14 +98,11 @@ def test_a_failure_replaces_an_earlier_summary_and_nothing_else(
 
 
 def test_documented_keys_are_those_of_a_conversion(tmp_path: Path) -> None:
-    """The page names every key of the summaries of convert, batch and compare."""
+    """The page names every key of the summaries of convert and batch."""
     page = (ROOT / "docs" / "interfaces.md").read_text()
     batch = tmp_path / "batch.json"
     run("batch", RECTANGLE, "-o", tmp_path / "out", "--json", batch)
     batched = json.loads(batch.read_text())
-    other = tmp_path / "other.gcode"
-    other.write_bytes(RECTANGLE.read_bytes().replace(b"X260", b"X259", 1))
-    compared = summary("compare", RECTANGLE, other)
-    for found in (summary(RECTANGLE, "-n"), batched, batched["files"][0], compared):
+    for found in (summary(RECTANGLE, "-n"), batched, batched["files"][0]):
         missing = [key for key in found if f"`{key}`" not in page and f'"{key}"' not in page]
         assert not missing

@@ -79,7 +79,9 @@ def test_json_summary_has_its_keys(part: Path, tmp_path: Path) -> None:
     assert set(summary["print_time_s"]) == set(summary["filament_mm"]) == {"before", "after"}
     assert set(summary["peak_axis_acceleration"]) == {"x", "y"}
     assert {"moves", "lines_written", "peak_belt_speed", "peak_belt_acceleration"} <= set(summary)
-    written = (tmp_path / "out.gcode").read_bytes().count(b"\n")
+    own = b"; processed by hframe-post", b"; hframe-post:"
+    lines = (tmp_path / "out.gcode").read_bytes().splitlines()
+    written = sum(not line.startswith(own) for line in lines)
     assert summary["lines_written"] == written
 
 
@@ -124,12 +126,11 @@ def test_names_that_begin_with_a_dash(part: Path, monkeypatch: pytest.MonkeyPatc
         assert refused.returncode == 2, name
         assert f"(for the file {name!r} type ./{name})" in refused.stderr.decode()
         assert not refused.stdout
-    for command in ("convert", "simulate", "compare"):
+    for command in ("convert", "simulate"):
         assert b"type ./-dash.gcode" in run(command, name).stderr
     for given in ((f"./{name}",), ("--", name)):
         assert run("-n", "-q", *given).returncode == 0
         assert run("convert", "-n", "-q", *given).returncode == 0
-    assert run("compare", "-q", "--", name, RECTANGLE).returncode == 0
     assert part.read_bytes() == RECTANGLE.read_bytes()
     behind = run("--", part.name, "-n")
     assert behind.returncode == 2
@@ -159,7 +160,7 @@ def test_diverging_window_is_refused_with_its_radius(tmp_path: Path) -> None:
 
 def test_a_progress_bar_shows_on_a_terminal_only(tmp_path: Path) -> None:
     part = tmp_path / "long.gcode"
-    part.write_bytes(RECTANGLE.read_bytes() + (b"; " + b"-" * 500 + b"\n") * 5_000)
+    part.write_bytes(RECTANGLE.read_bytes() + (b"; " + b"-" * 500 + b"\n") * 500)
     at_once = (
         "import runpy; from hframe_post.cli import options; options.PATIENCE_S = 0.0; "
         "runpy.run_module('hframe_post', run_name='__main__')"

@@ -63,8 +63,8 @@ def test_numbers_are_plain(cube: tuple[bytes, bytes, Report]) -> None:
 @pytest.mark.parametrize(
     ("lines", "cuts"),
     [
-        (small_rectangle(), [(1, 1), (7, 7), (100, 100), (10_000, 10_000)]),
-        (layers("cube.gcode", 1), [(1, 100), (100, 1000)]),
+        (small_rectangle(), [(1, 7), (100, 100)]),
+        (layers("cube.gcode", 1), [(7, 1000)]),
     ],
     ids=["rectangle", "cube"],
 )

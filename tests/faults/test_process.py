@@ -48,11 +48,14 @@ def refused(done: tuple[int, str], folder: Path, cause: str) -> None:
 
 @pytest.mark.parametrize(
     ("command", "cause"),
-    [
-        ("$ME - <in.gcode >&-", "Bad file descriptor"),
-        ("$ME - <in.gcode >/dev/full", "No space left"),
-        ("$ME in.gcode -q --json - >/dev/full", "No space left"),
-    ],
+    few(
+        [
+            ("$ME - <in.gcode >&-", "Bad file descriptor"),
+            ("$ME - <in.gcode >/dev/full", "No space left"),
+            ("$ME in.gcode -q --json - >/dev/full", "No space left"),
+        ],
+        1,
+    ),
 )
 def test_what_cannot_be_done_is_told_and_nothing_is_touched(
     folder: Path, command: str, cause: str
@@ -80,8 +83,7 @@ def test_an_output_that_cannot_be_made_touches_nothing(
 
 
 @pytest.mark.parametrize(
-    "command",
-    ["$ME in.gcode <&- >&- 2>&-", "$ME in.gcode 2>/dev/full"],
+    "command", few(["$ME in.gcode <&- >&- 2>&-", "$ME in.gcode 2>/dev/full"], 1)
 )
 def test_what_nobody_hears_is_done_all_the_same(folder: Path, command: str) -> None:
     assert shell(command, folder)[0] == 0

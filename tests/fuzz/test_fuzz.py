@@ -22,9 +22,8 @@ from hypothesis import strategies as st
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.errors import GcodeError, HframeError, LimitError
-from hframe_post.firmware.klipper.check import check
-from hframe_post.firmware.klipper.macros import check_macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.klipper.settings import KlipperSource
 from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin
 from hframe_post.gcode.lines import as_binary, lines_of
 from hframe_post.identification.recordings import accelerometer
@@ -107,17 +106,15 @@ def test_profiles(text: bytes) -> None:
 
 
 def _configured(path: Path) -> None:
-    config = KlipperConfig(path)
-    own = profile_of(config)
-    check(config, own, "change it")
-    check(config, load("paper"), "change it")
-    check_macros(config, own, "write it")
+    own, source = profile_of(KlipperConfig(path)), KlipperSource(path)
+    for each in (own, load("paper")):
+        list(source.findings(each, "change it", "write it", None))
 
 
 def _answered(path: Path) -> None:
     answer = MarlinSettings([path])
     travel = answer.travel() or {axis: Known((0.0, 220.0), "test") for axis in "xy"}
-    profile_text(from_marlin(answer, "cartesian", travel), "own")
+    profile_text(from_marlin(answer, travel), "own")
     answer.warnings()
 
 

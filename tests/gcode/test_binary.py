@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from pathlib import Path
 
 import pytest
@@ -71,9 +70,6 @@ def test_the_suffix_of_the_output_decides(tmp_path: Path) -> None:
     (tmp_path / "in.bgcode").write_bytes(binary())
     assert run(str(tmp_path / "in.bgcode"), "-o", str(tmp_path / "o.gcode")).returncode == 0
     assert b"; processed by hframe-post" in (tmp_path / "o.gcode").read_bytes()
-    same = run("compare", tmp_path / "in.bgcode", tmp_path / "in.bgcode", "--json", "-")
-    assert same.returncode == 0
-    assert json.loads(same.stdout)["moves"][0] > 40
     fast = run(str(tmp_path / "in.bgcode"), "-o", str(tmp_path / "f.gcode"), "--max-error", "1mm")
     assert fast.returncode == 0, fast.stderr
     assert files.chosen_format(Path("a.bgcode"), None) == "bgcode"

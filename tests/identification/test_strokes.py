@@ -24,11 +24,6 @@ BAND = (5.0, 100.0)  # Hz
 DEEPEST = 20.0  # dB below the median in BAND
 
 
-def middle(printer: Printer) -> tuple[float, float]:
-    x, y = (sum(ends) / 2.0 for ends in (printer.travel.x, printer.travel.y))
-    return x, y
-
-
 def rates(motion: Array, order: int) -> Array:
     return np.diff(motion, n=order, axis=0) / TS**order
 

@@ -97,8 +97,7 @@ def spline(t: Any, c: Any, at: Any) -> Any:
     return sum(weight * c[k + j - 1] for j, weight in enumerate(weights)) / 6.0
 
 
-@pytest.mark.parametrize("name", ["paper", "example-corexy"])
-@pytest.mark.parametrize("order", ["forward", "any"])
+@pytest.mark.parametrize(("name", "order"), [("paper", "any"), ("example-corexy", "forward")])
 def test_the_c_is_the_kernel_at_all_times(name: str, order: str) -> None:
     printer = replace(load(name), invented=False)
     data = kernel_file(printer)

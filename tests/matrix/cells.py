@@ -19,7 +19,7 @@ from tests.matrix.material import (
 )
 from tests.matrix.owners import OWNERS, PROFILE
 
-NO_PROFILE = ("setup", "compare")  # commands without -p
+NO_PROFILE = ("setup",)  # commands without -p
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ OUTCOMES = {
     "travel": (1, r"Error: line \d+: x of the path .* would be .*; 'G1 X\d+ F3000' leads 20 mm"),
     "nomove": (1, r"Error: line 9: there is not a single move in this file"),
     "failed": (1, r"0 converted, 0 skipped, 1 failed; --resume tries only those again"),
-    "differ": (1, r"the same up to there: .* moves"),
     "marlin": (1, r"Error: .* firmware\.dialect: marlin "),
     "baud": (1, r"Error: .* firmware\.marlin\.baud: OctoPrint prints over a serial line"),
     "klippr": (1, r"Error: .* firmware\.dialect: this profile is for klipper; only boards that"),
@@ -53,11 +52,9 @@ DONE = {
     "convert {print} -o out.gcode": Done(SUMMARY, "out.gcode"),
     "{print}": Done(SUMMARY, "my part.gcode"),
     "batch {print} -o out": Done("1 converted, 0 skipped, 0 failed", "out/my part.gcode"),
-    "compare {print} good.gcode": Done("same: at most 0 µm apart; "),
     "simulate {print}": Done(r"1( +[\d.]+){3}"),
     "simulate": Done(r"0( +[\d.]+){3}"),
     "simulate --shapers": Done("."),
-    "speed {print}": Done(r"Next, as exact as the file today and "),
     "measure --for verify -o v.gcode --motion {print}": Done(
         "", r"v\.gcode v\.verify-compensated\.csv v\.verify-plain\.csv"
     ),

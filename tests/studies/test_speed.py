@@ -21,7 +21,7 @@ from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Extruder, Printer
 from hframe_post.stream.features import kind
 from hframe_post.studies.speed_drive import Drive
-from hframe_post.studies.speed_search import Fastest, search, speed_as_text
+from hframe_post.studies.speed_search import Fastest, search, speed_rows
 from hframe_post.studies.speed_steps import LIMIT, NEAR, Bound, Searches
 from hframe_post.studies.speed_trial import (
     JUDGED_EVERY,
@@ -103,7 +103,7 @@ def test_no_layer_is_too_short_and_what_limits_the_speed_is_reported(
         assert seconds > 0.97 * min(least, loose.original.layers[number])
     assert loose.trial.limited.sum() == pytest.approx(loose.trial.seconds, rel=1e-9)
     assert loose.trial.limited_by["file"] > 0.0
-    printed = speed_as_text(loose)
+    printed = "\n".join(map(str, speed_rows(loose)))
     assert re.search(r"permitted; \d+ without hframe-post", printed)
 
 
@@ -122,7 +122,7 @@ def test_a_bound_on_the_width_of_lines_holds_and_takes_time(paper: Printer) -> N
     assert even.trial.seconds > any_width.trial.seconds
     widths = (found.report.width["racking"].rms for found in (even, any_width))
     below(next(widths), next(widths), "RMS error of the width")
-    assert "8 permitted" in speed_as_text(even)
+    assert "8 permitted" in "\n".join(map(str, speed_rows(even)))
     with pytest.raises(HframeError, match=r"off by .* of their width, .*--max-width-error"):
         search(cube, printer, options, Bound(10.0, width=1e-4))
 

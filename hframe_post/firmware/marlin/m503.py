@@ -223,7 +223,7 @@ def _planner(found: re.Match[str] | None) -> Known | None:
 # ---------------------------------------------------------------------- as settings of a profile
 
 
-def from_marlin(settings: MarlinSettings, kinematics: str, travel: dict[str, Known]) -> Tables:
+def from_marlin(settings: MarlinSettings, travel: dict[str, Known]) -> Tables:
     """Return the settings of a new profile. Raises HframeError if a number is missing."""
     velocity = _least(settings, "M203", "XY")
     highest = _least(settings, "M201", "XY")
@@ -393,7 +393,7 @@ class MarlinSource(Source):
         if bed is not None:
             x, y = bed
             travel = {"x": Known((0.0, x), "as you said"), "y": Known((0.0, y), "as you said")}
-        return from_marlin(self._settings, kinematics, travel)
+        return from_marlin(self._settings, travel)
 
     def next_steps(self, profile: Printer, target: Path, quoted: Callable[[Path], str]) -> str:
         if not profile.invented:
