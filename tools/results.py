@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import hframe_post as hp
+from examples.paper import results as paper
 from examples.paper import tables
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -25,7 +26,7 @@ HEAD = """\
 
 `make results` computes this page: the predicted contour error of the sample prints on two
 measured printers and two shipped profiles, what the stages of a conversion take, and the paper's
-tables. The profiles' plants are exact here; [identify.md](identify.md#how-far-to-trust-it) says
+rectangle. The profiles' plants are exact here; [identify.md](identify.md#how-far-to-trust-it) says
 what is left on real printers.
 """
 
@@ -35,10 +36,10 @@ def rows() -> Iterator[str]:
     yield from errors()
     yield from inexact()
     yield from stages()
-    yield "## The paper's tables\n"
-    yield "What they say is in [derivations.md](derivations.md#the-papers-figures).\n"
-    prism = (SAMPLES / "prism.gcode").read_bytes().splitlines(keepends=True)
-    yield tables.computed(hp.load_printer("paper"), prism)
+    yield "## The paper's rectangle\n"
+    yield "[derivations.md](derivations.md#the-papers-figures) has the paper's other tables.\n"
+    printer = hp.load_printer("paper")
+    yield tables.time_response(paper.time_responses(printer, paper.path(printer)))
 
 
 def errors() -> Iterator[str]:

@@ -156,8 +156,8 @@ def _check_profile(
     findings.ok(f"profile {printer} ({choice.why}): {profile.description or 'no description'}")
     if profile.invented:
         findings.note(
-            "its plant is not measured, so nothing is compensated until 'hframe-post identify' or "
-            "'calibrate-print' has written your printer's: see docs/start.md"
+            "its resonances are not measured, so nothing is compensated: run 'hframe-post measure' "
+            "or, without an accelerometer, 'hframe-post calibrate-print' (docs/start.md)"
         )
     own = firmware(profile)
     if config is None:
@@ -220,7 +220,8 @@ def _remedies(config: Path, name: str) -> tuple[str, str]:
         here = path.absolute().parent == Path.cwd()
         folder = "" if here else f" -o {quoted(path.parent)}"
         again = f"run 'hframe-post setup {quoted(config)}{folder}' again"
-        remedy += f", or let 'hframe-post setup {quoted(config)}{folder} --reset' write that again"
+        reset = f"hframe-post setup {quoted(config)}{folder} --reset"
+        remedy += f", or overwrite the profile with '{reset}'"
     return remedy, again
 
 

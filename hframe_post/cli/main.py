@@ -121,7 +121,7 @@ class _Commands(click.Group):
                 similar = get_close_matches(args[0].lower(), COMMANDS, n=1, cutoff=0.6)
                 advice = f"did you mean 'hframe-post {similar[0]}'?" if similar else "see --help"
                 raise click.UsageError(
-                    f"there is no command and no file {args[0]!r}; {advice}", context
+                    f"{args[0]!r} is neither a command nor a file; {advice}", context
                 )
             args = ["convert", *args]
         return super().parse_args(context, args)
@@ -220,7 +220,7 @@ def _cause(error: OSError) -> str:
 )
 @click.version_option(__version__, prog_name="hframe-post")
 def main() -> None:
-    """Rewrite sliced G-code so that the printer does not ring, nor an H-bot rack.
+    """Rewrite sliced G-code so that the printer does not ring, and an H-bot does not rack.
 
     \b
     hframe-post in.gcode -o out.gcode     convert a file

@@ -99,7 +99,7 @@ def _click_option(name: str, shown: Shown) -> Callable[[Command], Command]:
 def _show_all(context: click.Context, _: click.Parameter, asked: bool) -> None:
     if asked:
         for each in context.command.params:
-            if isinstance(each, click.Option):
+            if isinstance(each, click.Option) and each.help:  # without help: it is gone
                 each.hidden = False
         click.echo(context.get_help())
         context.exit()
@@ -140,7 +140,7 @@ def say(text: str) -> None:
 
 
 def coloured(text: str) -> str:
-    """Return a text with colours, which click removes where the output is no terminal."""
+    """Return a text with colours, which click removes where the output is not a terminal."""
     if os.environ.get("NO_COLOR"):
         return text
     for pattern, colour in COLOURS:

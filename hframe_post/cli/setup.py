@@ -130,7 +130,8 @@ def setup(
         done = [*make(changes, outputs), *moonraker.link(create=True)] if moonraker else []
     written = f"{target}, {_made_default(target, source.warnings)}"
     if before is not None:
-        told = _differences(tables, before, text != old, target, quoted(files[0]))
+        again = quoted(files[0]) + (f" --bed {bed[0]:g},{bed[1]:g}" if bed else "")
+        told = _differences(tables, before, text != old, target, again)
         click.echo("\n".join(told))
     click.echo("\n".join(_summary(source, profile, written, kind)))
     if done:

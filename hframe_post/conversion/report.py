@@ -26,7 +26,7 @@ NO_GAIN = 0.9  # share of the best shaper's error from which on compensation is 
 OUTRUN = 1.05  # times its limit, the acceleration of an extruder is worth a line
 WORTH_SAYING = 5e-3  # of the print's time, which no owner notices
 FASTER = 0.02  # of the print's time: won by a speed that was asked for, and so is worth a stream
-REMEDIES = {  # of extrusion that is not compensated, by causes that are no commands
+REMEDIES = {  # of extrusion that is not compensated, by causes other than commands
     START_OF_FILE: "because its place is not known: begin with a move to X, Y and Z",
     CHANGE_OF_OBJECT: "because an object begins without a travel to it",
 }

@@ -72,7 +72,10 @@ def as_binary(target: IO[bytes]) -> Iterator[IO[bytes]]:
             yield file
         cause = _convert("from_ascii_to_binary", text, binary)
         if cause is not None:
-            raise HframeError(f"this cannot be written as binary G-code: {cause}")
+            raise HframeError(
+                f"this cannot be written as binary G-code: {cause}. A file needs PrusaSlicer's "
+                "comments for that; for another slicer write .gcode"
+            )
         with binary.open("rb") as whole:
             shutil.copyfileobj(whole, target)
 

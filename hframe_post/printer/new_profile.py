@@ -8,11 +8,19 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 from hframe_post.printer.firmware_tables import TABLES
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import (
+    Extruder,
+    Limits,
+    Printer,
+    Retraction,
+    Speed,
+    Steps,
+    Sweep,
+)
 
 SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
 
@@ -45,8 +53,6 @@ def _toml(value: Any) -> str:
 
 Tables = dict[str, dict[str, Known]]  # settings by table; a table without any does not exist
 
-CLOCK = Known(1e5, "for files of steps: at most one step per tick")
-
 
 def as_float(known: Known) -> float:
     assert isinstance(known.value, float)
@@ -59,6 +65,11 @@ def sweep(acceleration: Known) -> dict[str, Known]:
     return {"amplitude": Known(SWEEP_AMPLITUDE, "usual; the acceleration above allows it")}
 
 
+KINDS = {  # of tables whose keys may have a default
+    "limits": Limits, "steps": Steps, "retraction": Retraction, "extruder": Extruder,
+    "sweep": Sweep, "speed": Speed,
+    **{f"firmware.{name}": kind for name, kind in TABLES.items()},
+}  # fmt: skip
 TITLES = {
     "kinematics": "how the belts move the nozzle",
     "travel": "where the nozzle may go",
@@ -86,8 +97,8 @@ def profile_text(tables: Tables, description: str) -> str:
     firmware = "".join(f"{_line(*item)}\n" for item in others.pop("firmware", {}).items())
     settings = "\n".join(line for name, table in others.items() for line in _table(name, table))
     return f"""\
-# A profile for hframe-post. Lengths in mm, times in s. A comment shows where a value was found.
-# Change what you like: no command changes it back. What is measured goes into a file beside it.
+# A profile for hframe-post, in mm and s. A comment says where a value was found; what is not
+# here has its default. No command changes this file; what is measured goes into another one.
 
 description = {json.dumps(description, ensure_ascii=False)}
 
@@ -99,6 +110,8 @@ dialect = "{dialect}"
 
 
 def _table(name: str, table: dict[str, Known]) -> Iterator[str]:
+    usual = {each.name: each.default for each in fields(KINDS[name])} if name in KINDS else {}
+    table = {key: known for key, known in table.items() if known.value != usual.get(key)}
     if not table:
         return
     own = name.startswith(FIRMWARE)

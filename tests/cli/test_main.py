@@ -144,7 +144,7 @@ def test_a_mistyped_command_is_answered_with_the_nearest(tmp_path: Path) -> None
     done = run("simulat", RECTANGLE)
     assert done.returncode == 2
     assert b"did you mean 'hframe-post simulate'?" in done.stderr
-    assert b"no command and no file 'job'; see --help" in run("job", RECTANGLE).stderr
+    assert b"'job' is neither a command nor a file; see --help" in run("job", RECTANGLE).stderr
     own = Path(shutil.copy(RECTANGLE, tmp_path / "simulat"))
     assert run(own, "-n", "-q").returncode == 0
 

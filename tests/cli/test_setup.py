@@ -210,7 +210,7 @@ def test_answers_of_marlin_make_a_profile_without_macros(tmp_path: Path) -> None
     assert not (tmp_path / "hframe.cfg").exists()
     assert "Klipper" not in printed
     assert "--kinematics corexy" in printed
-    edited(own, 'planner = "2.1"', 'planner = "2.0"')
+    edited(own, "\nmax_acceleration_e", '\nplanner = "2.0"\nmax_acceleration_e')
     edited(answers, "J0.08", "J0.02")
     set_up(answers, "--kinematics", "hbot")
     assert load(str(own)).kinematics.racks

@@ -16,7 +16,6 @@ from hframe_post.firmware.klipper.macros import FILE, check_macros, macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
 from hframe_post.printer.new_profile import (
-    CLOCK,
     Known,
     Tables,
     as_float,
@@ -134,8 +133,9 @@ def _range(config: KlipperConfig, axis: str) -> Known:
     section = f"stepper_{axis}"
     low, high = config.number(section, "position_min", 0.0), config.number(section, "position_max")
     if not low < high:
+        lost = f"; {config.missing[0]}" if config.missing else ""
         raise HframeError(
-            f"{config.path}: [{section}] position_max is missing, or below position_min"
+            f"{config.path}: [{section}] position_max is missing, or below position_min{lost}"
         )
     origin = f"position_min and position_max of [{section}]"
     return Known((low, high), origin, config.place(section, "position_max"))
@@ -174,12 +174,11 @@ def _steps(config: KlipperConfig) -> dict[str, Known] | None:
         return None
     if not math.isclose(sizes["belt"], y, rel_tol=0.01):
         return {}
-    found = {
+    return {
         name: Known(sizes[name], f"rotation_distance and microsteps of [{section}]",
                     config.place(section, "rotation_distance"))
         for name, section in sections.items()
     }  # fmt: skip
-    return {**found, "clock_hz": CLOCK}
 
 
 def _retraction(config: KlipperConfig) -> dict[str, Known]:

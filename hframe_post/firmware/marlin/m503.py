@@ -15,7 +15,7 @@ from pathlib import Path
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Source
 from hframe_post.native.planning import square_corner_velocity
-from hframe_post.printer.new_profile import CLOCK, Known, Tables, as_float, sweep
+from hframe_post.printer.new_profile import Known, Tables, as_float, sweep
 from hframe_post.printer.schema import file_text
 from hframe_post.printer.settings import Printer
 
@@ -291,7 +291,7 @@ def _steps(settings: MarlinSettings) -> dict[str, Known]:
         if not as_float(steps) > 0.0:
             raise HframeError(f"{settings.name}: M92 {letter} must be above 0")
         found[name] = Known(1.0 / as_float(steps), f"1 / M92 {letter}")
-    return {**found, "clock_hz": CLOCK}
+    return found
 
 
 def _retraction(settings: MarlinSettings) -> dict[str, Known]:

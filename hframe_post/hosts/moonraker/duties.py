@@ -25,7 +25,7 @@ from .recordings import conclude, prepare
 __all__ = ["Settings", "again", "conclude", "prepare", "stale", "tidy", "upload"]
 
 OF_THE_FILE = re.compile(r"line \d+: ")  # how the reasons begin that a line of the file gives
-NOT_MEASURED = "plant.invented: "  # in the reason why a profile is not used before it is measured
+NOT_MEASURED = "this printer is not measured yet"  # of a profile, says the command line
 
 
 def upload(settings: Settings, path: str) -> int:
@@ -84,7 +84,7 @@ def _harmless(settings: Settings, error: Exception) -> str:
         settings.present()
     except FailureError as of_profile:
         if NOT_MEASURED in cause(of_profile):
-            return "this printer is not measured yet. To measure it, type HFRAME_CALIBRATE"
+            return f"{NOT_MEASURED}. To measure it, type HFRAME_CALIBRATE"
         return cause(of_profile) if shutil.which(settings.command[0]) else ""
     return ""
 
