@@ -300,8 +300,7 @@ def _pictured(options: Options, source: Input, printer: Printer, plant: Plant) -
 @contextmanager
 def _comparing_stamps(printer: Printer, options: Options, source: Input) -> Iterator[None]:
     """Let no LeftAloneError pass if the source was converted with other settings."""
-    same_format = options.format == ("bgcode" if source.binary else "gcode")
-    present = stamp(printer, options) if source.path and same_format else ""
+    present = stamp(printer, options) if source.path and options.format == "gcode" else ""
     try:
         yield
     except LeftAloneError as found:

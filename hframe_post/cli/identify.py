@@ -23,7 +23,7 @@ from hframe_post.cli.options import (
 )
 from hframe_post.errors import IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.klipper.settings import kinematics_in, text_from_klipper, warnings
+from hframe_post.firmware.klipper.source import kinematics_in, text_from_klipper, warnings
 from hframe_post.printer.choice import choose
 from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.profile import load, parse

@@ -35,7 +35,7 @@ TOLERANCE = 0.007
 MAX_SPEED_UP = 20.0  # times the file's feed rates
 UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0}
 
-Kind = Literal["gcode", "bgcode", "steps", "samples"]
+Kind = Literal["gcode", "steps", "samples"]
 Retract = Literal["standing", "moving"]
 
 
@@ -178,9 +178,8 @@ class Options:
     )  # fmt: skip
     format: Kind | None = option(
         None, "--format", rare=True, choices=named(get_args(Kind)),
-        help="Output format: G-code (bgcode: Prusa's binary form), motor steps, or samples every "
-        "millisecond. Default: by the suffix of the output: .csv steps, .npz samples, .bgcode "
-        "binary, any other G-code.",
+        help="Output format: G-code, motor steps, or samples every millisecond. Default: by the "
+        "suffix of the output: .csv steps, .npz samples, any other G-code.",
     )  # fmt: skip
     firmware: str | None = option(
         None, "--firmware", rare=True, metavar="NAME", read=known_firmware,
