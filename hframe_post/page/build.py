@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import zlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
