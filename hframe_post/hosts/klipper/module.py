@@ -28,7 +28,7 @@ BARE = (  # commands that measure the printer, Klipper's and Shake&Tune's, or se
     "AXES_SHAPER_CALIBRATION", "COMPARE_BELTS_RESPONSES", "CREATE_VIBRATIONS_PROFILE",
     "EXCITATE_AXIS_AT_FREQ",
 )  # fmt: skip
-TOWER = ("on", "off", "shaper")  # SET_HFRAME_LIVE TOWER=0, 1, 2 and again
+TOWER = ("on", "bare", "shaper")  # SET_HFRAME_LIVE TOWER=0, 1, 2 and again
 
 
 class HframeLive:
@@ -151,7 +151,7 @@ class HframeLive:
         """Turn on or off what the state asks for, at rest."""
         wanted = self.kernel is not None and self.enabled and not self.reasons
         active = wanted and self.tower in ("", "on")
-        unshaped = active or (wanted and self.tower == "off")
+        unshaped = active or (wanted and self.tower == "bare")
         if (active, unshaped) == (self.active, self.unshaped):
             return
         self.toolhead.flush_step_generation()
