@@ -2,7 +2,7 @@ PYTHON ?= python3
 # Without bytecode, each process that a test starts would compile the package again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: check lint test bytes slow hosts programs debian docs results bench fuzz guided audit
+.PHONY: check lint test bytes slow hosts programs debian docs results fuzz guided audit
 
 # both at once: mypy needs one core for as long as a sixth of the tests take on two
 check:
@@ -70,9 +70,6 @@ docs:
 # docs/results.md: what the sample prints take and leave here
 results:
 	$(PYTHON) -m tools.results
-
-bench:
-	$(PYTHON) -m pytest tests/benchmarks -o addopts='' --benchmark-only
 
 # EXAMPLES of each test; memory is limited, in KB
 EXAMPLES ?= 2000

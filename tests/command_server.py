@@ -35,10 +35,12 @@ def spent() -> float:
 def call(
     module: str, argv: Sequence[str], environment: Mapping[str, str], *, stdin: bytes = b"",
     folder: Path | None = None, prepared: str = __name__, timeout: float | None = None,
+    terminal: int | None = None,
 ) -> subprocess.CompletedProcess[bytes]:  # fmt: skip
     """Run what ``python -m module`` runs, in a fork of a process that has imported its modules.
 
-    prepared: the module whose ``prepare`` imports them. Raises TimeoutError after ``timeout`` s.
+    prepared: the module whose ``prepare`` imports them. terminal: its standard input, in place
+    of ``stdin``. Raises TimeoutError after ``timeout`` s.
     """
     with ExitStack() as stack:
         files = [stack.enter_context(tempfile.TemporaryFile()) for _ in range(3)]
@@ -47,7 +49,9 @@ def call(
         request = [module, list(argv), dict(environment), str(folder or Path.cwd())]
         text, server = json.dumps(request).encode(), _server(prepared)
         server.settimeout(timeout)
-        socket.send_fds(server, [LENGTH.pack(len(text))], [file.fileno() for file in files])
+        streams = [file.fileno() for file in files]
+        streams[0] = streams[0] if terminal is None else terminal
+        socket.send_fds(server, [LENGTH.pack(len(text))], streams)
         server.sendall(text)
         status, seconds = ANSWER.unpack(_received(server, ANSWER.size))
         _spent[0] += seconds
@@ -64,7 +68,7 @@ def _server(prepared: str) -> socket.socket:
     server = subprocess.Popen(
         [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), prepared],
         pass_fds=[theirs.fileno()], cwd=ROOT, stdin=subprocess.DEVNULL, process_group=0,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), "PYTHONHOME": ""},
     )  # fmt: skip
     theirs.close()
 

@@ -33,8 +33,9 @@ from tests.budgets import (  # noqa: F401
 )
 
 settings.register_profile(
-    "repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)  # the same examples on each machine, however slow or busy it is
+    "repeatable", max_examples=50, derandomize=True, deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)  # fmt: skip  # the same examples on each machine, however slow or busy it is
 settings.load_profile("repeatable")
 
 ROOT = Path(__file__).parent.parent

@@ -60,10 +60,6 @@ def as_response(G: TransferFunction | ImpulseResponse, rest: float = 1.0) -> Imp
     return ImpulseResponse.from_transfer_function(G, rest)
 
 
-def at_rest(G: TransferFunction) -> float:
-    return float(round(G.dc_gain))
-
-
 def at(G: TransferFunction, hz: Array, delay: float = 0.0) -> Complex:
     return np.asarray(G.response(2e-3 * np.pi * hz) * np.exp(-2j * np.pi * hz * delay))
 

@@ -113,11 +113,6 @@ def with_plant(profile: Printer, plant: Plant) -> Printer:
     return replace(profile, plant=plant)
 
 
-def relative(found: Array, true: Array) -> float:
-    """Return the relative difference of responses (k,)."""
-    return float(np.linalg.norm(found - true) / np.linalg.norm(true))
-
-
 # ---------------------------------------------------------------------- random printers
 
 FAULTS = ("friction", "play", "second", "third", "along")

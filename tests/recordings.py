@@ -15,9 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from hframe_post.arrays import TS, Array
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
-from hframe_post.model.nozzle import Response
-from hframe_post.model.plant import Plant
-from tests.plants import Filter
 
 # printer.cfg of the Sovol SV08 whose recordings are among the tests
 SV08_CONFIG = """
@@ -92,24 +89,9 @@ class Sensor:
         return Recording(self.clock + t * (1.0 + self.drift), a, self.lead == 0.0)
 
 
-def nozzle(plant: Plant, swept: Array, axis: int, arm: float = 50.0) -> BSpline:
-    """Return the nozzle's motion in x, y, z when ``swept`` (m,) is commanded along an axis."""
-    still = np.zeros(len(swept))
-    if axis == 1:
-        return spline(still, Filter(plant.Gyy).run(swept))
-    assert plant.Gxtheta is not None
-    theta = Filter(plant.Gxtheta).run(swept)
-    return spline(Filter(plant.Gxx).run(swept), arm * theta)
-
-
 def spline(x: Array, y: Array) -> BSpline:
     motion = np.column_stack([x, y, np.zeros(len(x))])
     return make_interp_spline(np.arange(len(x)) * TS, motion, 9)
-
-
-def moved(plant: Plant, command: Array) -> BSpline:
-    """Return the motion of the nozzle while the printer plays ``command`` (m, 2) mm."""
-    return spline(*Response(plant, command[0]).motion(command)[0].T)
 
 
 def write_klipper(path: Path, recording: Recording) -> Path:

@@ -55,18 +55,3 @@ def test_errors_are_the_same_after_pickling() -> None:
             assert type(again) is kind
             assert (str(again), again.args) == (str(error), error.args), kind.__name__
             assert vars(again) == vars(error), kind.__name__
-
-
-WEAK = 'extends = "paper"\n[plant]\ninvented = false\n[motors]\nbelt_acceleration = 6000\n'
-SPANS = """G90
-M83
-G1 X100 Y100 Z0.3 F6000
-M204 S5000
-G1 X104.2 E0.5 F1
-G1 E-1 F1800
-G1 X180 Y180 F9000
-G1 E1 F1800
-G1 X120 E4 F3000
-G1 Y120 E4
-G1 X180 E4
-"""

@@ -38,6 +38,7 @@ def test_the_papers_figures(tmp_path: Path) -> None:
     assert labels[2] in (("racking", "10"), ("racking", "11"))  # 10.5
 
 
+@pytest.mark.slow
 def test_the_papers_rectangle_through_the_library(tmp_path: Path) -> None:
     printed = printed_by("paper_rectangle", tmp_path / "out")
     simulated = hp.simulate(SAMPLES / "rectangle.gcode", hp.load_printer("paper"))

@@ -6,12 +6,11 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests.command_line import run
 from tests.conftest import ROOT
 
 README, TUTORIAL = ROOT / "README.md", ROOT / "docs" / "start.md"
@@ -22,13 +21,6 @@ def command(name: str) -> str:
     found = re.search(rf"<!-- {name} command -->\n```sh\n(.+)\n```", README.read_text("utf-8"))
     assert found is not None
     return found[1]
-
-
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "hframe_post", *arguments],
-        cwd=ROOT, capture_output=True, text=True, check=True,
-    )  # fmt: skip
 
 
 def shown(page: Path, tells: str, now: str, update: bool) -> str:
@@ -47,11 +39,14 @@ def update(request: pytest.FixtureRequest) -> bool:
     return bool(request.config.getoption("--update-golden"))
 
 
-def test_sample_command_converts(tmp_path: Path, update: bool) -> None:
+def test_sample_command_converts(
+    tmp_path: Path, update: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     last = command("sample").split()
     assert last[0] == "hframe-post"
     last[-1] = str(tmp_path / "out.gcode")
-    printed = run(*last[1:]).stderr
+    monkeypatch.chdir(ROOT)
+    printed = run(*last[1:]).stderr.decode()
     assert printed == shown(TUTORIAL, "print time", printed, update)
 
 

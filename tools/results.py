@@ -6,10 +6,12 @@ make results
 from __future__ import annotations
 
 import platform
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import hframe_post as hp
+from examples.paper import results as paper
 from examples.paper import tables
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -25,7 +27,7 @@ HEAD = """\
 
 `make results` computes this page: the predicted contour error of the sample prints on two
 measured printers and two shipped profiles, what the stages of a conversion take, and the paper's
-tables. The profiles' plants are exact here; [identify.md](identify.md#how-far-to-trust-it) says
+rectangle. The profiles' plants are exact here; [identify.md](identify.md#how-far-to-trust-it) says
 what is left on real printers.
 """
 
@@ -35,10 +37,10 @@ def rows() -> Iterator[str]:
     yield from errors()
     yield from inexact()
     yield from stages()
-    yield "## The paper's tables\n"
-    yield "What they say is in [derivations.md](derivations.md#the-papers-figures).\n"
-    prism = (SAMPLES / "prism.gcode").read_bytes().splitlines(keepends=True)
-    yield tables.computed(hp.load_printer("paper"), prism)
+    yield "## The paper's rectangle\n"
+    yield "[derivations.md](derivations.md#the-papers-figures) has the paper's other tables.\n"
+    printer = hp.load_printer("paper")
+    yield tables.time_response(paper.time_responses(printer, paper.path(printer)))
 
 
 def errors() -> Iterator[str]:
@@ -75,13 +77,13 @@ def inexact() -> Iterator[str]:
 
 def stages() -> Iterator[str]:
     machine = f"{platform.machine()} with Python {platform.python_version()}"
-    yield f"## Time\n\nCPU seconds of each stage, with `paper`, on {machine}.\n"
-    found = {part: converted(part) for part in PRINTS}
-    names = list(dict.fromkeys(name for one in found.values() for name in one.seconds))
-    yield table_head("print", *names)
-    for part, report in found.items():
-        label = f"{part}, {report.time.after:.0f} s of print"
-        yield line(label, *(f"{report.seconds.get(name, 0.0):.2f}" for name in names))
+    yield f"## Time\n\nCPU seconds in one thread, with `paper`, on {machine}.\n"
+    yield table_head("print", "CPU s")
+    for part in PRINTS:
+        begun = time.process_time()
+        report = converted(part)
+        spent = time.process_time() - begun
+        yield line(f"{part}, {report.time.after:.0f} s of print", f"{spent:.2f}")
     yield ""
 
 

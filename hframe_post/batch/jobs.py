@@ -219,7 +219,8 @@ def with_targets(
             continue
         files = _gcode_in(source, folder, packed, _raise)
         if not files:
-            raise HframeError(f"{source} holds no G-code ({', '.join(NAMES)})")
+            only = f"only {packed[0].name}: unpack it first" if packed else ", ".join(NAMES)
+            raise HframeError(f"{source} holds no G-code ({only})")
         found += [(path, folder / path.relative_to(source)) for path in files]
     return list(dict.fromkeys(found)), packed
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from itertools import chain
 from pathlib import Path
 from threading import Event
+from time import monotonic
 from typing import Any
 
 import click
@@ -18,7 +19,6 @@ from hframe_post.cli.options import (
     conversion_options,
     files_read,
     help_all_option,
-    old_option,
     printer_option,
     say,
 )
@@ -27,6 +27,7 @@ from hframe_post.errors import HframeError
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.process import Interruption
 from hframe_post.writers.outputs import Outputs
+from hframe_post.writers.print_time import duration
 
 CLEAR_LINE = "\r\x1b[K"
 
@@ -48,10 +49,6 @@ CLEAR_LINE = "\r\x1b[K"
     "--resume", is_flag=True,
     help="Skip files that are converted already.",
 )  # fmt: skip
-@old_option("--watch", "name the folder with --resume, for example from cron")
-@old_option("--scheduler", "run 'hframe-post batch' on each machine with its share of the files")
-@old_option("-d", "-o names the folder")
-@old_option("--directory", "-o names the folder")
 @json_option
 @help_all_option
 @click.option("-q", "--quiet", is_flag=True, help="Print no progress and no summary.")
@@ -63,7 +60,7 @@ def batch(
 ) -> None:  # fmt: skip
     """Convert files, and all G-code in folders. A file that fails does not stop the others.
 
-    --resume goes on: it skips what was converted with the same settings and has not changed since.
+    --resume skips files that were converted with the same settings and have not changed since.
     Exit status: 0 if every file is converted, 1 if some failed, 2 for wrong usage.
 
     \b
@@ -174,10 +171,14 @@ def _some(files: list[Path]) -> str:
 def _convert(jobs: list[Job], converter: Converter, stop: Event, results: Results) -> None:
     """Convert the jobs in place; print each result, below them a progress bar on a terminal."""
     sizes = {job.source: 0 if job.finished else job.source.stat().st_size for job in jobs}
-    terminal = sys.stderr.isatty()
+    terminal, began = sys.stderr.isatty(), monotonic()
 
     def count(_: Job | None) -> str:
-        return f"{sum(job.finished for job in jobs)} of {len(jobs)}"
+        done, of = sum(sizes[job.source] for job in jobs if job.finished), sum(sizes.values())
+        files = f"{sum(job.finished for job in jobs)} of {len(jobs)}"
+        if not FORESEEN * of < done < of:
+            return files
+        return f"{files}, {duration((of / done - 1.0) * (monotonic() - began))} left"
 
     with click.progressbar(
         length=sum(sizes.values()), file=sys.stderr, hidden=results.quiet or not terminal,
@@ -185,6 +186,5 @@ def _convert(jobs: list[Job], converter: Converter, stop: Event, results: Result
     ) as bar:  # fmt: skip
         for job in run(jobs, converter, stop):
             results.show(job, CLEAR_LINE * terminal)
-            bar.show_eta = bar.pos + sizes[job.source] > FORESEEN * sum(sizes.values())
             bar.update(sizes[job.source], job)
     results.add(jobs)

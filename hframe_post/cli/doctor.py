@@ -6,29 +6,21 @@ import os
 import platform
 import sys
 import tempfile
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import coloured, files_read, quoted
+from hframe_post.cli.options import coloured, quoted
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
-from hframe_post.firmware.base import Finding
-from hframe_post.firmware.klipper.check import check, log_of
-from hframe_post.firmware.klipper.live import check_live
-from hframe_post.firmware.klipper.macros import FILE
-from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.registry import firmware
-from hframe_post.hosts.moonraker.disk import events
-from hframe_post.page.history import STALE_DAYS, history_page
+from hframe_post.firmware.registry import firmware, source_of
 from hframe_post.printer.choice import PROFILE, VARIABLE, Choice, choose, config_file, presets
+from hframe_post.printer.firmware_tables import MACROS
 from hframe_post.printer.profile import load, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
-from hframe_post.writers.outputs import Outputs
 
 PACKAGES = (
     "click",
@@ -40,6 +32,9 @@ PACKAGES = (
     "platformdirs",
     "zstandard",
 )
+
+
+STALE_DAYS = 90  # days, from which a model is to be checked
 
 
 class _Findings:
@@ -73,20 +68,13 @@ class _Findings:
 )  # fmt: skip
 @click.option(
     "--printer-cfg", "config", type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    metavar="FILE", help="Check Klipper's printer.cfg, its includes and macros, and this profile.",
+    metavar="FILE", help="Compare Klipper's printer.cfg, with its includes and macros, or Marlin's "
+    "answers to M503, with the profile.",
 )  # fmt: skip
 @click.option(
     "--klippy-log", "log", type=click.Path(path_type=Path, exists=True, dir_okay=False),
     metavar="FILE", help="Klipper's log, which shows its version. Default: klippy.log next to "
     "printer.cfg, or in the folder logs next to that of printer.cfg.",
-)  # fmt: skip
-@click.option(
-    "--report", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.html",
-    help="Write what was found as a page for a browser.",
-)  # fmt: skip
-@click.option(
-    "--history", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="FOLDER",
-    help="Show in the report what Moonraker's component has measured and converted.",
 )  # fmt: skip
 @click.pass_context
 def doctor(
@@ -94,8 +82,6 @@ def doctor(
     requested: str | None,
     config: Path | None,
     log: Path | None,
-    report: Path | None,
-    history: Path | None,
 ) -> None:
     """Check the installation, the profile, printer.cfg, and what the slicers use.
 
@@ -105,10 +91,7 @@ def doctor(
     Example:
       hframe-post doctor -p my.toml --printer-cfg printer.cfg
     """
-    if history is not None and report is None:
-        raise click.UsageError("--history needs --report, which shows it")
     findings = _Findings("printer.cfg" if config is None else "")
-    profile = None
     _check_installation(findings)
     _check_folders(findings)
     try:
@@ -116,23 +99,11 @@ def doctor(
     except HframeError as error:
         (findings.note if config is None else findings.problem)(str(error))
     else:
-        profile = _check_profile(findings, choice, config, log)
-    if report is not None:
-        _write_report(report, findings, profile, history)
+        _check_profile(findings, choice, config, log)
     n = findings.problems
     unchecked = f", but {findings.unchecked} was not checked" if findings.unchecked else ""
     click.echo(f"{n} problem{'s' * (n > 1)}" if n else f"no problems found{unchecked}")
     context.exit(1 if n else 0)
-
-
-def _write_report(
-    path: Path, findings: _Findings, profile: Printer | None, history: Path | None
-) -> None:
-    found = [] if history is None else [*events(history)]
-    name = "Printer" if profile is None else Path(profile.name).stem
-    with Outputs(files_read(profile.name) if profile else []) as outputs:
-        made = history_page(name, profile, findings.all, found, datetime.now(UTC))
-        outputs.open(path).write(made)
 
 
 def _check_installation(findings: _Findings) -> None:
@@ -166,8 +137,8 @@ def _check_folders(findings: _Findings) -> None:
 
 def _check_profile(
     findings: _Findings, choice: Choice, config: Path | None, log: Path | None
-) -> Printer | None:
-    """Check a profile and what goes with it; return it if it can be used."""
+) -> None:
+    """Check a profile and what goes with it."""
     printer = choice.profile
     try:
         profile = load(printer)
@@ -179,12 +150,12 @@ def _check_profile(
                 f"hframe-post {__version__} does not know that key. If a newer version wrote the "
                 "profile, install that version; if an older one did, see CHANGELOG.md"
             )
-        return None
+        return
     findings.ok(f"profile {printer} ({choice.why}): {profile.description or 'no description'}")
     if profile.invented:
         findings.note(
-            "its plant is not measured, so nothing is compensated until 'hframe-post identify' or "
-            "'calibrate-print' has written your printer's: see docs/start.md"
+            "its resonances are not measured, so nothing is compensated: run 'hframe-post measure' "
+            "or, without an accelerometer, 'hframe-post calibrate-print' (docs/start.md)"
         )
     own = firmware(profile)
     if config is None:
@@ -196,7 +167,7 @@ def _check_profile(
             f"{printer} comes with hframe-post and is not your printer: run 'hframe-post setup "
             f"{source}'"
         )
-        return profile
+        return
     _check_age(findings, Path(printer), profile)
     _check_hooks(findings, printer)
     if stopped := own.code().when_stopped:
@@ -204,8 +175,7 @@ def _check_profile(
     if config is None:
         findings.note(own.unchecked)
     else:
-        _check_config(findings, config, log or log_of(config), profile, printer)
-    return profile
+        _check_config(findings, config, log, profile, printer)
 
 
 def _check_config(
@@ -213,13 +183,12 @@ def _check_config(
 ) -> None:
     """Compare printer.cfg with a profile of this name; log: Klipper's, which shows its version."""
     try:
-        config = KlipperConfig(path)
-        differences = list(_differences(config, log, profile, name))
+        source = source_of([path])
+        differences = list(source.findings(profile, *_remedies(path, name), log))
     except HframeError as error:
         findings.problem(str(error))
         return
-    if config.missing:
-        findings.unchecked = "the include that finds no file"
+    findings.unchecked = source.missing
     for difference in differences:
         (findings.problem if difference.wrong else findings.note)(difference.text)
     if not any(difference.wrong for difference in differences):
@@ -240,22 +209,18 @@ def _check_age(findings: _Findings, path: Path, profile: Printer) -> None:
         )
 
 
-def _differences(
-    config: KlipperConfig, log: Path | None, profile: Printer, name: str
-) -> Iterator[Finding]:
+def _remedies(config: Path, name: str) -> tuple[str, str]:
+    """Return what to do where a profile differs, and how what it gives is written again."""
     path = Path(name)
     remedy = f"change it there or in {name}"
-    again = f"run 'hframe-post connect klipper -p {quoted(name)} > {FILE}'"
+    again = f"run 'hframe-post connect klipper -p {quoted(name)} > {MACROS}'"
     if path.name == PROFILE:
         here = path.absolute().parent == Path.cwd()
         folder = "" if here else f" -o {quoted(path.parent)}"
-        again = f"run 'hframe-post setup {quoted(config.path)}{folder}' again"
-        remedy += (
-            f", or let 'hframe-post setup {quoted(config.path)}{folder} --reset' write that anew"
-        )
-    yield from check(config, profile, remedy)
-    yield from check_live(config, profile)
-    yield from firmware(profile).host_findings(config.path, log, again)
+        again = f"run 'hframe-post setup {quoted(config)}{folder}' again"
+        reset = f"hframe-post setup {quoted(config)}{folder} --reset"
+        remedy += f", or overwrite the profile with '{reset}'"
+    return remedy, again
 
 
 def _check_hooks(findings: _Findings, printer: str) -> None:

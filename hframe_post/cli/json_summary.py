@@ -16,7 +16,7 @@ from hframe_post.errors import HframeError
 from hframe_post.version import __version__
 from hframe_post.writers.outputs import Outputs
 
-SCHEMA = 1  # raised when a key goes or changes its meaning
+SCHEMA = 2  # raised when a key goes or changes its meaning
 _SUMMARY = "hframe_post.json"  # in a context's meta
 
 

@@ -185,8 +185,6 @@ class Moonraker:
     def _link_component(self, create: bool) -> str:
         link, former = self._check_link()
         component = Path(moonraker.__file__)
-        if create and not component.is_file():
-            raise HframeError("the single-file program has no component: install with pipx")
         try:
             for old in (link, former):
                 old.unlink(missing_ok=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import sys
-import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.registry import source_of
 from hframe_post.printer.choice import PROFILE, VARIABLE, set_default
 from hframe_post.printer.model_file import measured, with_windows
-from hframe_post.printer.new_profile import Known, Tables, profile_text
+from hframe_post.printer.new_profile import Known, Tables, differences, profile_text
 from hframe_post.printer.profile import load, parse, text_of
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.outputs import Outputs
@@ -130,8 +129,10 @@ def setup(
                 outputs.open(folder / name).write(content.encode())
         done = [*make(changes, outputs), *moonraker.link(create=True)] if moonraker else []
     written = f"{target}, {_made_default(target, source.warnings)}"
-    if old:
-        click.echo("\n".join(_differences(tables, old, text, target, quoted(files[0]))))
+    if before is not None:
+        again = quoted(files[0]) + (f" --bed {bed[0]:g},{bed[1]:g}" if bed else "")
+        told = _differences(tables, before, text != old, target, again)
+        click.echo("\n".join(told))
     click.echo("\n".join(_summary(source, profile, written, kind)))
     if done:
         click.echo("\n".join(["", *done, "", RESTART, CALIBRATE]))
@@ -223,29 +224,19 @@ def _with_model(profile: Printer, before: Printer) -> Printer:
     return with_windows(model, before.compensation.windows)
 
 
-def _differences(tables: Tables, old: str, text: str, target: Path, source: str) -> Iterator[str]:
+def _differences(
+    tables: Tables, before: Printer, changed: bool, target: Path, source: str
+) -> Iterator[str]:
     """Yield where a profile and what was found differ."""
-    before = tomllib.loads(old)
-    kept = list[str]()
-    for name, table in tables.items():
-        own = before
-        for part in name.split("."):
-            own = own.get(part, {})
-        if own and not table:
-            kept.append(f"[{name}]: the printer has none any more")
-        for key, known in table.items():
-            value = tomllib.loads(f"value = {known.as_toml()}")["value"]
-            if own.get(key) != value:
-                has = f"it has {own[key]}" if key in own else "it has none"
-                kept.append(f"{name}.{key}: {known.as_toml()} ({known.origin}), {has}")
-    if text != old:
+    kept = [each.text for each in differences(tables, before)]
+    if changed:
         yield f"{target}: overwritten" if kept else f"{target}: changed"
     elif not kept:
         yield f"{target}: no changes"
     else:
         yield f"{target} stays as it is, and differs from what was found:"
     yield from kept
-    if kept and text == old:
+    if kept and not changed:
         yield f"To overwrite it: hframe-post setup {source} --reset"
 
 

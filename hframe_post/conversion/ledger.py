@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Z, lengths
+from hframe_post.arrays import TS, E, Z, lengths
 from hframe_post.compensation.advance import AdvanceSummary
 from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
@@ -25,7 +25,6 @@ from hframe_post.planner.profiles import ProfileAtRest
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics, Labels
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.features import Place, kind
-from hframe_post.stream.tally import tallied
 from hframe_post.stream.types import (
     Dwell,
     Item,
@@ -75,35 +74,12 @@ class Uncompensated:
 
 
 @dataclass(slots=True)
-class Limited:
-    """Path (mm) on which one limit is lower than another, and the range of that limit."""
-
-    path: float = 0.0
-    least: float = tallied(math.inf, min)
-    greatest: float = tallied(0.0, max)
-
-    def add(self, where: Flags, path: Array, limit: Array) -> None:
-        """Add the moves ``where`` (n,) it applies: their path (n,) and their limit (n,)."""
-        if where.any():
-            self.path += float(path[where].sum())
-            self.least = min(self.least, float(limit[where].min()))
-            self.greatest = max(self.greatest, float(limit[where].max()))
-
-
-@dataclass(slots=True)
 class PathTally:
-    """Path and filament of all travel (mm), what is not compensated, and what limits the speed.
-
-    acceleration (mm/s²) and corner (mm/s): limited by the file, or by the pace that was set for an
-    allowed error; speed (mm/s): limited by the profile.
-    """
+    """Path and filament of all travel (mm), and what is not compensated."""
 
     path: float = 0.0
     filament: float = 0.0
     uncompensated: dict[str, Uncompensated] = field(default_factory=dict)
-    acceleration: Limited = field(default_factory=Limited)
-    corner: Limited = field(default_factory=Limited)
-    speed: Limited = field(default_factory=Limited)
 
     @property
     def path_share(self) -> float:
@@ -139,12 +115,11 @@ class Ledger:
     unknown places, in neither time.
 
     Of the samples: their number; resting, those added at stops; judged, those whose errors were
-    predicted; fed, most filament in one stretch; filament_out; peaks; clamped; advancing, pressure
-    advance; in_bands, outer walls and what of them a motor spends in a band that it avoids; contour
-    and width, errors by strategy; picture, if one was asked for; metered, sums of the options'
-    meters.
+    predicted; filament_out; peaks; clamped; advancing, pressure advance; in_bands, outer walls and
+    what of them a motor spends in a band that it avoids; contour and width, errors by strategy;
+    picture, if one was asked for; metered, sums of a trial's meters.
 
-    Of the output: written, steps. seconds: processor time by stage.
+    Of the output: written, steps.
     """
 
     read: FileTally = field(default_factory=FileTally)
@@ -158,7 +133,6 @@ class Ledger:
     samples: int = 0
     resting: int = 0
     judged: int = 0
-    fed: float = tallied(0.0, max)
     filament_out: float = 0.0
     peaks: Peaks = field(default_factory=Peaks)
     clamped: Clamped = field(default_factory=Clamped)
@@ -170,7 +144,6 @@ class Ledger:
     metered: Any = field(default=None, compare=False, repr=False)
     written: GcodeSummary = field(default_factory=GcodeSummary)
     steps: StepTally | None = None
-    seconds: dict[str, float] = field(default_factory=dict, compare=False)
 
     @property
     def duration(self) -> float:
@@ -195,7 +168,7 @@ class Meter(Protocol):
 class FileNotes:
     """Notes a file: its lines, its items as read and at their pace, and their plans.
 
-    label: see ``Dialect``. limits: of the profile, with which those of the moves are compared.
+    label: see ``Dialect``. limits: of the profile.
     """
 
     def __init__(self, label: Callable[[bytes], bytes | None], limits: Limits) -> None:
@@ -291,22 +264,11 @@ class FileNotes:
     def _measure(self) -> None:
         if not self._waiting:
             return
-        limits, path, waiting = self._limits, self._path, self._waiting
+        path, waiting = self._path, self._waiting
         delta = np.concatenate([moves.points[1:] - moves.points[:-1] for moves in waiting])
         length = lengths(delta[:, :E])
         path.path += float(length.sum())
         path.filament += float(np.maximum(delta[:, E], 0.0).sum())
-        speed, acceleration, corner = (
-            np.concatenate([getattr(moves, name) for moves in waiting])
-            for name in ("speed", "acceleration", "corner")
-        )
-        end = 0
-        for moves in waiting:
-            of = slice(end, end := end + len(moves.line))
-            moves.limits.lower(speed[of].copy(), acceleration[of], moves.points)
-        path.acceleration.add(acceleration < limits.acceleration, length, acceleration)
-        path.corner.add(corner < limits.square_corner_velocity, length, corner)
-        path.speed.add(speed > limits.velocity, length, np.full(len(length), limits.velocity))
         self._waiting, self._count = [], 0
 
     def _add_uncompensated(self, move: Passthrough) -> None:
@@ -340,11 +302,9 @@ class SampleNotes:
 
     def __init__(self, strategy: str, place: Place, bands: MotorBands | None) -> None:
         self._strategy, self._bands, self._labels = strategy, bands, Labels(replace(place))
-        self.end = self.resting = 0
-        self.fed = self.filament = 0.0
+        self.end, self.resting, self.filament = 0, 0, 0.0
         self.in_bands = TimeInBands()
-        self._begun: float | None = None  # filament at the beginning of the stretch
-        self._last = 0.0  # filament at its last sample
+        self._last: float | None = None  # filament at the last sample of the stretch
         self._rates: Differences | None = None
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
@@ -352,10 +312,8 @@ class SampleNotes:
             self.end = chunk.end
             if len(chunk):
                 first, last = chunk.xyze[[0, -1], E].tolist()
-                if self._begun is None:
-                    self._begun = self._last = first
-                self.filament += last - self._last
-                self.fed, self._last = max(self.fed, last - self._begun), last
+                self.filament += last - (first if self._last is None else self._last)
+                self._last = last
             for event in chunk.events:
                 if isinstance(event, Rest):
                     self.resting += event.samples
@@ -364,7 +322,7 @@ class SampleNotes:
             if self._bands is not None:
                 self._note_bands(chunk, self._bands)
             if chunk.ends_stretch:
-                self._begun = self._rates = None
+                self._last = self._rates = None
             yield chunk
 
     def _note_bands(self, chunk: Samples, bands: MotorBands) -> None:

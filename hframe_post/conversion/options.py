@@ -25,9 +25,7 @@ from hframe_post.stream.features import KINDS
 from hframe_post.version import __version__
 
 if TYPE_CHECKING:
-    from hframe_post.conversion.ledger import Meters
     from hframe_post.model.shapers import Shaping
-    from hframe_post.planner.pacing import Paces
 
 # mm; on Klipper's host, slices on a measured Voron: 0.014 leaves 2.0 and 3.1 µm RMS with the
 # exact model, this 1.1 and 2.3 with 1.3 and 1.5 times the lines, 0.004 another 0.1 and 0.2 less
@@ -35,7 +33,7 @@ TOLERANCE = 0.007
 MAX_SPEED_UP = 20.0  # times the file's feed rates
 UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0}
 
-Kind = Literal["gcode", "bgcode", "steps", "samples"]
+Kind = Literal["gcode", "steps", "samples"]
 Retract = Literal["standing", "moving"]
 
 
@@ -64,7 +62,7 @@ def width_bound(text: str) -> float:
     match = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)\s*(%?)", text.strip())
     share = float(match[1]) / (100.0 if match[2] else 1.0) if match else 0.0
     if not 1e-3 <= share <= 1.0:
-        raise ArgumentError(f"{text!r} is neither 'off' nor from 0.1% to 100%, such as 5%")
+        raise ArgumentError(f"{text!r} must be 'off' or from 0.1% to 100%, such as 5%")
     return share
 
 
@@ -82,7 +80,7 @@ def speed_factor(text: str) -> float:
     except ValueError:
         value = 0.0
     if not 1.0 <= value <= MAX_SPEED_UP:
-        raise ArgumentError(f"{text!r} is neither 'max' nor from 1 to {MAX_SPEED_UP:g}")
+        raise ArgumentError(f"{text!r} must be 'max' or from 1 to {MAX_SPEED_UP:g}")
     return value
 
 
@@ -132,9 +130,8 @@ class Options:
     segment may be off the samples; None or 0 writes every sample. max_error: in mm by feature, ''
     for all others; empty: the file's speeds. max_width_error: a share of the lines' width; 0: any.
 
-    The last fields are for the stages: ``resolved`` sets speed, the search for it paces. picture:
-    collect the path with its predicted errors; shaping: with those of this input shaper, too.
-    meters: measure the commands on their way to the output.
+    The last fields are for the stages. speed: set by ``resolved``. picture: collect the path with
+    its predicted errors; shaping: with those of this input shaper, too.
 
     Raises OptionError for values that make no sense.
     """
@@ -152,9 +149,9 @@ class Options:
     _: KW_ONLY
     limits: LimitSource = option(
         "file", "--limits", decides=True, rare=True, choices=named(get_args(LimitSource)),
-        help="Which limits set in the file lower the profile's: those that the firmware obeys "
-        "(Klipper: M204, SET_VELOCITY_LIMIT; Marlin: M201, M203, M204, M205), all (file-all), or "
-        "none (printer).",
+        help="Limits to obey in the file: those that the firmware obeys (Klipper: M204, "
+        "SET_VELOCITY_LIMIT; Marlin: M201, M203, M204, M205), all of these (file-all), or only "
+        "the profile's (printer).",
     )  # fmt: skip
     clamp: bool = option(
         True, "--on-limit", decides=True, rare=True, choices={"error": False, "clamp": True},
@@ -178,18 +175,16 @@ class Options:
     )  # fmt: skip
     format: Kind | None = option(
         None, "--format", rare=True, choices=named(get_args(Kind)),
-        help="Output format: G-code (bgcode: Prusa's binary form), motor steps (a row per step, "
-        "or a bit per clock tick), or samples every millisecond. Default: by the suffix of the "
-        "output: .csv steps, .npz samples, .bgcode binary, any other G-code.",
+        help="Output format: G-code, motor steps, or samples every millisecond. Default: by the "
+        "suffix of the output: .csv steps, .npz samples, any other G-code.",
     )  # fmt: skip
     firmware: str | None = option(
         None, "--firmware", rare=True, metavar="NAME", read=known_firmware,
-        help="Firmware that plays the G-code: klipper, marlin, or one that a package adds. "
-        "Default: firmware.dialect of the profile.",
+        help="Firmware that plays the G-code: klipper or marlin. Default: the profile's.",
     )  # fmt: skip
     force: bool = option(
         False, "--force",
-        help="Convert even with another printer's model.",
+        help="Convert even if the model is of another printer.",
     )  # fmt: skip
     max_error: dict[str, float] | None = option(
         None, "--max-error", metavar="ERROR", read=error_bounds,
@@ -197,26 +192,22 @@ class Options:
     )  # fmt: skip
     max_width_error: float | None = option(
         None, "--max-width-error", rare=True, metavar="PERCENT", read=width_bound,
-        help="With --max-error: the width of the printed line is off by no more than this, such as "
-        "5%, in the same statistic, pressure included where the file or profile has an advance; "
-        "'off' for any. Default: speed.max_width_error of the profile.",
+        help="Largest error of the printed line's width, such as 5%, or 'off'. Needs --max-error. "
+        "Default: speed.max_width_error of the profile.",
     )  # fmt: skip
     speed_up: float | None = option(
         None, "--speed-up", rare=True, metavar="N|max", read=speed_factor,
-        help="With --max-error: at most N times the file's feed rates; limits.flow and "
-        "limits.min_layer_time of the profile hold, too. Default: speed.speed_up of the profile, "
-        "or 1.",
+        help="Raise the file's feed rates by this factor at most, within limits.flow and "
+        "limits.min_layer_time of the profile. Needs --max-error. Default: speed.speed_up of the "
+        "profile, or 1.",
     )  # fmt: skip
     jobs: int = option(
         1, "--jobs", rare=True, metavar="N", least=1, unset=processor_count,
-        help="Number of processes that compute G-code; the output does not depend on it. Default: "
-        "one per processor.",
+        help="Number of processes. Default: one per processor.",
     )  # fmt: skip
     speed: Speed | None = None
-    paces: Paces | None = None
     picture: bool = False
     shaping: Shaping | None = None
-    meters: Meters | None = None
 
     def __post_init__(self) -> None:
         for name in ("limits", "extrusion", "retract", "format"):
@@ -267,8 +258,7 @@ class Options:
     def digest(self, profile: str) -> str:
         """Return a hash of all that decides the output in addition to the input.
 
-        profile: the digest of the printer's. Predictions do not change the output, and paces follow
-        from the input and the speed asked for.
+        profile: the digest of the printer's. Predictions do not change the output.
         """
         values = {name: getattr(self, name) for name, shown in SHOWN.items() if shown.decides}
         return digest_of({**values, "speed": self.speed, "profile": profile})

@@ -1,17 +1,17 @@
-"""The report of a conversion, as text and as JSON."""
+"""The report of a conversion: rows, each with a line for people and keys for programs."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
 from typing import Any
 
 from hframe_post.arrays import TS
 from hframe_post.compensation.shape import SHAPER
-from hframe_post.conversion.ledger import Ledger, PathTally, Uncompensated
+from hframe_post.conversion.ledger import Ledger
 from hframe_post.gcode.reader import CHANGE_OF_OBJECT, START_OF_FILE
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
@@ -27,18 +27,24 @@ ACROSS = math.sqrt(0.5)
 VISIBLE = 0.012  # mm RMS; ringing below it shows on no wall, whatever the light
 NO_GAIN = 0.9  # share of the best shaper's error from which on compensation is not worth its stream
 OUTRUN = 1.05  # times its limit, the acceleration of an extruder is worth a line
-
-COSTS = {  # causes of a longer print, for people
-    "limits": "lower limits in the profile",
-    "jerk": "smoother acceleration",
-    "stops": "rests at stops",
-}
 WORTH_SAYING = 5e-3  # of the print's time, which no owner notices
 FASTER = 0.02  # of the print's time: won by a speed that was asked for, and so is worth a stream
-REMEDIES = {  # of extrusion that is not compensated, by causes that are no commands
+REMEDIES = {  # of extrusion that is not compensated, by causes other than commands
     START_OF_FILE: "because its place is not known: begin with a move to X, Y and Z",
     CHANGE_OF_OBJECT: "because an object begins without a travel to it",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A figure of the report. label, text: its line, if any; keys: of the JSON, None for none."""
+
+    label: str
+    text: str = ""
+    keys: Mapping[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return f"{self.label:17s}{self.text}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,63 +64,30 @@ class PrintTime:
     capped: bool = True
 
     @property
-    def costs(self) -> dict[str, float]:
-        """Return the seconds that the print takes longer than as sliced, by cause."""
-        return {
-            "limits": self.ramps - self.before,
-            "jerk": self.after - self.resting - self.ramps,
-            "stops": self.resting,
-        }
-
-    def as_json(self) -> dict[str, Any]:
-        return {
-            "print_time_s": {"before": round(self.before, 3), "after": round(self.after, 3)},
-            "slowed_for_motors_percent": round(100.0 * self.slowed, 2),
-            "time_costs_s": {cause: round(s, 3) for cause, s in self.costs.items()},
-        }
-
-    @property
     def change(self) -> float:
         """Return by which share the print takes longer."""
         return self.after / self.before - 1.0 if self.before else 0.0
 
-    def as_text(self) -> str:
+    def as_row(self) -> Row:
         """Return both times, and what costs the difference if it is worth a word."""
+        limits, jerk = self.ramps - self.before, self.after - self.resting - self.ramps
+        why = "lower limits in the profile" if self.capped else "slower corners and stops"
+        if self.slowed:
+            why = f"the limits in [motors], on {percent(self.slowed)} of the path"
+        costs = (limits, why), (jerk, "smoother acceleration"), (self.resting, "rests at stops")
+        least = max(0.5, WORTH_SAYING * self.before)
+        causes = [f"{s:.0f} s for {why}" for s, why in sorted(costs, reverse=True) if s >= least]
         text = f"{duration(self.before)} → {duration(self.after)} ({100.0 * self.change:+.1f} %)"
-        if self.change < WORTH_SAYING:
-            return text
-        motors = f"the limits in [motors], on {percent(self.slowed)} of the path"
-        names = dict(COSTS)
-        if self.slowed or not self.capped:
-            names["limits"] = motors if self.slowed else "slower corners and stops"
-        causes = [
-            f"{s:.0f} s for {names[cause]}"
-            for cause, s in sorted(self.costs.items(), key=lambda each: -each[1])
-            if s >= max(0.5, WORTH_SAYING * self.before)
-        ]
-        return f"{text}: {', '.join(causes)}" if causes else text
-
-
-@dataclass(frozen=True, slots=True)
-class Plastic:
-    """What y's model followed on a moving bed, kg: mass of bed, print, and the largest step.
-
-    diameter (mm), density (g/cm³): those of the filament that were assumed.
-    """
-
-    bed: float
-    printed: float
-    step: float
-    diameter: float
-    density: float
-
-    def as_text(self) -> str:
-        """Return a line for the summary."""
-        return (
-            f"bed              y's model followed {1e3 * self.printed:.0f} g of plastic on "
-            f"{self.bed:g} kg, in steps of at most {1e3 * self.step:.2g} g (filament of "
-            f"{self.diameter:g} mm, {self.density:g} g/cm³)"
-        )
+        if causes and self.change >= WORTH_SAYING:
+            text += f": {', '.join(causes)}"
+        return Row("print time", text, {
+            "print_time_s": {"before": round(self.before, 3), "after": round(self.after, 3)},
+            "slowed_for_motors_percent": round(100.0 * self.slowed, 2),
+            "time_costs_s": {
+                "limits": round(limits, 3), "jerk": round(jerk, 3),
+                "stops": round(self.resting, 3),
+            },
+        })  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,41 +107,33 @@ class AdvanceReport:
     slowed: float = 0.0
     to: float = math.inf
 
-    def as_json(self) -> dict[str, Any]:
-        return {
-            "least": self.least, "most": self.most, "computed": self.computed,
-            "extruder_mm_s2": round(self.hardest, 1) or None,
-            "slowed_path_percent": round(100.0 * self.slowed, 3),
-        }  # fmt: skip
-
-    def as_text(self) -> list[str]:
-        """Return lines for a person."""
-        return [self._kind(), *self._extruder()]
-
-    def _extruder(self) -> list[str]:
-        """Return what the extruder cannot follow."""
-        if self.slowed:
-            return [
-                f"extruder         {percent(self.slowed)} of the lines accelerate by less, from "
-                f"{self.to:.0f} mm/s² on, so that it can follow its advance"
-            ]
-        if self.hardest > OUTRUN * self.limit:
-            return [
-                f"extruder         its advance asks for up to {self.hardest:.0f} mm/s², more than "
-                f"limits.extruder_acceleration ({self.limit:g}): if it skips, raise "
-                "extruder.stream_smooth_time or lower limits.acceleration"
-            ]
-        return []
-
-    def _kind(self) -> str:
-        """Return a line on the advance itself."""
+    def as_rows(self) -> list[Row]:
+        """Return a row on the advance, and one on what the extruder cannot follow."""
         values = f"{self.least:.3g}"
         if self.most != self.least:
             values += f" to {self.most:.3g}"
         how = "the firmware's own"
         if self.computed:
             how = "computed into E; the firmware's own is off while the file moves"
-        return f"advance          {values} s, {how}"
+        extruder = ""
+        if self.slowed:
+            extruder = (
+                f"{percent(self.slowed)} of the lines accelerate by less, from "
+                f"{self.to:.0f} mm/s² on, so that it can follow its advance"
+            )
+        elif self.hardest > OUTRUN * self.limit:
+            extruder = (
+                f"its advance asks for up to {self.hardest:.0f} mm/s², more than "
+                f"limits.extruder_acceleration ({self.limit:g}): if it skips, raise "
+                "extruder.stream_smooth_time or lower limits.acceleration"
+            )
+        known = {
+            "least": self.least, "most": self.most, "computed": self.computed,
+            "extruder_mm_s2": round(self.hardest, 1) or None,
+            "slowed_path_percent": round(100.0 * self.slowed, 3),
+        }  # fmt: skip
+        advance = Row("advance", f"{values} s, {how}", {"pressure_advance_s": known})
+        return [advance, Row("extruder", extruder)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,54 +144,43 @@ class BandReport:
     before: TimeInBands
     after: TimeInBands
 
-    def as_text(self) -> str:
-        """Return a line for the summary."""
-        if not self.after.total:
-            return (
-                "motor bands      no outer walls are named in the file, so no speed was changed "
-                "for speed.avoid of the profile"
-            )
+    def as_row(self) -> Row:
         bands = ", ".join(f"{low:g} to {high:g}" for low, high in self.bands)
-        return (
-            f"motor bands      outer walls: {percent(self.before.share)} of their time with a "
-            f"motor at {bands} mm/s as sliced, {percent(self.after.share)} now"
+        text = (
+            f"outer walls: {percent(self.before.share)} of their time with a motor at {bands} mm/s "
+            f"as sliced, {percent(self.after.share)} now"
         )
-
-    def as_json(self) -> dict[str, Any]:
-        return {
+        if not self.after.total:
+            text = (
+                "no outer walls are named in the file, so no speed was changed for speed.avoid of "
+                "the profile"
+            )
+        both = {"before": self.before, "after": self.after}
+        return Row("motor bands", text, {"motor_bands": {
             "bands": self.bands,
-            "outer_wall_s": {
-                "before": round(self.before.total, 3),
-                "after": round(self.after.total, 3),
-            },
-            "in_bands_s": {
-                "before": round(self.before.inside, 3),
-                "after": round(self.after.inside, 3),
-            },
-        }
+            "outer_wall_s": {name: round(one.total, 3) for name, one in both.items()},
+            "in_bands_s": {name: round(one.inside, 3) for name, one in both.items()},
+        }})  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report(Ledger):
     """What one conversion did: its ledger, and what must be known of the printer to read it.
 
-    speed, speed_text: how accuracy was traded for speed. notices: warnings of the printer's
-    profile. capped: see ``PrintTime``. plastic: of a bed that moves. other_tools: commands after
-    which the plant is not that of the tool that prints; None if the profile does not say. advance:
-    pressure advance, if there is any. bands: of motor speed, if the profile avoids any. couples:
-    whether a coupling, such as racking, is compensated. shaping: the best input shaper, whose
-    errors stand among the others. predicted_sliced: share of the print whose errors as sliced are
-    predicted. sliced_off: mm RMS across the path by which whole steps put the sliced file off.
-    lines_per_second: that the firmware takes. with_summary: the output ends with this report.
-    when_stopped: what to send after the print was stopped midway.
+    speed: rows on how accuracy was traded for speed. notices: warnings of the printer's profile.
+    capped: see ``PrintTime``. other_tools: commands after which the plant is not that of the tool
+    that prints; None if the profile does not say. advance: pressure advance, if there is any.
+    bands: of motor speed, if the profile avoids any. couples: whether a coupling, such as racking,
+    is compensated. shaping: the best input shaper, whose errors stand among the others.
+    predicted_sliced: share of the print whose errors as sliced are predicted. sliced_off: mm RMS
+    across the path by which whole steps put the sliced file off. lines_per_second: that the
+    firmware takes. when_stopped: what to send after the print was stopped midway.
     """
 
     strategy: str
-    speed: dict[str, Any] | None = None
-    speed_text: str = ""
+    speed: tuple[Row, ...] = ()
     notices: tuple[str, ...] = ()
     capped: bool = True
-    plastic: Plastic | None = None
     other_tools: tuple[str, ...] | None = None
     shaping: Shaping | None = None
     couples: bool = True
@@ -235,7 +189,6 @@ class Report(Ledger):
     predicted_sliced: float = 1.0
     sliced_off: float = 0.0
     lines_per_second: float = math.inf
-    with_summary: bool = False
     when_stopped: str = ""
 
     @property
@@ -243,8 +196,7 @@ class Report(Ledger):
         """Return the duration of the print."""
         before, after = self.sliced_s + self.elsewhere, self.duration + self.elsewhere
         ramps = self.ramps + self.elsewhere
-        resting = TS * self.resting
-        return PrintTime(before, after, ramps, resting, self.slowed, self.capped)
+        return PrintTime(before, after, ramps, TS * self.resting, self.slowed, self.capped)
 
     @property
     def predicted(self) -> float:
@@ -252,17 +204,21 @@ class Report(Ledger):
         return (self.judged or self.samples) / max(self.samples, 1)
 
     @property
-    def lines_written(self) -> int | None:
-        """Return the number of lines of the output; None if nothing is written."""
-        return self._count(self._lines()) if self.written.lines else None
-
-    def _count(self, summary: list[str]) -> int:
-        return self.written.lines + (1 + len(summary) if self.with_summary else 0)  # 1: the stamp
-
-    @property
     def filament_after(self) -> float | None:
         """Return the filament (mm) of the output; None if nothing is written."""
         return self.written.filament if self.written.lines else None
+
+    @property
+    def strategies(self) -> list[str]:
+        """Return the strategies whose errors are predicted."""
+        return [name for name in STRATEGIES if name in self.contour]
+
+    def label(self, name: str) -> str:
+        """Return what a strategy compensates on this printer, or a shaper's name."""
+        if name == SHAPER:
+            return "best input shaper"
+        compensated = name != "none" and not self.couples
+        return "ringing" if compensated else STRATEGIES[name].label
 
     def lines_error(self, name: str) -> float:
         """Return by how much (mm RMS) whole steps of the lines add to a strategy's error.
@@ -277,85 +233,13 @@ class Report(Ledger):
         """Return the RMS error (mm) that a strategy or the shaper leaves, whole steps included."""
         return math.hypot(self.contour[name].expected, self.lines_error(name))
 
+    # ------------------------------------------------------------------ as text and as JSON
+
     def as_json(self) -> dict[str, Any]:
         """Return all figures, ready for ``json.dumps``."""
-        filament = {"before": self.read.filament, "after": self.filament_after}
-        return {
-            "warnings": self.warnings(),
-            "compensation": self.strategy,
-            "moves": self.read.moves,
-            "lines_read": self.read.lines,
-            **self.time.as_json(),
-            "filament_mm": {k: round(mm, 5) for k, mm in filament.items() if mm is not None},
-            **self._errors_by_strategy(),
-            **self._belts_as_json(),
-            "firmware_retractions": self.read.firmware_retractions,
-            "uncompensated": _uncompensated_as_json(self.path),
-            "limited_by": _limits_as_json(self.path),
-            "clamped_samples": self.clamped.samples,
-            "clamped_mm": round(self.clamped.most, 6),
-            **{k: value for k, value in self._optional_as_json().items() if value is not None},
-        }
-
-    def _errors_by_strategy(self) -> dict[str, Any]:
-        names = sorted(self.strategies)
-        return {
-            "contour_error_um": {name: self._errors_as_json(name) for name in names},
-            "predicted_percent": round(100.0 * self.predicted, 1),
-            "predicted_as_sliced_percent": round(100.0 * self.predicted_sliced, 1),
-            "line_width_error_percent": {
-                name: self.width[name].percents() for name in names if name in self.width
-            },
-        }
-
-    def _belts_as_json(self) -> dict[str, Any]:
-        x, y = self.peaks.axis_acceleration
-        return {
-            "peak_belt_speed": round(self.peaks.belt_velocity, 3),
-            "peak_belt_acceleration": round(self.peaks.belt_acceleration, 1),
-            "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
-        }
-
-    def _optional_as_json(self) -> dict[str, Any]:
-        """Return what not every conversion has; None stands for nothing."""
-        return {
-            "lines_written": self.lines_written,
-            "busiest_second_lines": self.written.busiest_second or None,
-            "approximation_um": round(1e3 * self.written.off, 2) or None,
-            "steps": asdict(self.steps) if self.steps else None,
-            "speed": self.speed,
-            "plastic_on_bed": asdict(self.plastic) if self.plastic else None,
-            "pressure_advance_s": self.advance.as_json() if self.advance else None,
-            "motor_bands": self.bands.as_json() if self.bands else None,
-            "against": self._against() or None,
-        }
-
-    @property
-    def strategies(self) -> list[str]:
-        """Return the strategies whose errors are predicted."""
-        return [name for name in STRATEGIES if name in self.contour]
-
-    def label(self, name: str) -> str:
-        """Return what a strategy compensates on this printer, or a shaper's name."""
-        if name == SHAPER:
-            return "best input shaper"
-        compensated = name != "none" and not self.couples
-        return "ringing" if compensated else STRATEGIES[name].label
-
-    def _against(self) -> list[dict[str, Any]]:
-        """Return the best input shaper, if its error is predicted."""
-        if self.shaping is None or SHAPER not in self.contour:
-            return []
-        return [{
-            "name": self.shaping.x.name, **self.shaping.as_json(),
-            "contour_error_um": self._errors_as_json(SHAPER),
-            "line_width_error_percent": self.width[SHAPER].percents(),
-        }]  # fmt: skip
-
-    def _errors_as_json(self, name: str) -> dict[str, Any]:
-        found, lines = self.contour[name].micrometres(), self.lines_error(name)
-        if lines:
-            found["with_steps"] = round(1e3 * self.printed(name), DECIMALS)
+        found: dict[str, Any] = {"warnings": self.warnings(), "compensation": self.strategy}
+        for row in (*self._first(), *self._advice(), *self._figures()):
+            found |= {key: value for key, value in row.keys.items() if value is not None}
         return found
 
     def as_text(self) -> str:
@@ -364,117 +248,160 @@ class Report(Ledger):
 
     def summary(self, head: Iterable[str]) -> str:
         """Return notices and what an owner asks first, then the head, then all figures."""
-        return "\n".join(self._lines(head))
+        notices = [Row("WARNING", text) for text in self.notices]
+        warnings = [Row("WARNING", text) for text in self.warnings()[len(notices) :]]
+        first = [*notices, *self._first(), *warnings, *self._advice()]
+        rows = [*first, *head, *self._figures()]
+        return "\n".join(str(row) for row in rows if not isinstance(row, Row) or row.text)
 
-    def _lines(self, head: Iterable[str] = ()) -> list[str]:
-        own, first = self._figures(), self._first()
-        head, written = [*head], self._count([*first, "", *own]) if self.written.lines else None
-        moves = f"{self.read.moves} in {self.read.lines} lines; {written} lines written"
-        return [*first, *head, f"moves            {moves}", *own]
-
-    def _first(self) -> list[str]:
-        return [
-            *(f"WARNING          {text}" for text in self.notices),
-            *self._result(),
-            f"print time       {self.time.as_text()}",
-            f"not compensated  {_uncompensated_as_text(self.path)}",
-            *(f"WARNING          {text}" for text in self.warnings()[len(self.notices) :]),
-            *self._advice(),
-        ]
-
-    def _figures(self) -> list[str]:
-        lines = [
-            f"filament         {self.filament_after:.2f} mm, unchanged",
-            *self._predicted(),
-            *self._width_as_text(),
-            *(self.advance.as_text() if self.advance else []),
-            f"belts            at most {self.peaks.belt_velocity:.0f} mm/s, "
-            f"{self.peaks.belt_acceleration:.0f} mm/s²",
-        ]
-        if off := self.written.off:
-            lines.append(
-                f"lines            at most {self.written.busiest_second} in a second, "
-                f"{1e3 * off:.1f} µm RMS off the exact command"
-            )
-        lines += [self.plastic.as_text()] if self.plastic else []
-        lines += [self.bands.as_text()] if self.bands else []
-        if self.steps:
-            motors = ", ".join(f"{motor} {n}" for motor, n in self.steps.motors.items())
-            lines.append(
-                f"steps            {self.steps.rows} rows, {self.steps.ticks} ticks of "
-                f"{self.steps.clock_hz:g} Hz; {motors}"
-            )
-        lines += self.speed_text.splitlines()
-        if self.when_stopped:
-            lines.append(f"if you stop it   send {self.when_stopped} before you print again")
-        return lines
-
-    def _result(self) -> list[str]:
-        """Return what the print gains: its error as sliced, compensated, and with a shaper."""
+    def _first(self) -> list[Row]:
+        """Return what an owner asks first: what the print gains, its time, and what is left out."""
+        result = ""
         if self.strategy == "none":
-            return ["result           nothing is compensated (-c none)"]
-        if not {"none", self.strategy} <= self.contour.keys():
-            return []
-        lines = self.lines_error(self.strategy)
-        steps = f", of which whole steps leave {1e3 * lines:.1f}" if lines else ""
-        shaper = ""
-        if SHAPER in self.contour:
-            shaper = f"; the best input shaper would leave {1e3 * self.printed(SHAPER):.1f}"
-        before = f"{self.label(self.strategy)} {1e3 * self.printed('none'):.1f}"
-        ours = range_as_text(self.contour[self.strategy], lines)
-        return [f"result           {before} → {ours}{steps}{shaper}"]
+            result = "nothing is compensated (-c none)"
+        elif {"none", self.strategy} <= self.contour.keys():
+            lines = self.lines_error(self.strategy)
+            result = f"{self.label(self.strategy)} {1e3 * self.printed('none'):.1f} → "
+            result += range_as_text(self.contour[self.strategy], lines)
+            if lines:
+                result += f", of which whole steps leave {1e3 * lines:.1f}"
+            if SHAPER in self.contour:
+                result += f"; the best input shaper would leave {1e3 * self.printed(SHAPER):.1f}"
+        return [Row("result", result), self.time.as_row(), self._uncompensated()]
 
-    def _predicted(self) -> list[str]:
-        """Return on how much of the print the errors are predicted, if not on all."""
-        ours, sliced = self.predicted, self.predicted_sliced
-        if min(ours, sliced) > 0.995 or not self.contour:
-            return []
-        return [
-            f"predicted        on {percent(ours)} of the print as converted, {percent(sliced)} as "
-            "sliced, from all over it; 'hframe-post simulate' takes all"
-        ]
+    def _uncompensated(self) -> Row:
+        """Return how much is not compensated, and after which commands."""
+        path, text = self.path, "nothing: the whole path is"
+        parts = sorted(path.uncompensated.items(), key=lambda item: -item[1].path)
+        if parts:
+            more = f" and {len(parts) - 4} more" if len(parts) > 4 else ""
+            text = (
+                f"{percent(path.path_share)} of the path, {percent(path.extrusion_share)} of the "
+                f"extrusion (after {', '.join(cause for cause, _ in parts[:4])}{more})"
+            )
+        by_cause = {
+            cause: {
+                "moves": part.moves, "path_mm": round(part.path, 3),
+                "filament_mm": round(part.filament, 5),
+            }
+            for cause, part in parts
+        }  # fmt: skip
+        return Row("not compensated", text, {"uncompensated": {
+            "path_percent": round(100.0 * path.path_share, 3),
+            "extrusion_percent": round(100.0 * path.extrusion_share, 3),
+            "by_cause": by_cause,
+        }})  # fmt: skip
 
-    def _advice(self) -> list[str]:
+    def _advice(self) -> list[Row]:
         """Return what else to do where compensation is not worth it."""
         if self.strategy == "none":
             text = "to see what compensation brings, compare with the file as sliced instead"
-            return [f"advice           {text}"]
-        if not {"none", self.strategy} <= self.contour.keys():
-            return []
+            return [Row("advice", text)]
+        if not {"none", self.strategy} <= self.contour.keys() or self.time.change < -FASTER:
+            return []  # a shaper could not print as fast as this
         before, ours = self.printed("none"), self.printed(self.strategy)
         shaper = self.printed(SHAPER) if SHAPER in self.contour else math.inf
-        use_it = "use it instead ('hframe-post simulate --shapers' prints its settings)"
-        if self.time.change < -FASTER:
-            return []  # a shaper could not print as fast as this
+        text = ""
         if ours >= before:
             text = "this print is better as sliced"
         elif ours > NO_GAIN * shaper:
-            text = f"the best input shaper does as well: {use_it}"
+            text = (
+                "the best input shaper does as well: use it instead ('hframe-post simulate "
+                "--shapers' prints its settings)"
+            )
         elif before < VISIBLE:
             text = "hardly worth it: errors as small as these are not seen on a print"
-        else:
-            return []
-        return [f"advice           {text}"]
+        return [Row("advice", text)]
 
-    def _width_as_text(self) -> list[str]:
+    def _figures(self) -> list[Row]:
+        read, peaks, written, steps = self.read, self.peaks, self.written, self.steps
+        lines, after = written.lines or None, self.filament_after
+        filament = {"before": read.filament, "after": after}
+        x, y = peaks.axis_acceleration
+        motors = ", ".join(f"{motor} {n}" for motor, n in steps.motors.items()) if steps else ""
+        return [
+            Row("moves", f"{read.moves} in {read.lines} lines; {lines} lines written", {
+                "moves": read.moves, "lines_read": read.lines, "lines_written": lines,
+                "firmware_retractions": read.firmware_retractions,
+            }),
+            Row("filament", f"{after or 0.0:.2f} mm, unchanged", {
+                "filament_mm": {k: round(mm, 5) for k, mm in filament.items() if mm is not None},
+            }),
+            self._predicted(), self._width(),
+            *(self.advance.as_rows() if self.advance else ()),
+            Row("belts", f"at most {peaks.belt_velocity:.0f} mm/s, "
+                f"{peaks.belt_acceleration:.0f} mm/s²", {
+                "peak_belt_speed": round(peaks.belt_velocity, 3),
+                "peak_belt_acceleration": round(peaks.belt_acceleration, 1),
+                "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
+                "clamped_samples": self.clamped.samples,
+                "clamped_mm": round(self.clamped.most, 6),
+            }),
+            Row("lines", f"at most {written.busiest_second} in a second, {1e3 * written.off:.1f} "
+                "µm RMS off the exact command" if written.off else "", {
+                "busiest_second_lines": written.busiest_second or None,
+                "approximation_um": round(1e3 * written.off, 2) or None,
+            }),
+            *((self.bands.as_row(),) if self.bands else ()),
+            *((Row("steps", f"{steps.rows} rows, {steps.ticks} ticks of {steps.clock_hz:g} Hz; "
+                f"{motors}", {"steps": asdict(steps)}),) if steps else ()),
+            *self.speed,
+            Row("if you stop it", f"send {self.when_stopped} before you print again"
+                if self.when_stopped else ""),
+        ]  # fmt: skip
+
+    def _predicted(self) -> Row:
+        """Return the errors by strategy, and on how much of the print, if not on all."""
+        ours, sliced, text = self.predicted, self.predicted_sliced, ""
+        if min(ours, sliced) <= 0.995 and self.contour:
+            text = (
+                f"on {percent(ours)} of the print as converted, {percent(sliced)} as sliced, from "
+                "all over it; 'hframe-post simulate' takes all"
+            )
+        against = None
+        if self.shaping is not None and SHAPER in self.contour:
+            against = [{
+                "name": self.shaping.x.name, **self.shaping.as_json(),
+                "contour_error_um": self._errors(SHAPER),
+                "line_width_error_percent": self.width[SHAPER].percents(),
+            }]  # fmt: skip
+        return Row("predicted", text, {
+            "contour_error_um": {name: self._errors(name) for name in sorted(self.strategies)},
+            "predicted_percent": round(100.0 * ours, 1),
+            "predicted_as_sliced_percent": round(100.0 * sliced, 1),
+            "against": against,
+        })  # fmt: skip
+
+    def _errors(self, name: str) -> dict[str, Any]:
+        found, lines = self.contour[name].micrometres(), self.lines_error(name)
+        if lines:
+            found["with_steps"] = round(1e3 * self.printed(name), DECIMALS)
+        return found
+
+    def _width(self) -> Row:
         """Return how far the printed line's width is off, if anything is extruded."""
-        found = [name for name in STRATEGIES if name in self.width and self.width[name].count]
         shares = ", ".join(
-            f"{self.label(name)} {100.0 * self.width[name].rms:.1f} %" for name in found
+            f"{self.label(name)} {100.0 * self.width[name].rms:.1f} %"
+            for name in STRATEGIES
+            if name in self.width and self.width[name].count
         )
-        return [f"line width       off by {shares} RMS, on {PIECE:g} mm of line"] if found else []
+        known = {
+            name: self.width[name].percents() for name in self.strategies if name in self.width
+        }
+        text = f"off by {shares} RMS, on {PIECE:g} mm of line" if shares else ""
+        return Row("line width", text, {"line_width_error_percent": known})
+
+    # ------------------------------------------------------------------ warnings
 
     def warnings(self) -> list[str]:
         """Return a sentence for everything that a person must not overlook."""
-        found = list(self.notices)
+        found, uncompensated = list(self.notices), self.path.uncompensated
         if not self.read.moves:
             found.append(
                 "nothing was compensated, because no move starts at a known position: move to an "
                 "absolute X, Y and Z before printing"
             )
-        found += self.read.oddities.values()
-        found += self._tools()
-        uncompensated = self.path.uncompensated
+        found += [*self.read.oddities.values(), *self._tools()]
         cause = max(uncompensated, key=lambda name: uncompensated[name].filament, default="")
         if self.path.extrusion_share > 0.005 and not self._is_other_tool(cause):
             found.append(
@@ -507,17 +434,16 @@ class Report(Ledger):
 
     def _tools(self) -> list[str]:
         """Return a warning if the file uses tools that the profile may have no model of."""
+        parts = self.path.uncompensated
         if self.other_tools is None:
-            tools = filter(TOOL.fullmatch, self.path.uncompensated)
-            if not (named := ", ".join(tools)):
+            if not (named := ", ".join(filter(TOOL.fullmatch, parts))):
                 return []
             return [
                 f"the file changes tools ({named}), and all are compensated with the model of one. "
                 "If they are separate heads, list those that were not measured below [firmware] of "
                 'the profile, such as other_tools = ["T1"]; otherwise write other_tools = []'
             ]
-        parts = self.path.uncompensated.items()
-        others = {name: part.filament for name, part in parts if self._is_other_tool(name)}
+        others = {name: p.filament for name, p in parts.items() if self._is_other_tool(name)}
         if not (filament := sum(others.values())):
             return []
         return [
@@ -526,64 +452,16 @@ class Report(Ledger):
         ]
 
     def _is_other_tool(self, cause: str) -> bool:
-        names = (name.upper() for name in self.other_tools or ())
-        return any(fnmatchcase(cause, name) for name in names)
+        return any(fnmatchcase(cause, name.upper()) for name in self.other_tools or ())
 
 
 def range_as_text(contour: ContourErrors, lines: float = 0.0) -> str:
-    """Return the RMS error in µm, with its range if it has one. lines: see ``_predicted``."""
+    """Return the RMS error in µm, with its range if it has one. lines: see ``lines_error``."""
     text = f"{1e3 * math.hypot(contour.expected, lines):.1f} µm RMS"
     if (known := contour.range) is None:
         return text
     low, high = (1e3 * math.hypot(end, lines) for end in (known.low, known.high))
     return f"{text} ({low:.1f} to {high:.1f} as the printer changes)"
-
-
-def _uncompensated_as_text(path: PathTally) -> str:
-    """Return how much is not compensated, and after which commands."""
-    if not path.uncompensated:
-        return "nothing: the whole path is"
-    causes = [cause for cause, _ in _largest(path)]
-    more = f" and {len(causes) - 4} more" if len(causes) > 4 else ""
-    return (
-        f"{percent(path.path_share)} of the path, {percent(path.extrusion_share)} of the "
-        f"extrusion (after {', '.join(causes[:4])}{more})"
-    )
-
-
-def _limits_as_json(path: PathTally) -> dict[str, Any]:
-    """Return where limits apply, and their ranges."""
-    limits = {"acceleration": path.acceleration, "corner": path.corner, "speed": path.speed}
-    return {
-        name: {
-            "path_percent": round(100.0 * limit.path / path.path, 2),
-            "least": round(limit.least, 3),
-            "greatest": round(limit.greatest, 3),
-        }
-        for name, limit in limits.items()
-        if limit.path
-    }
-
-
-def _uncompensated_as_json(path: PathTally) -> dict[str, Any]:
-    """Return what is not compensated, by cause, the longest path first."""
-    return {
-        "path_percent": round(100.0 * path.path_share, 3),
-        "extrusion_percent": round(100.0 * path.extrusion_share, 3),
-        "by_cause": {
-            cause: {
-                "moves": part.moves,
-                "path_mm": round(part.path, 3),
-                "filament_mm": round(part.filament, 5),
-            }
-            for cause, part in _largest(path)
-        },
-    }
-
-
-def _largest(path: PathTally) -> list[tuple[str, Uncompensated]]:
-    """Return causes of uncompensated motion, the longest path first."""
-    return sorted(path.uncompensated.items(), key=lambda item: -item[1].path)
 
 
 def percent(share: float) -> str:

@@ -148,7 +148,7 @@ class SlicedFile:
                 self._piece.append(item)
 
     def _end(self) -> None:
-        """End the piece; keep every n-th in which anything is extruded, or moves if none is."""
+        """End the piece; keep every n-th that extrudes anything, or every n-th if no piece does."""
         piece, seconds = tuple(self._piece), self._seconds
         self._piece, self._seconds = [], 0.0
         plans = [item.points[:, E] for item in piece if isinstance(item, Plan)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
@@ -18,7 +18,7 @@ from hframe_post.firmware.motion import MotionRules, WrittenMoves
 from hframe_post.model.shapers import Shaping
 from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.firmware_tables import FirmwareTable
-from hframe_post.printer.new_profile import Tables
+from hframe_post.printer.new_profile import Tables, differences
 from hframe_post.printer.settings import Limits, Printer
 from hframe_post.stream.types import FileLimits
 
@@ -36,7 +36,7 @@ class Source(ABC):
 
     warnings: what the owner must know before a print. sensors: accelerometers that are known.
     alone: why `setup` takes a single file and no --bed, if it does. no_travel: why the ranges of x
-    and y are not known, if they are not.
+    and y are not known, if they are not. missing: what could not be read, if anything.
     """
 
     path: Path
@@ -47,12 +47,38 @@ class Source(ABC):
     alone: str = ""
     no_travel: str = ""
 
+    @property
+    def missing(self) -> str:
+        return ""
+
     @abstractmethod
     def tables(self, kinematics: str, bed: tuple[float, float] | None) -> Tables:
         """Return the settings of a new profile. Raises HframeError if a number is missing.
 
         bed: width and depth, mm, if the owner said them.
         """
+
+    def findings(
+        self, profile: Printer, remedy: str, again: str, log: Path | None
+    ) -> Iterator[Finding]:
+        """Yield what is wrong with the printer for files that are converted with a profile.
+
+        remedy: what to do where both differ; again: how companions are written again; log: of the
+        firmware's host. Raises HframeError, OSError.
+        """
+        yield from self.differing(profile, remedy)
+
+    def differing(self, profile: Printer, remedy: str) -> Iterator[Finding]:
+        """Yield where the printer would not move as a profile says."""
+        kind = profile.kinematics.type
+        if kind not in self.possible:
+            is_for = f'but the profile has kinematics.type = "{kind}"'
+            text = f"{self.path}: {self.decided}: {' or '.join(self.possible)}, {is_for}"
+            yield Finding(True, f"{text}: {remedy}")
+        x, y = profile.travel.x[1], profile.travel.y[1]
+        for each in differences(self.tables(kind, (x, y) if self.no_travel else None), profile):
+            if each.harmful:
+                yield Finding(True, f"{each.place or self.path}: {each.text}: {remedy}")
 
     def companions(self, profile: Printer) -> dict[str, str]:
         """Return texts by name of the files that the printer needs next to its own."""
@@ -194,14 +220,6 @@ class Firmware(ABC):
         Raises HframeError.
         """
         return None
-
-    def host_findings(self, config: Path, log: Path | None, remedy: str) -> Iterable[Finding]:
-        """Return what is wrong with the firmware's host, apart from its printer's settings.
-
-        config, log: of the host. remedy: how what the profile gives is written again. Raises
-        HframeError.
-        """
-        return ()
 
     def check_serial(self) -> None:
         """Raise PrinterError if the profile does not allow printing over a serial line."""

@@ -52,7 +52,7 @@ MAX_DWELL_S = 24 * 3600.0  # s
 RESOLUTION_MM = 1e-3  # mm; the resolution of a file
 LINES_TO_G11 = 500  # lines within which a G10 has its G11
 TOOL = re.compile(r"T\d+")
-# causes of uncompensated moves that are no commands
+# causes of uncompensated moves other than commands
 START_OF_FILE = "the start"
 CHANGE_OF_OBJECT = "a change of object"
 

@@ -334,7 +334,7 @@ class Objects:
         self._last, self.left = self._name, False
 
     def _of(self, text: bytes) -> bytes | None:
-        """Return the object that a line begins, b"" for none; None: it is no label."""
+        """Return the object that a line begins, b"" where it ends one, or None."""
         if (label := self._label(text)) is None:
             return None
         # a comment and a command of the same object may differ in these

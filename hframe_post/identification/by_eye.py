@@ -98,7 +98,7 @@ def printed_mode(readings: Sequence[Reading], a: float, side: float) -> PrintedM
     """
     measured = [one for one in readings if one.waves > 0.0]
     if not measured:
-        raise IdentificationError("no band has a distance and a number of waves")
+        raise IdentificationError("no row has a distance and a number of waves: fill in the form")
     hz = np.array([frequency(one, a, side) for one in measured])
     steps = np.diff([[frequency(replace(one, distance=one.distance + sign * RULER), a, side)
                       for sign in (-1.0, 1.0)] for one in measured])  # fmt: skip
@@ -285,7 +285,7 @@ def filled(text: str, source: str) -> Filled:
         pairs = zip(printed["speeds"], printed["corners"], strict=True)
         bands = [Band(float(speed), float(corner)) for speed, corner in pairs]
         if not isinstance(waves, dict):
-            raise TypeError("waves is a table")
+            raise TypeError("[waves] is missing")
         acceleration = float(printed["acceleration"])
     except (ValueError, KeyError, TypeError) as error:
         raise HframeError(

@@ -84,7 +84,7 @@ class IdentificationReport:
             share = identified.fits[name].residual
             if share > LEFT:
                 messages.append(
-                    f"{100 * share:.0f} % of what {AXIS[name]} does is no linear response to its "
+                    f"{100 * share:.0f} % of what {AXIS[name]} does is not linear in its "
                     "command: look for friction, play and loose parts" + self._uncompensated(share)
                 )
         along_x = identified.measured["Gxx"].spread if "Gxx" in identified.measured else 0.0
@@ -165,7 +165,7 @@ class IdentificationReport:
             off = gain - 1.0
             how = f"{100 * abs(off):.1f} % too {'high' if off > 0.0 else 'low'}"
             errors.append(f"{how if abs(off) > 0.005 else 'correctly'} in {axis}")
-        return f"reads {', '.join(errors)}; removed from the model"
+        return f"reads {', '.join(errors)} (allowed for)"
 
     def _uncertainties(self) -> list[str]:
         found = self.identified

@@ -202,7 +202,7 @@ static void end(struct ended *pieces, int64_t k, struct sums now, struct sums fr
 
 /* path (n, 4), nozzle (n, 2), laid (n): filament that comes out in the step to each sample. Write how far the line's width is off on each piece that ends, and the
  * sample before which it does; return their number. open (4): of a piece that is open before and after: how far its line is beyond the
- * last end of a piece, and its sums; no way: none is. at, errors (n): room. */
+ * last end of a piece, and its sums; 0 if no piece is open. at, errors (n): room. */
 static int64_t line_pieces(const double *path, const double *nozzle, const double *laid, int64_t n,
                            double piece, double *open, int64_t *at, double *errors)
 {

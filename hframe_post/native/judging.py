@@ -128,7 +128,7 @@ def line_pieces(
     flow would lay on the nozzle's way. A line ends where
     the path stands or nothing is extruded. Its pieces are ``piece`` long, in mm of the nozzle's
     way, and a rest of less than half does not count. begun (4,): how far an open piece is beyond
-    the place where it should have begun, and its sums; zeros if none is open.
+    the place where it should have begun, and its sums; zeros if no piece is open.
     """
     n, after = len(path), begun.copy()
     if n < 2:

@@ -52,7 +52,7 @@ def page(
     strategies = [each for each in SHOWN if each in picture.strategies]
     columns = [picture.strategies.index(each) for each in strategies]
     pieces = picture.pieces()
-    belts, motors = report.peaks, printer.motors
+    belts, stated = report.peaks, printer.motors.stated
     data = {
         "name": name,
         "version": __version__,
@@ -63,8 +63,8 @@ def page(
         "strategies": [_strategy(each, report) for each in strategies],
         "seconds": [report.time.before, report.time.after],
         "belts": {
-            "speed": [round(belts.belt_velocity), motors.belt_velocity],
-            "acceleration": [round(belts.belt_acceleration), motors.belt_acceleration],
+            "speed": _of(belts.belt_velocity, stated.belt_velocity),
+            "acceleration": _of(belts.belt_acceleration, stated.belt_acceleration),
         },
         "bands": _bands(report),
         "matrix": printer.kinematics.matrix.tolist(),
@@ -191,8 +191,13 @@ def _worst(pieces: Pieces, column: int) -> list[int]:
     return found
 
 
+def _of(peak: float, limit: float) -> list[float]:
+    """Return a peak and, if the owner has stated it, its limit."""
+    return [round(peak), *([limit] if limit < math.inf else [])]
+
+
 def _facts(printer: Printer, options: Options) -> list[list[str]]:
-    limits, window, motors = printer.limits, printer.compensation, printer.motors
+    limits, window = printer.limits, printer.compensation
     return [
         ["profile", f"{printer.name}: {printer.description}"],
         ["kinematics", printer.kinematics.type],
@@ -200,7 +205,6 @@ def _facts(printer: Printer, options: Options) -> list[list[str]]:
         ["highest speed", f"{limits.velocity:g} mm/s"],
         ["highest acceleration", f"{limits.acceleration:g} mm/s²"],
         ["square corner", f"{limits.square_corner_velocity:g} mm/s"],
-        ["belts", f"{motors.belt_velocity:g} mm/s, {motors.belt_acceleration:g} mm/s²"],
         ["knots", f"{window.L} ms apart, effort {window.effort[0]:g} and {window.effort[1]:g}"],
         ["limits of the file", str(options.limits)],
         *([["best input shaper", _shaper(options.shaping)]] if options.shaping else []),

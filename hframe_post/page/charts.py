@@ -59,14 +59,10 @@ class Card:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A heading with charts, and rows of labels and texts below them.
-
-    A row's third text is the address on its server that it links; a page in a file has no server.
-    """
+    """A heading with charts."""
 
     title: str
     charts: Sequence[Chart]
-    rows: Sequence[tuple[str, str] | tuple[str, str, str]] = ()
 
 
 def page(
@@ -83,7 +79,6 @@ def page(
             {
                 "title": section.title,
                 "charts": [_chart(chart) for chart in section.charts],
-                "rows": [list(row) for row in section.rows],
             }
             for section in sections
         ],

@@ -132,13 +132,7 @@ for (const section of data.sections) {
     figures.push([figure, chart]);
     add(charts, figure);
   }
-  const rows = make("dl");
-  for (const [label, text, address] of section.rows) {
-    const linked = address && location.protocol !== "file:", shown = make(linked ? "a" : "span", text);
-    if (linked) shown.href = address;
-    add(rows, make("dt", label), add(make("dd"), shown));
-  }
-  add($("sections"), add(make("section", undefined, "panel"), make("h2", section.title), charts, rows));
+  add($("sections"), add(make("section", undefined, "panel"), make("h2", section.title), charts));
 }
 function drawAll() { for (const [figure, chart] of figures) { draw(figure, chart); legend(figure, chart, null); } }
 window.addEventListener("resize", drawAll);

@@ -34,7 +34,7 @@ class Pieces:
     """n ends of pieces, layer by layer in the order of time; each begins where the last ended.
 
     xy (n, 2): mm. line, layer, feature (n,): source line, numbers of layer and feature. begins
-    (n,): whether the path before it is unknown, so that there is no piece. speed (n,): mm/s.
+    (n,): whether the path before it is unknown, so that it is not a piece. speed (n,): mm/s.
 
     For each of s strategies, in mm: nozzle (n, s, 2), where it is at the same time, from xy; off
     (n, s, 2): the way to it from the nearest place on the path; error (n, s): the largest distance

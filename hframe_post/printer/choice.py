@@ -104,10 +104,9 @@ def choose(requested: str | None, environ: Mapping[str, str]) -> Choice:
         return Choice(note[1].strip().strip('"'), "printer notes in the slicer")
     if environ.get(VARIABLE):
         return Choice(environ[VARIABLE], f"environment variable {VARIABLE}")
-    here, default = Path(PROFILE), _default()
-    if here.is_file() and not (default and Path(default).exists() and here.samefile(default)):
+    if Path(PROFILE).is_file():
         return Choice(PROFILE, "of this folder")
-    if default:
+    if default := _default():
         if os.path.isabs(default) and not Path(default).is_file():
             raise HframeError(
                 f"{default}: the default profile does not exist any more; choose another with "

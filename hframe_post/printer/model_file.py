@@ -1,7 +1,7 @@
 """The model of a machine in a file of its own: what identify, check and calibrate-print measured.
 
 A profile, ``printer.toml``, belongs to its owner, and its keys count. It names its model, a file
-beside it such as ``printer.model.toml``, which these commands write anew each time.
+next to it such as ``printer.model.toml``, which these commands overwrite each time.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ WINDOW = ("L", "n_C", "n_up", "effort")  # of [compensation]
 
 
 def model_path(profile: str | Path) -> Path:
-    """Return the file beside a profile in which its model is written."""
+    """Return the file next to a profile in which its model is written."""
     return Path(profile).with_suffix(".model.toml")
 
 

@@ -6,10 +6,21 @@ A line of such a profile is ``acceleration = 8000    # max_accel of [printer]``.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
 
 from hframe_post.printer.firmware_tables import TABLES
+from hframe_post.printer.settings import (
+    Extruder,
+    Limits,
+    Printer,
+    Retraction,
+    Speed,
+    Steps,
+    Sweep,
+)
 
 SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
 
@@ -18,16 +29,21 @@ Value = float | tuple[float, ...] | tuple[tuple[float, float], ...] | tuple[str]
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A value of a profile and its origin, in words."""
+    """A value of a profile and its origin, in words.
+
+    place: file and line that give it, if any. assumed: a file that was not found may say otherwise.
+    """
 
     value: Value
     origin: str
+    place: str = ""
+    assumed: bool = False
 
     def as_toml(self) -> str:
         return _toml(self.value)
 
 
-def _toml(value: Value) -> str:
+def _toml(value: Any) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml, value))}]"
     return (
@@ -36,8 +52,6 @@ def _toml(value: Value) -> str:
 
 
 Tables = dict[str, dict[str, Known]]  # settings by table; a table without any does not exist
-
-CLOCK = Known(1e5, "for files of steps: at most one step per tick")
 
 
 def as_float(known: Known) -> float:
@@ -51,6 +65,11 @@ def sweep(acceleration: Known) -> dict[str, Known]:
     return {"amplitude": Known(SWEEP_AMPLITUDE, "usual; the acceleration above allows it")}
 
 
+KINDS = {  # of tables whose keys may have a default
+    "limits": Limits, "steps": Steps, "retraction": Retraction, "extruder": Extruder,
+    "sweep": Sweep, "speed": Speed,
+    **{f"firmware.{name}": kind for name, kind in TABLES.items()},
+}  # fmt: skip
 TITLES = {
     "kinematics": "how the belts move the nozzle",
     "travel": "where the nozzle may go",
@@ -78,8 +97,8 @@ def profile_text(tables: Tables, description: str) -> str:
     firmware = "".join(f"{_line(*item)}\n" for item in others.pop("firmware", {}).items())
     settings = "\n".join(line for name, table in others.items() for line in _table(name, table))
     return f"""\
-# A profile for hframe-post. Lengths in mm, times in s. A comment shows where a value was found.
-# Change what you like: no command changes it back. What is measured goes into a file beside it.
+# A profile for hframe-post, in mm and s. A comment says where a value was found; what is not
+# here has its default. No command changes this file; what is measured goes into another one.
 
 description = {json.dumps(description, ensure_ascii=False)}
 
@@ -91,6 +110,8 @@ dialect = "{dialect}"
 
 
 def _table(name: str, table: dict[str, Known]) -> Iterator[str]:
+    usual = {each.name: each.default for each in fields(KINDS[name])} if name in KINDS else {}
+    table = {key: known for key, known in table.items() if known.value != usual.get(key)}
     if not table:
         return
     own = name.startswith(FIRMWARE)
@@ -105,3 +126,67 @@ def _table(name: str, table: dict[str, Known]) -> Iterator[str]:
 
 def _line(key: str, known: Known) -> str:
     return f"{f'{key} = {known.as_toml()}':{COLUMN}s}# {known.origin}"
+
+
+# ----------------------------------------------------------------------
+# What a firmware says, compared with a profile that exists.
+
+ROUNDING = 1e-3  # share, mm and so on by which two numbers may differ
+# what an owner chooses, whatever the firmware says
+CHOSEN = (
+    "limits.velocity", "limits.acceleration", "limits.square_corner_velocity",
+    "limits.junction_deviation", "speed.", "sweep.", "kinematics.",
+    "firmware.other_tools", "firmware.klipper.end_macro",
+)  # fmt: skip
+
+
+class Difference(NamedTuple):
+    """A difference of what was found from a profile.
+
+    harmful: the printer would not move as computed. place: file and line, if known.
+    """
+
+    harmful: bool
+    place: str
+    text: str
+
+
+def differences(tables: Tables, printer: Printer) -> Iterator[Difference]:
+    """Yield where a profile differs from what a firmware says of itself."""
+    for name, table in tables.items():
+        own = _table_of(printer, name)
+        if own is None or not table:
+            if own is not None:
+                yield Difference(True, "", f"[{name}]: the printer has none any more")
+            elif name.startswith(FIRMWARE):
+                yield Difference(True, "", f"[{name}]: the profile has none")
+            continue
+        for key, known in table.items():
+            has = getattr(own, key)
+            if key == "return_speed":
+                has = has or own.speed
+            if known.assumed or _equal(known.value, has):
+                continue
+            inside = name == "travel" and _inside(has, known.value)
+            harmful = not f"{name}.{key}".startswith(CHOSEN) and not inside
+            found = f"{name}.{key}: {known.as_toml()} ({known.origin})"
+            yield Difference(harmful, known.place, f"{found}, but the profile has {_toml(has)}")
+
+
+def _table_of(printer: Printer, name: str) -> Any:
+    """Return what a table of a profile has become; None if the profile has none."""
+    if name.startswith(FIRMWARE):
+        return printer.firmware.table(TABLES[name[len(FIRMWARE) :]])
+    return getattr(printer, name)
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return len(one) == len(other) and all(map(_equal, one, other))
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=ROUNDING, abs_tol=1e-9)
+    return bool(one == other)
+
+
+def _inside(has: tuple[float, float], known: Any) -> bool:
+    return bool(known[0] - ROUNDING <= has[0] and has[1] <= known[1] + ROUNDING)

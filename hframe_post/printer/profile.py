@@ -108,7 +108,7 @@ def text_of(path: str) -> str:
 def parse(text: str, name: str, source: str = "", model: str | None = None) -> Printer:
     """Return a profile from its TOML text. Raises PrinterError, which names the bad key.
 
-    source: its file, beside which the model lies that it names. model: text of that, if it is in
+    source: its file, next to its model. model: text of that, if it is in
     no file.
     """
     try:
@@ -278,8 +278,8 @@ def check_identified(printer: Printer) -> None:
             "this printer is not measured yet, so nothing is compensated. Next, with an "
             "accelerometer: 'hframe-post measure -o measure.gcode', which says how to go on; "
             "without one: 'hframe-post calibrate-print' (docs/start.md)",
-            "plant.invented", printer.name,
-        )  # fmt: skip
+            source=printer.name,
+        )
 
 
 def _plant(table: dict[str, Any]) -> Plant:

@@ -35,7 +35,7 @@ MAX_DRIFT_SHARE = 0.2
 MAX_ADVANCE_S, MAX_SMOOTHING_S = 10.0, 0.2  # s
 # Compensation moves harder than the path: a cube at max_accel and a higher jerk, on simulated
 # printers with modes from 18 to 55 Hz, needs up to 2.5 times max_accel. The acceleration that a
-# slow printer's owner allows is no limit of its motors: at every corner they change their speed at
+# slow printer's owner allows says nothing of its motors: at every corner they change their speed at
 # once. A command that takes CORNER_S for it, with an effort of 1 to 10, leaves the least error.
 MORE_ACCELERATION = 1.5  # times the path's, as far as HARD
 HARD = 8000.0  # mm/s²
@@ -180,7 +180,7 @@ class Steps:
     belt: float = within(1e-6, 10.0)
     z: float = within(1e-6, 10.0)
     e: float = within(1e-6, 10.0)
-    clock_hz: float = within(1e3, 9.9e9)
+    clock_hz: float = within(1e3, 9.9e9, default=1e5)
     direction_setup: float = not_negative(0.0, most=1.0)
 
 

@@ -21,10 +21,11 @@ from typing import Any, cast
 
 from hframe_post.conversion import files
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.report import Report, Row
 from hframe_post.errors import HframeError
 from hframe_post.gcode.limits import slicer_settings
 from hframe_post.model.plant import Plant
+from hframe_post.planner.pacing import Paces
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.studies.speed_drive import Convert, Drive, Original, Source
@@ -37,10 +38,10 @@ Attempt = Callable[[SpeedSettings], tuple[TrialPrint, Report | None]]
 
 @dataclass(frozen=True, slots=True)
 class Fastest:
-    """Printer and options that make the print fast; the conversion, as a trial and as a report."""
+    """Printer and paces that make the print fast; the conversion, as a trial and as a report."""
 
     printer: Printer
-    options: Options
+    paces: Paces
     bound: Bound
     trial: TrialPrint
     original: Original
@@ -110,19 +111,15 @@ def search(
     least = LayerTimes.from_file(original.layers, freedom.min_layer_time)
     pieces = ExcerptSearch(drive, drive.excerpt(), (printer.plant, *near))
     settings, plants = pieces.fastest(bound)
-    attempt = partial(drive.try_whole, plants=plants, convert=convert or unwritten(lines))
+    attempt = partial(drive.try_whole, plants=plants, convert=convert or unwritten(lines, options))
     trial, report = fastest_whole(drive, bound, settings, least, attempt)
     assert report is not None  # of a print that is not refused
     return Fastest(*drive.configured(trial.settings), bound, trial, original, report)
 
 
-def unwritten(lines: Source) -> Convert:
+def unwritten(lines: Source, options: Options) -> Convert:
     """Return the conversion of a file whose output nobody needs."""
-
-    def convert(printer: Printer, options: Options) -> Report:
-        return files.convert(lines(), None, printer, options)
-
-    return convert
+    return lambda printer, trial: files.convert(lines(), None, printer, options, trial)
 
 
 def fastest_whole(
@@ -243,10 +240,10 @@ CAUSES = {
 
 def with_speed(found: Fastest) -> Report:
     """Return the report of the conversion that was found, with what the search found."""
-    return replace(found.report, speed=speed_as_json(found), speed_text=speed_as_text(found))
+    return replace(found.report, speed=speed_rows(found))
 
 
-def speed_as_json(found: Fastest) -> dict[str, Any]:
+def _as_json(found: Fastest) -> dict[str, Any]:
     trial, original = found.trial, found.original
     limited_by = {cause: round(seconds, 3) for cause, seconds in trial.limited_by.items()}
     return {
@@ -276,40 +273,40 @@ def speed_as_json(found: Fastest) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def speed_as_text(found: Fastest) -> str:
-    trial, original = found.trial, found.original
-    measure, lines = MEASURES[found.bound.measure], list[str]()
+def speed_rows(found: Fastest) -> tuple[Row, ...]:
+    """Return errors and widths by feature, the limits that hold, and what limits the speed."""
+    trial, original, limits = found.trial, found.original, found.printer.limits
+    measure, rows = MEASURES[found.bound.measure], list[Row]()
     for name, errors in sorted(trial.errors.items()):
         if errors[0] < 1e-5:  # straight lines at one speed, such as those that prime
             continue
         um, worse = errors[0] * 1e3, max(errors) * 1e3
-        before = original.errors.get(name, 0.0) * 1e3
-        feed = trial.settings.feed[name]
+        before, feed = original.errors.get(name, 0.0) * 1e3, trial.settings.feed[name]
         slower = f"; at {100.0 * feed:.0f} % of the file's feed" if feed < 1.0 else ""
-        lines.append(
-            f"error            {name} {um:.0f} µm {measure}, {worse:.0f} with model uncertainty; "
+        text = (
+            f"{name} {um:.0f} µm {measure}, {worse:.0f} with model uncertainty; "
             f"{found.bound.limit(name) * 1e3:.0f} permitted; {before:.0f} without hframe-post"
-            f"{slower}"
         )
-    lines += [
-        f"width            {name} off by {100.0 * widths[0]:.1f} % {measure}, "
-        f"{100.0 * max(widths):.1f} with model uncertainty; {100.0 * found.bound.width:g} permitted"
-        for name, widths in sorted(trial.widths.items())
-    ]
+        rows.append(Row("error", text + slower))
+    for name, widths in sorted(trial.widths.items()):
+        text = (
+            f"{name} off by {100.0 * widths[0]:.1f} % {measure}, {100.0 * max(widths):.1f} with "
+            f"model uncertainty; {100.0 * found.bound.width:g} permitted"
+        )
+        rows.append(Row("width", text))
     total = sum(trial.limited_by.values()) or 1.0
-    causes = [
+    causes = ", ".join(
         f"{CAUSES[cause]} {100.0 * seconds / total:.0f} %"
         for cause, seconds in sorted(trial.limited_by.items(), key=lambda item: -item[1])
         if seconds > 0.01 * total
-    ]
-    limits = found.printer.limits
-    lines.append(
-        f"limits           flow {limits.flow:g} mm³/s, layers of at least "
-        f"{limits.min_layer_time:g} s at {limits.min_print_speed:g} mm/s or more (of the profile, "
-        "and of the filament as the file has it)"
     )
-    lines.append(f"limited by       {', '.join(causes)} of the time")
-    return "\n".join(lines)
+    held = (
+        f"flow {limits.flow:g} mm³/s, layers of at least {limits.min_layer_time:g} s at "
+        f"{limits.min_print_speed:g} mm/s or more (of the profile, and of the filament as the "
+        "file has it)"
+    )
+    known = {"speed": _as_json(found)}
+    return (*rows, Row("limits", held), Row("limited by", f"{causes} of the time", known))
 
 
 def _percent(shares: list[float] | None) -> float | None:

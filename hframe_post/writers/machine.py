@@ -75,7 +75,7 @@ class MotionEnd(NamedTuple):
 
 
 class LimitChange(NamedTuple):
-    """Lines that change feed rate and limits: the stream's last ones are no longer in force."""
+    """Lines that change feed rate and limits, after which the stream's own count no more."""
 
     text: bytes
 

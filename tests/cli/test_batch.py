@@ -54,8 +54,8 @@ def test_one_failure_stops_no_other_and_the_bytes_are_those_of_single_runs(
 
 
 def test_what_is_not_compensated_is_said_in_the_line_and_at_the_end(tmp_path: Path) -> None:
-    for name, share in (("a", 32.9), ("b", 0.1)):
-        lines = ("M83", "G1 X100 Y100 Z0.2 F6000", f"G1 X150 E{100 - share} F3000", "A_MACRO")
+    for name, share in (("a", 3.29), ("b", 0.01)):
+        lines = ("M83", "G1 X100 Y100 Z0.2 F6000", f"G1 X150 E{10 - share} F3000", "A_MACRO")
         (tmp_path / f"{name}.gcode").write_text("\n".join([*lines, f"G1 X160 E{share}\n"]))
     done = run("batch", tmp_path, "-o", tmp_path / "out", "-j", "1")
     assert done.returncode == 0

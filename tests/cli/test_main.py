@@ -79,7 +79,9 @@ def test_json_summary_has_its_keys(part: Path, tmp_path: Path) -> None:
     assert set(summary["print_time_s"]) == set(summary["filament_mm"]) == {"before", "after"}
     assert set(summary["peak_axis_acceleration"]) == {"x", "y"}
     assert {"moves", "lines_written", "peak_belt_speed", "peak_belt_acceleration"} <= set(summary)
-    written = (tmp_path / "out.gcode").read_bytes().count(b"\n")
+    own = b"; processed by hframe-post", b"; hframe-post:"
+    lines = (tmp_path / "out.gcode").read_bytes().splitlines()
+    written = sum(not line.startswith(own) for line in lines)
     assert summary["lines_written"] == written
 
 
@@ -142,7 +144,7 @@ def test_a_mistyped_command_is_answered_with_the_nearest(tmp_path: Path) -> None
     done = run("simulat", RECTANGLE)
     assert done.returncode == 2
     assert b"did you mean 'hframe-post simulate'?" in done.stderr
-    assert b"no command and no file 'job'; see --help" in run("job", RECTANGLE).stderr
+    assert b"'job' is neither a command nor a file; see --help" in run("job", RECTANGLE).stderr
     own = Path(shutil.copy(RECTANGLE, tmp_path / "simulat"))
     assert run(own, "-n", "-q").returncode == 0
 
@@ -158,7 +160,7 @@ def test_diverging_window_is_refused_with_its_radius(tmp_path: Path) -> None:
 
 def test_a_progress_bar_shows_on_a_terminal_only(tmp_path: Path) -> None:
     part = tmp_path / "long.gcode"
-    part.write_bytes(RECTANGLE.read_bytes() + (b"; " + b"-" * 500 + b"\n") * 5_000)
+    part.write_bytes(RECTANGLE.read_bytes() + (b"; " + b"-" * 500 + b"\n") * 500)
     at_once = (
         "import runpy; from hframe_post.cli import options; options.PATIENCE_S = 0.0; "
         "runpy.run_module('hframe_post', run_name='__main__')"

@@ -25,16 +25,6 @@ def printed(done: CompletedProcess[bytes]) -> Any:
     return json.loads(done.stdout)
 
 
-def refused(done: CompletedProcess[bytes], status: int, cause: str) -> None:
-    """One line of cause, or click's usage; never a traceback."""
-    error = done.stderr.decode()
-    assert done.returncode == status, error
-    assert cause in error
-    assert "Traceback" not in error
-    if status == 1:
-        assert error.count("\n") == 1
-
-
 # ---------------------------------------------------------------------- simulate
 
 

@@ -75,10 +75,9 @@ def test_a_coupling_one_way_leaves_no_more_than_the_axes_alone(answer: int) -> N
     assert left(plant, commanded(plant)) < 1.1 * alone
 
 
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("racks", [False, True])
-def test_coupled_compensation_of_random_printers(seed: int, racks: bool) -> None:
-    plant = coupled_plant(seed, most=0.2, racks=racks)
+@pytest.mark.parametrize("seed", range(4))
+def test_coupled_compensation_of_random_printers(seed: int) -> None:
+    plant = coupled_plant(seed, most=0.2, racks=bool(seed % 2))
     decoupled = left(plant, commanded(replace(plant, cross=())))
     alone = left(plant.decoupled(), commanded(plant.decoupled()))
     assert left(plant, commanded(plant)) < alone + 0.3 * (decoupled - alone)

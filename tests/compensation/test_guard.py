@@ -35,7 +35,7 @@ TRAVEL, MOTORS = Travel((0.0, 200.0), (0.0, 150.0)), Motors(100.0, 2000.0)
 LIMITS = (TRAVEL, MOTORS, Kinematics("cartesian"))
 FAR = (TRAVEL, Motors(1e5, 1e8), Kinematics())
 thorough = settings(
-    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 seeds = st.integers(0, 2**32 - 1)
 

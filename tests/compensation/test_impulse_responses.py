@@ -32,8 +32,6 @@ from tests.modes import axis_mode, coupling_mode, damped_by_the_frame, deviation
 from tests.paths import ORIGIN, strokes
 from tests.plants import as_response
 
-LONG = 1900  # samples in which all modes here settle to 1e-11
-
 
 def measured() -> Plant:
     """Return an H-bot that racks, with couplings of every kind; y and a coupling lag."""

@@ -21,7 +21,6 @@ from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from tests.gcode_tools import converted
 from tests.native.oracles import in_motion
 from tests.plants import Filter
 from tests.quantities import below
@@ -158,13 +157,6 @@ def test_commands_stand_still_where_the_model_changes(slinger: Printer) -> None:
             last, ended = command[-1], False
         ended |= chunk.ends_stretch
     assert changes >= LAPS - 1
-
-
-def test_the_summary_says_what_was_followed(slinger: Printer, fixed: Printer) -> None:
-    text = converted(laps(), slinger, FBS)[1].as_text()
-    assert "y's model followed 300 g of plastic on 1 kg, in steps of at most 2" in text
-    assert "1.75 mm, 1.24 g/cm³" in text
-    assert "plastic" not in converted(laps(), fixed, FBS)[1].as_text()
 
 
 # ---------------------------------------------------------------------- windows and profiles

@@ -1,4 +1,4 @@
-"""Steps and samples from end to end: the pipeline's bytes, golden files, the command line."""
+"""Steps and samples from end to end: the pipeline's bytes, the command line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from hframe_post.gcode import batching
 from hframe_post.planner import sampling
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
-from hframe_post.version import __version__
 from hframe_post.writers import steps
 from hframe_post.writers.outputs import Outputs
 from hframe_post.writers.tables import MOTORS, as_csv, inlined
@@ -48,7 +47,7 @@ def test_output_does_not_depend_on_how_the_stream_is_cut(
     paper: Printer, monkeypatch: pytest.MonkeyPatch, kind: Kind
 ) -> None:
     for lines, cuts in (
-        (TURN, [(1, 1), (7, 7), (100, 100), (10_000, 10_000)]),
+        (TURN, [(1, 7), (100, 100)]),
         (layers("cube.gcode", 1), [(7, 1000)]),
     ):
         whole = converted(lines, paper, kind)
@@ -73,26 +72,6 @@ def test_events_stand_in_order_of_time_among_the_steps(paper: Printer) -> None:
     assert lines[yields[0]].endswith(b"G28")
 
 
-# ---------------------------------------------------------------------- golden files
-
-
-def assert_same(kind: Kind, now: bytes, then: bytes) -> None:
-    """Equal but for the version, a tick, or a millionth of a mm: other machines round."""
-    then = re.sub(rb"^#version,.*$", b"#version,%b" % __version__.encode(), then, flags=re.M)
-    rows = now.splitlines(), then.splitlines()
-    assert len(rows[0]) == len(rows[1])
-    for a, b in zip(*rows, strict=True):
-        numbers = a.split(b","), b.split(b",")
-        if not (a[:1].isdigit() and b[:1].isdigit()):
-            assert a == b
-        elif kind == "samples":
-            first, second = ([float(number) for number in row] for row in numbers)
-            np.testing.assert_allclose(first, second, rtol=0.0, atol=1.1e-6)
-        else:
-            assert abs(int(numbers[0][0]) - int(numbers[1][0])) <= 1
-            assert numbers[0][1:] == numbers[1][1:]
-
-
 # ---------------------------------------------------------------------- what it says
 
 
@@ -102,7 +81,7 @@ def test_report_counts_what_is_in_the_file(paper: Printer) -> None:
     report = pieces.report()
     steps = [row.split(b",") for row in rows if row[:1].isdigit()]
     assert report.steps is not None
-    assert report.lines_written == len(rows)
+    assert report.written.lines == len(rows)
     assert report.steps.rows == len(steps)
     for motor in MOTORS:
         count = sum(row[1] == motor.encode() for row in steps)

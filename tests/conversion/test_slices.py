@@ -59,20 +59,6 @@ def test_uncompensated_motion_is_reported_by_its_cause(paper: Printer) -> None:
     assert "_ON_LAYER_CHANGE" in unknown.as_text()
 
 
-def test_what_limits_a_print_is_reported(paper: Printer) -> None:
-    lines = [
-        b"M83\n", b"G92 X100 Y100 Z1\n", b"M204 S700\n", b"SET_VELOCITY_LIMIT ACCEL=500\n",
-        b"M201 X100\n", b"G1 X150 F60000\n", b"M204 S90000\n",
-        b"G1 X200 F600\n",
-    ]  # fmt: skip
-    conversion = GcodeConversion(lines, paper, Options("none"))
-    list(conversion)
-    figures = conversion.report().as_json()
-    limited = figures["limited_by"]
-    assert limited["acceleration"] == {"path_percent": 50.0, "least": 500.0, "greatest": 500.0}
-    assert limited["speed"]["path_percent"] == 50.0
-
-
 def test_macros_that_return_keep_their_place(paper: Printer) -> None:
     """They run with the user's limits in force, and everything after them is compensated."""
     lines = [

@@ -23,6 +23,7 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import MoveAtRest, Planned, SpanEnd
 from hframe_post.writers.print_time import DeferredLine
+from tests.conftest import few
 from tests.gcode_tools import follow, layers
 
 OPTIONS = Options("racking", ("none", "racking"))
@@ -60,7 +61,7 @@ def test_spans_hold_all_items_and_begin_where_the_machine_stands(paper: Printer)
 
 
 @pytest.mark.usefixtures("short")
-@pytest.mark.parametrize("profile", ["paper", "paper-marlin"])
+@pytest.mark.parametrize("profile", few(["paper", "paper-marlin"], 1))
 def test_bytes_and_figures_do_not_depend_on_the_processes(
     profile: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

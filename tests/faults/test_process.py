@@ -48,11 +48,14 @@ def refused(done: tuple[int, str], folder: Path, cause: str) -> None:
 
 @pytest.mark.parametrize(
     ("command", "cause"),
-    [
-        ("$ME - <in.gcode >&-", "Bad file descriptor"),
-        ("$ME - <in.gcode >/dev/full", "No space left"),
-        ("$ME in.gcode -q --json - >/dev/full", "No space left"),
-    ],
+    few(
+        [
+            ("$ME - <in.gcode >&-", "Bad file descriptor"),
+            ("$ME - <in.gcode >/dev/full", "No space left"),
+            ("$ME in.gcode -q --json - >/dev/full", "No space left"),
+        ],
+        1,
+    ),
 )
 def test_what_cannot_be_done_is_told_and_nothing_is_touched(
     folder: Path, command: str, cause: str
@@ -80,8 +83,7 @@ def test_an_output_that_cannot_be_made_touches_nothing(
 
 
 @pytest.mark.parametrize(
-    "command",
-    ["$ME in.gcode <&- >&- 2>&-", "$ME in.gcode 2>/dev/full"],
+    "command", few(["$ME in.gcode <&- >&- 2>&-", "$ME in.gcode 2>/dev/full"], 1)
 )
 def test_what_nobody_hears_is_done_all_the_same(folder: Path, command: str) -> None:
     assert shell(command, folder)[0] == 0
@@ -103,7 +105,7 @@ def test_a_full_disk_in_the_middle_of_a_print(folder: Path) -> None:
     shutil.copy(SAMPLES / "cube.gcode", folder / "in.gcode")
 
     def small() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, 1 << 20))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 18, 1 << 18))
 
     status, printed = shell("$ME in.gcode", folder, preexec_fn=small)
     assert (status, printed) == (1, f"Error: {printed[7:]}")
@@ -144,6 +146,7 @@ def test_names_reach_the_output_as_one_printable_line(folder: Path, name: bytes)
         assert line.startswith((b";", b"G1 ", b"M", b"SET_", b"G9", b"G4 ")) or line in known
 
 
+@pytest.mark.slow
 def test_two_processes_write_one_file(folder: Path) -> None:
     """Whoever is last has it, whole."""
     for name, strategy in (("one", "racking"), ("other", "none")):

@@ -38,7 +38,7 @@ def off_chord(points: Array, a: int, b: int) -> float:
 wanders = (st.integers(0, 2**32 - 1), st.integers(1, 100), st.floats(-6.0, -1.0))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(*wanders)
 def test_samples_are_within_the_tolerance_closer_in_long_segments(
     seed: int, n: int, power: float
@@ -50,7 +50,7 @@ def test_samples_are_within_the_tolerance_closer_in_long_segments(
         assert off_chord(points, a, b) <= allowed * (1 + 1e-9)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(*wanders)
 def test_forced_points_and_the_last_are_kept(seed: int, n: int, power: float) -> None:
     points, forced = wander(seed, n, power)

@@ -46,7 +46,7 @@ def smooth(seed: int, period: float, n: int = 200) -> tuple[Array, Array, Flags]
     return delta, np.full(n, period), rest
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-3, 8e-3]))
 def test_speeds_give_the_time_asked(seed: int, period: float) -> None:
     delta, T, rest = smooth(seed, period)
@@ -213,7 +213,7 @@ def test_modes_of_the_file_come_back(
     assert end(state)[2:] == [b"G1 F2475", *expected]
 
 
-@settings(max_examples=200)
+@settings(max_examples=80)
 @given(
     st.floats(1e-3, 1e7), st.floats(1.0, 1e8), st.floats(0.0, 1e3), st.floats(0.0, 0.999),
     st.floats(0.0, 500.0), st.floats(-1e6, 1e6), st.floats(1e-2, 2e3),

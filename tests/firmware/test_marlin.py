@@ -34,12 +34,7 @@ QUIRKS = Path(__file__).parent.parent / "quirks"
 NOWHERE = (0.0, 0.0, 0.0)
 AT = np.array([12.5, 30.0, 0.2, 7.0])
 STATE = ModalState(True, False, 0.0, 100.0, NOWHERE)
-OURS = re.compile(
-    rb"; processed by|; hframe-post"
-    rb"|M400$|M593 [FXY]|M900 K|M49[34] |M20[1345] |G90$|M8[23]$|G92 E|G4 P"
-)
 WORDS = re.compile(rb"[ZF]([0-9.]+)")
-LIMITS = re.compile(rb"M20[1345]\b|M220\b|SET_VELOCITY_LIMIT")
 
 
 def from_there(way: Position) -> Way:

@@ -45,7 +45,6 @@ def command(folder: Path, line: str) -> Result:
 
 
 FAST = [
-    "compare {folder}/out.gcode {folder}/out.gcode --firmware stub",
     "measure -o {folder}/sweep.gcode",
     "doctor",
     "setup {folder}/stub.txt -o {folder}/new --bed 220,200",

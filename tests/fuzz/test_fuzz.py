@@ -22,11 +22,9 @@ from hypothesis import strategies as st
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.errors import GcodeError, HframeError, LimitError
-from hframe_post.firmware.klipper.check import check
-from hframe_post.firmware.klipper.macros import check_macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.klipper.source import KlipperSource
 from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin
-from hframe_post.gcode.lines import as_binary, lines_of
 from hframe_post.identification.recordings import accelerometer
 from hframe_post.printer.new_profile import Known, profile_text
 from hframe_post.printer.profile import load, parse, shipped
@@ -36,7 +34,6 @@ from tests.gcode_tools import converted
 from tests.klipper.host import KlippyError, play
 from tests.printers import M503, REAL, profile_of
 from tests.same_print import PLACE, assert_same_print, unstamped
-from tests.slices import SLICES
 
 KLIPPER_FILAMENT = 5e-3  # mm; a step of the extruder is 0.7e-3
 FOUND = sorted(Path(__file__).with_name("found").iterdir())
@@ -107,23 +104,16 @@ def test_profiles(text: bytes) -> None:
 
 
 def _configured(path: Path) -> None:
-    config = KlipperConfig(path)
-    own = profile_of(config)
-    check(config, own, "change it")
-    check(config, load("paper"), "change it")
-    check_macros(config, own, "write it")
+    own, source = profile_of(KlipperConfig(path)), KlipperSource(path)
+    for each in (own, load("paper")):
+        list(source.findings(each, "change it", "write it", None))
 
 
 def _answered(path: Path) -> None:
     answer = MarlinSettings([path])
     travel = answer.travel() or {axis: Known((0.0, 220.0), "test") for axis in "xy"}
-    profile_text(from_marlin(answer, "cartesian", travel), "own")
+    profile_text(from_marlin(answer, travel), "own")
     answer.warnings()
-
-
-def _unpacked(path: Path) -> None:
-    with path.open("rb") as file:
-        sum(map(len, lines_of(file)))
 
 
 def _recording() -> bytes:
@@ -132,13 +122,6 @@ def _recording() -> bytes:
     text = io.BytesIO()
     np.savetxt(text, samples, "%.6f", ",", header="time,accel_x,accel_y,accel_z")
     return text.getvalue()
-
-
-def _binary() -> bytes:
-    binary = io.BytesIO()
-    with as_binary(binary) as file:
-        file.writelines(SLICES["prusaslicer"].lines)
-    return binary.getvalue()
 
 
 def taken(data: bytes, suffix: str, reader: Callable[[Path], object]) -> None:
@@ -152,9 +135,8 @@ def taken(data: bytes, suffix: str, reader: Callable[[Path], object]) -> None:
             refused(error)
 
 
-RECORDING, BINARY = _recording(), _binary()
+RECORDING = _recording()
 FILES: dict[str, tuple[st.SearchStrategy[bytes], str, Callable[[Path], object]]] = {
-    "bgcode": (broken(BINARY), "bgcode", _unpacked),
     "recording": (edited(RECORDING), "csv", accelerometer.read),
     "packed": (broken(gzip.compress(RECORDING, mtime=0)), "csv.gz", accelerometer.read),
     "cfg": (edited(REAL.read_bytes()), "cfg", _configured),

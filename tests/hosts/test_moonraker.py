@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from hframe_post.hosts.moonraker.conversion import PAGE, page_of
+from hframe_post.hosts.moonraker.conversion import page_of
 from hframe_post.hosts.moonraker.originals import KEPT
 from tests.command_line import RECTANGLE
 from tests.conftest import SAMPLES
@@ -78,13 +78,11 @@ def test_an_upload_is_converted_described_printed_and_cancelled(printer: Printer
     assert described["filament_total"] == pytest.approx(1301.66)  # as the slicer has it
     assert described["file_processors"] == ["hframe_post"]
     assert described["size"] == len(converted)
-    row = data_of(printer.request("GET", PAGE, decoded=False))["sections"][-1]["rows"][0]
-    assert row[1].startswith("cube.gcode, ")
-    assert row[2] == page_of("cube.gcode")
-    assert data_of(printer.request("GET", row[2], decoded=False))["name"] == "cube.gcode"
-    links = [line for line in printer.console() if f'"{row[2]}"' in line]
+    page = page_of("cube.gcode")
+    assert data_of(printer.request("GET", page, decoded=False))["name"] == "cube.gcode"
+    links = [line for line in printer.console() if f'"{page}"' in line]
     assert len(links) == 2  # when it was converted, and when its print began
-    for name in ("../config/printer.toml", ".hframe_post/history", "/etc/passwd", "<b>.gcode"):
+    for name in ("../config/printer.toml", "/etc/passwd", "<b>.gcode"):
         answer = printer.request("GET", page_of(name), decoded=False).decode()
         assert f">{html.escape(name)} has no page" in answer
     assert [thumbnail["size"] for thumbnail in described["thumbnails"]] == [4]
@@ -175,9 +173,9 @@ def attempted(printer: Printer, name: str, content: bytes, **form: str) -> Any:
 
 
 def left_over(printer: Printer) -> list[str]:
-    """Return what is in the component's folder but its history, pages and sliced files."""
+    """Return what is in the component's folder but pages and sliced files."""
     names = os.listdir(printer.gcodes / ".hframe_post")
-    return [name for name in names if name != "history" and not name.endswith(KEPT_ENDINGS)]
+    return [name for name in names if not name.endswith(KEPT_ENDINGS)]
 
 
 def test_files_of_an_older_model_are_converted_again_whatever_comes_between(

@@ -24,13 +24,11 @@ from hframe_post.hosts.moonraker.conversion import Interface, Settings, as_html,
 from hframe_post.hosts.moonraker.disk import FOLDER, BeyondError, FailureError, alone
 from hframe_post.hosts.moonraker.originals import CONVERTING, REFUSAL, Originals, Upload, refuse
 from tests.command_line import RECTANGLE, run
-from tests.conftest import ROOT, SAMPLES
+from tests.conftest import ROOT
 from tests.hosts.moonraker import WAIT, until, waiting_for
 
 COMMAND = (sys.executable, "-m", "hframe_post", "-p", str(ROOT / "tests/measured.toml"))
 PART = RECTANGLE.read_bytes()
-CUBE = (SAMPLES / "cube.gcode").read_bytes()
-RECORDED = ROOT / "tests/identification/data/raw_data_y_20250601_120000.csv.xz"  # of a Sovol SV08
 OUTSIDE = PART + b'G1 X9000 Y10 F6000 <b> ; "far" away\n'
 
 
@@ -44,7 +42,7 @@ def part(tmp_path: Path) -> Path:
 
 
 def kept(part: Path) -> list[str]:
-    return sorted(name for name in os.listdir(part.parents[1] / FOLDER) if name != "history")
+    return sorted(os.listdir(part.parents[1] / FOLDER))
 
 
 KEPT = [".html", ".original"]  # of each converted file
@@ -212,6 +210,7 @@ def test_no_more_is_kept_than_the_owner_allows(part: Path, reports: list[Any]) -
     assert all(b"; processed by" in path.read_bytes() for path in paths)
 
 
+@pytest.mark.slow
 def test_an_interrupted_conversion_goes_on_from_the_slicers_file(part: Path) -> None:
     upload = Upload(part, part.parents[1])
     upload.take()
@@ -330,17 +329,3 @@ def test_without_room_for_a_line_the_file_is_out_of_reach_but_not_lost(
 
 def full(*_: object) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
-def recorded(told: Settings, job: str) -> None:
-    """Write what passes for recordings of a job, and draw the conclusions."""
-    (name,) = set(re.findall("NAME=(measure-[xy]-.*)", Path(told.gcodes, job).read_text()))
-    for ended in (1000, 2000):
-        Path(told.recordings, f"adxl345-{name}-t{ended}.csv").write_text("0,0,0,0\n")
-    assert begun("conclude", told, "calibration", job, "0").wait() == 1
-
-
-def prepared(told: Settings, axis: str = "") -> str:
-    command = words_of("prepare", told, "calibration", axis)
-    job: str = json.loads(subprocess.check_output(command, cwd=ROOT))["job"]
-    return job

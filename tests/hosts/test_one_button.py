@@ -14,13 +14,11 @@ from typing import Any
 
 import pytest
 
-from hframe_post.hosts.moonraker.conversion import PAGE
 from hframe_post.hosts.moonraker.originals import SETTINGS, settings_of
 from hframe_post.printer.profile import load
 from tests.command_line import RECTANGLE, run
 from tests.hosts.accelerometer import machine_of
 from tests.hosts.moonraker import Printer, until
-from tests.page.pages import data_of
 from tests.quantities import below
 from tests.random_printers import Errors, judged, with_plant
 
@@ -110,13 +108,6 @@ def test_one_macro_and_one_upload(printer: Printer) -> None:
     assert settings_of(path) == present(printer)
     assert path.read_bytes() == printer.converted(PART)
     as_good_as_exact(printer)
-    # the page that the console links shows both
-    assert said(printer, f'<a href="{PAGE}"')
-    data = data_of(printer.request("GET", PAGE, decoded=False))
-    cards = {card["what"]: card["value"] for card in data["cards"]}
-    assert cards["Last check"] == "today"
-    assert cards["Drift of x"] in ("−4.9", "−5.0", "−5.1")
-    assert "part.gcode, " in data["sections"][1]["rows"][0][1]
     # without an answer of the sensor the print goes on with the old model
     (printer.data / "machine.json").unlink()
     profile = printer.profile.read_bytes()
@@ -124,11 +115,3 @@ def test_one_macro_and_one_upload(printer: Printer) -> None:
     assert printer.console()[-1] == "Done printing file"
     assert said(printer, "nothing is measured: No accelerometer measurements found")
     assert printer.profile.read_bytes() == profile
-
-
-def calibrated(printer: Printer, machine: dict[str, Any], typed: str, until_said: str) -> None:
-    """Calibrate, once Moonraker is connected and idle, until a line is on the console."""
-    until(lambda: not printer.get("/server/hframe_post/status")["measuring"])
-    machine_becomes(printer, machine)
-    printer.type(typed)
-    until(lambda: said(printer, until_said))

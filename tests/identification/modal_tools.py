@@ -8,7 +8,6 @@ from hframe_post.arrays import TS, Array, Complex
 from tests.simulator import Axis, Machine, Mode
 
 HZ = np.arange(3.0, 100.01, 0.25)
-BAND = (3.0, 100.0)
 TWO = Machine(
     Axis((Mode(30.0, 0.05, 0.8), Mode(70.0, 0.04, 0.2)), delay=0.0013),
     Axis((Mode(38.0, 0.1),)),

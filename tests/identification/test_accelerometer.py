@@ -78,9 +78,11 @@ def test_klipper_file_by_its_columns_begins_anywhere(tmp_path: Path, rows: Array
     assert not read(file(tmp_path, klipper(rows)), columns).started
 
 
-@pytest.mark.parametrize("end", [b"\n", b"\r\n"])
-@pytest.mark.parametrize("delimiter", [b",", b";", b"\t"])
-@pytest.mark.parametrize("scale", [1.0, 1e3, GRAVITY], ids=["mm/s2", "m/s2", "g"])
+@pytest.mark.parametrize(
+    ("scale", "delimiter", "end"),
+    [(1.0, b",", b"\r\n"), (1e3, b";", b"\n"), (GRAVITY, b"\t", b"\r\n")],
+    ids=["mm/s2", "m/s2", "g"],
+)
 def test_table_with_named_columns(
     tmp_path: Path, rows: Array, delimiter: bytes, end: bytes, scale: float
 ) -> None:
@@ -215,8 +217,10 @@ def test_end_of_the_sensor_is_clipping_however_short(tmp_path: Path, rows: Array
     refused(file(tmp_path, klipper(full)), "line 1002: .* y is clipped at -1569")
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.3, 1.0, 5.0])
-@pytest.mark.parametrize("step", [SIXTEEN_BITS, THIRTEEN_BITS, 1e-3])
+@pytest.mark.parametrize(
+    ("step", "noise"),
+    [(SIXTEEN_BITS, 0.0), (THIRTEEN_BITS, 0.3), (1e-3, 1.0), (THIRTEEN_BITS, 5.0)],
+)
 def test_peaks_in_coarse_steps_are_not_clipping(tmp_path: Path, step: float, noise: float) -> None:
     swept = sweep(rate=20.0)
     sensor = Sensor(step=step, noise=noise)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from dataclasses import replace
 from datetime import date, datetime, timedelta
@@ -14,9 +15,9 @@ from click.testing import CliRunner, Result
 
 from hframe_post.arrays import TS
 from hframe_post.cli.main import main
-from hframe_post.errors import IdentificationError, PrinterError
+from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.klipper.settings import text_from_klipper
+from hframe_post.firmware.klipper.source import text_from_klipper
 from hframe_post.identification.check import runs
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.model_file import model_path
@@ -63,12 +64,10 @@ def off(found: ImpulseResponse, true: ImpulseResponse) -> float:
     return float(np.linalg.norm(G - H) / np.linalg.norm(H - 1.0 / hz**2))
 
 
-@pytest.mark.parametrize(
-    ("percent", "noise"), [pytest.param(-5.0, 4.0, marks=pytest.mark.slow), (1.0, 20.0)]
-)
-def test_a_frequency_is_found_to_a_tenth_of_a_percent(percent: float, noise: float) -> None:
-    now = changed(MACHINE, hz=32.0 * (1.0 + percent / 100.0))
-    found = checked(now, replace(CHIP, noise=noise), PROFILE, 3)
+@pytest.mark.slow
+def test_a_frequency_is_found_to_a_tenth_of_a_percent() -> None:
+    now = changed(MACHINE, hz=32.0 * 1.01)
+    found = checked(now, replace(CHIP, noise=20.0), PROFILE, 3)
     hz, height = peak(now.exact().Gxx)
     assert found["Gxx"].certain
     assert found["Gxx"].hz[1] == pytest.approx(hz, rel=2e-3)
@@ -103,13 +102,6 @@ def test_a_drifted_printer_is_compensated_as_by_the_exact_model(seed: int) -> No
     assert new < 1.15 * exact
 
 
-@pytest.mark.parametrize("other", [2, pytest.param(12, marks=pytest.mark.slow)])
-def test_another_printer_is_refused(other: int) -> None:
-    machine, chip, _ = drawn(other)
-    with pytest.raises(IdentificationError, match="dentify again"):
-        checked(machine, chip, PROFILE, other)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "invented",
@@ -141,9 +133,10 @@ def test_the_run_takes_20_seconds(paper: Printer) -> None:
 # ---------------------------------------------------------------------- the command line
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a profile of MACHINE, measured in June, and the run."""
+    tmp_path = tmp_path_factory.mktemp("check")
     windows = load("paper").compensation.windows
     text = with_plant("example-corexy", MACHINE.exact(), windows, ["My printer"], 0.05, None,
                       MEASURED)  # fmt: skip
@@ -154,6 +147,12 @@ def folder(tmp_path: Path) -> Path:
     done = invoked("-p", tmp_path / "my.toml", "--gcode", tmp_path / "check.gcode")
     assert done.exit_code == 0, done.output
     return tmp_path
+
+
+@pytest.fixture
+def folder(written: Path, tmp_path: Path) -> Path:
+    """Return a copy of the folder."""
+    return shutil.copytree(written, tmp_path / "mine")
 
 
 def invoked(*arguments: str | Path) -> Result:
@@ -175,8 +174,10 @@ def record(folder: Path, machine: Machine, day: str = "2026-07-01") -> None:
     os.utime(path, (at, at))
 
 
-def test_the_command_to_type_next_is_printed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A shell takes it as it is."""
+def test_a_check_moves_the_profile_and_keeps_the_rest(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A shell takes the printed command as it is, for a folder whose name has a space."""
     monkeypatch.chdir(folder)
     run = Path("a place", "check.gcode")
     run.parent.mkdir()
@@ -188,16 +189,10 @@ def test_the_command_to_type_next_is_printed(folder: Path, monkeypatch: pytest.M
         path.rename(run.parent / path.name)
     shell = f"printf '%s\n' {command.removeprefix('  hframe-post check ')}"
     printed = subprocess.run(["sh", "-c", shell], capture_output=True, check=True, text=True)
-    assert "from 31.9 to 32.9 Hz" in invoked(*printed.stdout.splitlines()).output
-    assert load("my.toml").measured == date(2026, 7, 1)
-
-
-def test_a_check_moves_the_profile_and_keeps_the_rest(folder: Path) -> None:
-    mine = folder / "my.toml"
-    record(folder, changed(MACHINE, hz=33.0))
-    done = invoked("-p", mine, folder, "-o", mine)
+    done = invoked(*printed.stdout.splitlines())
     assert done.exit_code == 0, done.output
     assert "the main resonance moved from 31.9 to 32.9 Hz" in done.output
+    mine = folder / "my.toml"
     profile = load(str(mine))
     assert (profile.measured, profile.uncertainty) == (date(2026, 7, 1), 0.02)
     assert profile.verified is not None
@@ -206,9 +201,17 @@ def test_a_check_moves_the_profile_and_keeps_the_rest(folder: Path) -> None:
     assert mine.read_text() == 'model = "my.model.toml"\nextends = "example-corexy"\n'
     after = model_path(mine).read_text()
     assert "# My printer\n" in after
+
+
+@pytest.mark.slow
+def test_a_check_of_a_printer_that_did_not_drift_leaves_its_model(folder: Path) -> None:
+    mine = folder / "my.toml"
+    plant = load(str(mine)).plant
+    record(folder, MACHINE)
     done = invoked("-p", mine, folder, "-o", mine)
     assert "nothing drifted" in done.output
-    assert model_path(mine).read_text() == after
+    after = load(str(mine)).plant
+    np.testing.assert_array_equal(after.Gxx.deviation, plant.Gxx.deviation)
 
 
 @pytest.mark.parametrize(

@@ -29,8 +29,7 @@ PLANT = Plant(
 )
 
 
-@pytest.mark.parametrize("guessed", [False, True], ids=["stated", "guessed"])
-@pytest.mark.parametrize("belts", [60000.0, 5300.0])
+@pytest.mark.parametrize(("belts", "guessed"), [(60000.0, True), (5300.0, False)])
 def test_measured_responses_get_one_window_whatever_the_belts(belts: float, guessed: bool) -> None:
     """The path is kept within stated motors; a guess grows with the file that is converted."""
     printer = corexy(belts)

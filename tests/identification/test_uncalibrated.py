@@ -23,6 +23,7 @@ from hframe_post.identification.recordings.accelerometer import GRAVITY, Recordi
 from hframe_post.identification.recordings.clock import acceleration, self_aligned
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
 from hframe_post.printer.settings import Travel
+from tests.conftest import few
 from tests.identification.test_coupling import Coupled
 from tests.recordings import write_klipper
 from tests.resonance_recordings import (
@@ -86,7 +87,7 @@ def seen(made: Recorded, seed: int) -> Direction:
     ])  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize("seed", few([1, 4], 1))
 def test_clock_and_axis_are_found_from_the_motion(seed: int) -> None:
     """Clocks are up to 2 % off; a mirrored sensor sees the axis mirrored."""
     made = taken(short(Y), seed, 0)
@@ -257,6 +258,7 @@ def test_a_recording_of_something_else_is_refused() -> None:
         identify([given], MeasurementSettings((3.0, 100.0), racks=False))
 
 
+@pytest.mark.slow
 def test_what_rings_above_the_test_is_neither_listed_nor_hidden() -> None:
     """A head of 47 and 78 Hz, tested up to 55 Hz."""
     test = klipper(X, min_freq=8.0, max_freq=55.0, hz_per_sec=1.0)

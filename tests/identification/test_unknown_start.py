@@ -106,6 +106,7 @@ def test_a_linear_printer_is_as_late_as_its_damping_explains() -> None:
     assert np.array(found.modes) == pytest.approx(np.array([(46.0, 0.06), (71.0, 0.05)]), rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_real_printer_follows_its_command_below_the_resonance_and_may_drift() -> None:
     x, _ = real(1)
     fitted_x = fitted(x)

@@ -23,7 +23,6 @@ from .batch import CLOCK_FREQ, COMMANDS, KLIPPER, dictionary
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-ROOT = Path(__file__).parents[2]
 TEMPLATE = Path(__file__).with_name("printer.cfg")
 BATCH = "tests.klipper.batch"
 BEFORE_2024 = bool(KLIPPER) and "minimum_cruise_ratio" not in (

@@ -158,9 +158,10 @@ def rms(x: Array) -> float:
     return float(np.sqrt(np.square(x).mean())) if len(x) else 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.klipper
 def test_cube_is_played_as_intended(tmp_path: Path) -> None:
-    check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 8))
+    check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 3))
 
 
 @pytest.mark.klipper
@@ -246,7 +247,7 @@ def test_every_sample_is_played_as_intended(tmp_path: Path) -> None:
 @pytest.mark.klipper
 def test_spans_are_played_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spans, "SPAN_S", 4.0)
-    check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 6))
+    check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 3))
 
 
 @pytest.mark.klipper

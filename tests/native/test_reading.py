@@ -16,7 +16,7 @@ from hframe_post.gcode import batching
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.settings import Printer
-from tests.conftest import ROOT, SAMPLES
+from tests.conftest import ROOT, SAMPLES, few
 from tests.gcode_tools import one_by_one
 
 START = [b"G28\n", b"G1 X10 Y10 Z0.2 F3000\n", b"M82\n"]
@@ -58,7 +58,7 @@ def items(lines: list[bytes], options: ReadOptions) -> list[Any]:
 
 
 @pytest.mark.slow
-@settings(max_examples=300, deadline=None,
+@settings(max_examples=100, deadline=None,
           suppress_health_check=[HealthCheck.function_scoped_fixture])  # fmt: skip
 @given(
     st.lists(st.one_of(ordered, ordered, ordered, ordered, move, other), max_size=30),
@@ -70,7 +70,7 @@ def test_any_lines(paper: Printer, texts: list[str], firmware: str, end: str, be
     same_either_way(lines, options)
 
 
-@pytest.mark.parametrize("name", ["cube.gcode", "prism.gcode"])
+@pytest.mark.parametrize("name", few(["cube.gcode", "prism.gcode"], 1))
 def test_a_slice(name: str) -> None:
     lines = (SAMPLES / name).read_bytes().splitlines(keepends=True)
     same_either_way(lines, ReadOptions(FIRMWARES["klipper"].dialect))

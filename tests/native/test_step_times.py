@@ -18,7 +18,7 @@ def test_the_last_step_of_a_block_is_its_end(build: str) -> None:
     precedes it.
     """
     rng = np.random.default_rng(0)
-    for _ in range(40):
+    for _ in range(15):
         k, hz = int(rng.integers(1, 41)), float(rng.choice([2e6, 1e15]))
         n = np.ceil(10.0 ** rng.uniform(0.0, 2.5, k))
         rate = np.ceil(10.0 ** rng.uniform(1.0, 4.5, k))

@@ -214,7 +214,7 @@ def test_axis_limits_of_the_file_never_raise() -> None:
 # ---------------------------------------------------------------------- whole plans
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(seeds, st.integers(1, 120), jerks, st.floats(1e2, 1e5))
 def test_plan_can_be_driven(seed: int, n: int, jerk: float, deceleration: float) -> None:
     whole = random_moves(seed, n)

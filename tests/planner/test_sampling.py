@@ -81,7 +81,7 @@ def measured(item: Moves, rate: float = 0.04) -> Moves:
 # ---------------------------------------------------------------------- samples of motion
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(seeds, st.integers(1, 80), jerks)
 def test_samples_follow_the_path_and_end_on_it(seed: int, n: int, jerk: float) -> None:
     item = measured(random_moves(seed, n, marked=0.0))
@@ -95,7 +95,7 @@ def test_samples_follow_the_path_and_end_on_it(seed: int, n: int, jerk: float) -
     np.testing.assert_array_equal(xyze[-1], item.points[-1])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(seeds, st.floats(10.0, 300.0), st.floats(500.0, 1e4))
 def test_straight_path_keeps_speed_acceleration_and_jerk(
     seed: int, speed: float, acceleration: float
@@ -537,7 +537,7 @@ def test_every_run_between_rests_takes_the_least_time(jerk: float) -> None:
     np.testing.assert_allclose(t.sum(axis=1), np.diff(s) / v + v / a + a / jerk, rtol=1e-6)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(seeds, st.integers(1, 100), jerks, st.floats(1e2, 1e5))
 def test_every_planned_run_gets_a_profile_within_its_limits(
     seed: int, n: int, jerk: float, deceleration: float

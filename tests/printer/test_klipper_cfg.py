@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from hframe_post.firmware.klipper.check import check
+from hframe_post.firmware.base import Finding
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.klipper.source import KlipperSource, check_stream
 from hframe_post.printer.settings import Printer
 from tests.printers import REAL, profile_of
 
@@ -18,8 +19,13 @@ def own() -> Printer:
     return profile_of(KlipperConfig(REAL))
 
 
+def findings(path: Path, printer: Printer) -> list[Finding]:
+    differing = KlipperSource(path).differing(printer, "change it")
+    return [*differing, *check_stream(KlipperConfig(path), printer)]
+
+
 def wrong(path: Path, printer: Printer) -> list[str]:
-    return [each.text for each in check(KlipperConfig(path), printer, "change it") if each.wrong]
+    return [each.text for each in findings(path, printer) if each.wrong]
 
 
 def changed(folder: Path, *changes: tuple[str, str]) -> Path:
@@ -46,17 +52,26 @@ def test_a_profile_made_from_it_agrees_with_it(own: Printer) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("max_z_velocity: 20", "max_z_velocity: 10"), "max_z_velocity: 10, but limits.z_velocity"),
-        (("max_z_accel: 500", "max_z_accel=400 # slow"), "max_z_accel: 400"),
-        (("max_accel: 10000", "max_accel: 3000"), "max_accel: 3000"),
-        (("max_velocity: 500", "max_velocity: 300"), "max_velocity: 300"),
+        (("max_z_velocity: 20", "max_z_velocity: 10"), "limits.z_velocity: 10 (max_z_velocity of"),
+        (("max_z_accel: 500", "max_z_accel=400 # slow"), "limits.z_acceleration: 400"),
+        (("max_accel: 10000", "max_accel: 3000"), "klipper.acceleration: 3000"),
+        (("max_velocity: 500", "max_velocity: 300"), "klipper.velocity: 300"),
         (("square_corner_velocity: 5\n", "\n"), ""),  # by default as it was
-        (("square_corner_velocity: 5", "square_corner_velocity: 8"), "square_corner_velocity: 8"),
-        (("minimum_cruise_ratio: 0.5", "minimum_cruise_ratio: 0"), "minimum_cruise_ratio: 0"),
-        (("[input_shaper]", "[input_shaper]\nshaper_freq_x: 51.5"), "shaper_freq_x: 51.5"),
-        (("kinematics: corexy", "kinematics: delta"), "kinematics: delta"),
-        (("position_max: 280", "position_max: 270"), "travel.x reaches to 280"),
-        (("microsteps: 16", "microsteps: 32"), "[stepper_x] steps are of 0.0103 mm"),
+        (
+            ("square_corner_velocity: 5", "square_corner_velocity: 8"),
+            "klipper.square_corner_velocity: 8",
+        ),
+        (
+            ("minimum_cruise_ratio: 0.5", "minimum_cruise_ratio: 0"),
+            "firmware.klipper.minimum_cruise_ratio: 0",
+        ),
+        (
+            ("[input_shaper]", "[input_shaper]\nshaper_freq_x: 51.5"),
+            "firmware.klipper.shaper_freq_x: 51.5",
+        ),
+        (("kinematics: corexy", "kinematics: cartesian"), "kinematics of [printer]: cartesian"),
+        (("position_max: 280", "position_max: 270"), "travel.x: [0, 270]"),
+        (("microsteps: 16", "microsteps: 32"), "[steps]: the printer has none"),
     ],
 )
 def test_each_difference_is_wrong(
@@ -84,10 +99,10 @@ def test_includes_and_what_klipper_saved_are_read(own: Printer, tmp_path: Path) 
     path = changed(tmp_path)
     lines = "[include parts/*.cfg]\n[include mainsail.cfg]\n"
     path.write_text(path.read_text() + lines + saved)
-    findings = list(check(KlipperConfig(path), own, "change it"))
-    limits = f"{tmp_path / 'parts' / 'limits.cfg'}:2: [printer] max_accel: 4000, but "
-    wrong = [each.text for each in findings if each.wrong]
-    assert [each.startswith(limits) for each in wrong] == [True, False]
+    source = KlipperSource(path)
+    limits = f"{tmp_path / 'parts' / 'limits.cfg'}:2: firmware.klipper.acceleration: 4000"
+    differing = wrong(path, own)
+    assert [each.startswith(limits) for each in differing] == [True, False]
     last = f"{path}:{len(path.read_text().splitlines())}"
-    assert any(f"{last}: [input_shaper] shaper_freq_y: 40" in each for each in wrong)
-    assert any("mainsail.cfg" in each.text for each in findings if not each.wrong)
+    assert any(f"{last}: firmware.klipper.shaper_freq_y: 40" in each for each in differing)
+    assert any("mainsail.cfg" in each for each in source.warnings)

@@ -7,7 +7,13 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import HframeError
-from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin, is_of_marlin, text_in
+from hframe_post.firmware.marlin.m503 import (
+    MarlinSettings,
+    MarlinSource,
+    from_marlin,
+    is_of_marlin,
+    text_in,
+)
 from hframe_post.printer.new_profile import Known, profile_text
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
@@ -41,9 +47,18 @@ def changed(path: Path, old: str, new: str) -> MarlinSettings:
 def profile(settings: MarlinSettings, kinematics: str = "cartesian") -> Printer:
     tables = {
         "kinematics": {"type": Known(kinematics, "test")},
-        **from_marlin(settings, kinematics, settings.travel()),
+        **from_marlin(settings, settings.travel()),
     }
     return parse(profile_text(tables, "own"), "own")
+
+
+def test_answers_are_compared_with_a_profile(answers: Path) -> None:
+    own = profile(MarlinSettings([answers]))
+    assert list(MarlinSource([answers]).differing(own, "change it")) == []
+    changed(answers, "M92 X80.00 Y80.00", "M92 X160.00 Y160.00")
+    (found,) = MarlinSource([answers]).differing(own, "change it")
+    assert found.wrong
+    assert "steps.belt: 0.00625 (1 / M92 X)" in found.text
 
 
 def test_a_profile_has_the_values_of_m503_and_m115(answers: Path) -> None:
@@ -221,7 +236,7 @@ def test_soft_endstops_are_the_range_of_travel(
 @pytest.mark.parametrize("board", BOARDS)
 def test_answers_of_real_boards(answers: Path, board: str) -> None:
     answers.write_text(BOARDS[board])
-    tables = from_marlin(MarlinSettings([answers]), "cartesian", BED)
+    tables = from_marlin(MarlinSettings([answers]), BED)
     named = {"kinematics": {"type": Known("cartesian", "test")}, **tables}
     own = parse(profile_text(named, "own"), "own")
     table, steps = own.firmware.marlin, own.steps

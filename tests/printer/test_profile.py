@@ -263,10 +263,3 @@ def test_speed_is_one_number_or_a_table_by_kind_of_feature() -> None:
     ):
         with pytest.raises(PrinterError, match=cause):
             asked(wrong)
-
-
-def failing(path: Path) -> PrinterError:
-    with pytest.raises(PrinterError) as caught:
-        load(str(path))
-    assert caught.value.source == str(path)
-    return caught.value

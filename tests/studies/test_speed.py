@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.conversion.pipeline import SampleStream, Trial
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant
 from hframe_post.planner.pacing import ADJUSTED, FIRST_LAYERS, NAMES
@@ -21,7 +21,7 @@ from hframe_post.prediction.statistics import ErrorStatistics, Labels
 from hframe_post.printer.settings import Extruder, Printer
 from hframe_post.stream.features import kind
 from hframe_post.studies.speed_drive import Drive
-from hframe_post.studies.speed_search import Fastest, search, speed_as_text
+from hframe_post.studies.speed_search import Fastest, search, speed_rows
 from hframe_post.studies.speed_steps import LIMIT, NEAR, Bound, Searches
 from hframe_post.studies.speed_trial import (
     JUDGED_EVERY,
@@ -73,7 +73,8 @@ def test_less_error_takes_more_time_and_both_less_than_the_file(
 
 def judged(fast: Fastest, plant: Plant, every: int) -> tuple[float, dict[str, float]]:
     """Convert again; return the seconds, and the 95th percentile of the error (mm) by feature."""
-    commands = SampleStream(cube(), fast.printer, fast.options)
+    trial = Trial(fast.paces)
+    commands = SampleStream(cube(), fast.printer, Options("racking"), trial=trial)
     labels, errors = Labels(), dict[str, ErrorStatistics]()
     for judgement in judge(commands, plant, every):
         layer, feature = (numbers[judgement.at] for numbers in labels.number(judgement.chunk))
@@ -103,7 +104,7 @@ def test_no_layer_is_too_short_and_what_limits_the_speed_is_reported(
         assert seconds > 0.97 * min(least, loose.original.layers[number])
     assert loose.trial.limited.sum() == pytest.approx(loose.trial.seconds, rel=1e-9)
     assert loose.trial.limited_by["file"] > 0.0
-    printed = speed_as_text(loose)
+    printed = "\n".join(map(str, speed_rows(loose)))
     assert re.search(r"permitted; \d+ without hframe-post", printed)
 
 
@@ -122,7 +123,7 @@ def test_a_bound_on_the_width_of_lines_holds_and_takes_time(paper: Printer) -> N
     assert even.trial.seconds > any_width.trial.seconds
     widths = (found.report.width["racking"].rms for found in (even, any_width))
     below(next(widths), next(widths), "RMS error of the width")
-    assert "8 permitted" in speed_as_text(even)
+    assert "8 permitted" in "\n".join(map(str, speed_rows(even)))
     with pytest.raises(HframeError, match=r"off by .* of their width, .*--max-width-error"):
         search(cube, printer, options, Bound(10.0, width=1e-4))
 
@@ -189,9 +190,7 @@ def test_a_profile_bounds_acceleration_and_corners_of_the_path(paper: Printer) -
         mine = replace(paper, speed=replace(paper.speed, acceleration=most))
         drive = Drive(lambda: [], mine, Options("racking"), "p95", Freedom())
         asked = SpeedSettings(dict.fromkeys(ADJUSTED, 2e4), dict.fromkeys(ADJUSTED, 1.0))
-        paces = drive.configured(asked)[1].paces
-        assert paces is not None
-        kinds = paces.kinds.values()
+        kinds = drive.configured(asked)[1].kinds.values()
         return max(pace.acceleration for pace in kinds), max(pace.corner for pace in kinds)
 
     owners = paper.limits.square_corner_velocity

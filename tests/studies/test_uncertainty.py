@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -20,7 +21,7 @@ from tests.coupled import coupled_plant
 PLANT = profile.load("paper").plant
 CARTESIAN = profile.load("example-cartesian").plant
 FACTORS = st.lists(st.floats(0.5, 1.9), min_size=9, max_size=9)
-HZ = np.arange(10.0, 120.0, 0.1)
+HZ = np.geomspace(10.0, 120.0, 250)
 
 
 def responses(plant: Plant) -> list[ImpulseResponse]:
@@ -32,13 +33,6 @@ def same(one: Plant, other: Plant) -> bool:
         np.array_equal(G.deviation, H.deviation) and G.lag == H.lag
         for G, H in zip(responses(one), responses(other), strict=True)
     )
-
-
-def slope(G: ImpulseResponse | None) -> float:
-    """θ per speed at rest: the derivative of G at z = 1, by a difference."""
-    assert G is not None
-    omega = 1e-5
-    return float((G.response(np.array([omega]))[0] / (1j * omega)).real)
 
 
 def main_hz(G: ImpulseResponse) -> float:
@@ -71,16 +65,21 @@ def test_no_model_error_is_the_plant_itself(plant: Plant) -> None:
         assert same(drawn, plant)
 
 
-@settings(max_examples=25)
+@cache
+def own() -> list[float]:
+    return [main_hz(G) for G in responses(CARTESIAN)]
+
+
+@settings(max_examples=10)
 @given(FACTORS)
 def test_each_response_moves_by_its_own_factors(factors: list[float]) -> None:
     """The main resonance of an axis follows its factor; a printer at rest stands still."""
     f = np.array(factors).reshape(3, 3)
     drawn = perturbed(CARTESIAN, f)
-    for G, H, (frequency, _, _) in zip(responses(drawn), responses(CARTESIAN), f, strict=False):
+    for G, own_hz, (frequency, _, _) in zip(responses(drawn), own(), f, strict=False):
         assert G.dc_gain == 1.0
-        if 10.0 < frequency * main_hz(H) < 100.0:
-            assert main_hz(G) == pytest.approx(frequency * main_hz(H), rel=0.1)
+        if 10.0 < frequency * own_hz < 100.0:
+            assert main_hz(G) == pytest.approx(frequency * own_hz, rel=0.1)
 
 
 def test_parameters_are_uniform_within_the_share() -> None:

@@ -26,7 +26,7 @@ def spline(u: Array) -> CubicHermiteSpline:
     return CubicHermiteSpline(np.arange(len(m)), u[1:-1], m)
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(SAMPLES)
 def test_cubic_is_on_the_level_where_a_step_is_made(values: list[float]) -> None:
     u = np.array(values)
@@ -42,7 +42,7 @@ def test_cubic_is_on_the_level_where_a_step_is_made(values: list[float]) -> None
     assert at == np.floor(u[-2])
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(SAMPLES)
 def test_steps_are_the_variation_of_the_rounded_samples(values: list[float]) -> None:
     u = np.array(values)
@@ -53,7 +53,7 @@ def test_steps_are_the_variation_of_the_rounded_samples(values: list[float]) -> 
     assert (np.diff(interval + share) >= -1e-9).all()
 
 
-@settings(max_examples=200)
+@settings(max_examples=80)
 @given(SAMPLES)
 def test_between_samples_the_command_never_turns(values: list[float]) -> None:
     u = np.array(values)

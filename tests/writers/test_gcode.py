@@ -122,7 +122,7 @@ PARTS = st.lists(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(PARTS)
 @pytest.mark.parametrize("name", list(PROFILES))
 def test_filament_and_height_are_those_of_the_samples(

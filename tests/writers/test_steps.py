@@ -41,7 +41,7 @@ def rounded(path: Array) -> Array:
     return np.asarray(np.floor(np.round(path, 9) / LENGTHS + 0.5))
 
 
-@settings(max_examples=200)
+@settings(max_examples=80)
 @given(paths())
 def test_steps_are_the_variation_of_the_rounded_path(path: Array) -> None:
     done, at = stepped([block(path)], TABLE), rounded(path)
@@ -88,7 +88,7 @@ def test_position_is_within_half_a_step_and_a_tick_of_the_command(path: Array) -
 
 
 @given(st.sampled_from([1000.0, 31_250.0, 40_000.0, 33_333.3, 1e6]), paths())
-@settings(max_examples=60)
+@settings(max_examples=40)
 def test_any_clock_keeps_every_step(clock: float, path: Array) -> None:
     slow = 31.0 * LENGTHS  # at most a step a sample
     belt, z, e = slow[1:].tolist()

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from hframe_post.firmware.base import Finding, Firmware, FirmwareLimits, Source, unlimited
+from hframe_post.firmware.base import Firmware, FirmwareLimits, Source, unlimited
 from hframe_post.firmware.dialect import (
     Accelerations,
     Advance,
@@ -141,15 +141,6 @@ class Klipper(Firmware):
 
     @classmethod
     def source(cls, files: Sequence[Path]) -> Source:
-        from hframe_post.firmware.klipper.settings import KlipperSource
+        from hframe_post.firmware.klipper.source import KlipperSource
 
         return KlipperSource(files[0])
-
-    def host_findings(self, config: Path, log: Path | None, remedy: str) -> Iterator[Finding]:
-        from hframe_post.firmware.klipper.check import check_version
-        from hframe_post.firmware.klipper.macros import check_macros
-        from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-
-        read = KlipperConfig(config)
-        yield from check_macros(read, self.printer, remedy)
-        yield from check_version(read, log)

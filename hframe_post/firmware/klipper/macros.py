@@ -73,13 +73,12 @@ SHAPER_FREQ_Z={{own.input_shaper.shaper_freq_z|default(0)}}
 [gcode_macro HFRAME_CALIBRATE]
 description: Measure this printer; where the bed moves, AXIS=Y once the sensor is on the bed
 gcode:
-    {{% if "RECORDINGS" not in params and "ACCELEROMETER_QUERY" not in printer.gcode.commands %}}
-    {{action_raise_error("no accelerometer is configured in printer.cfg. \
-RECORDINGS=found uses recordings that you have made before")}}
+    {{% if "ACCELEROMETER_QUERY" not in printer.gcode.commands %}}
+    {{action_raise_error("no accelerometer is configured in printer.cfg")}}
     {{% endif %}}
     {{action_respond_info("{_ASKED}")}}
     {{action_call_remote_method("hframe_calibrate", axis=params.AXIS|default("")|upper,
-        recordings=params.RECORDINGS|default("")|upper)}}
+        recordings=params.RECORDINGS|default(""))}}
 
 [gcode_macro HFRAME_CHECK]
 description: Measure in 20 s what has drifted; FILENAME=check.gcode prints that file instead

@@ -12,7 +12,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-DUTIES = ("upload", "again", "stale", "tidy", "prepare", "conclude", "reuse", "page")
+DUTIES = ("upload", "again", "stale", "tidy", "prepare", "conclude")
 MEMORY_BYTES = 1_000_000_000  # bytes of data of a process: 370 MB are the most that any has needed
 
 

@@ -85,7 +85,7 @@ def _name_in(form: dict[str, Any]) -> str:
 
 
 # ----------------------------------------------------------------------
-# The pages in the browser: how the printer does, and what compensation does to a file.
+# The pages in the browser: what compensation does to a file.
 
 # instead of a page: Moonraker would answer with JSON
 NOTICE = """<!doctype html>
@@ -96,11 +96,10 @@ NOTICE = """<!doctype html>
 
 
 class Pages:
-    """The endpoint of both. component: whose duty makes the first and which knows the files."""
+    """Their endpoint. component: which knows the files."""
 
     def __init__(self, component: Any, gcodes: Path, originals: Originals) -> None:
         self._component, self._gcodes, self._originals = component, gcodes, originals
-        self._one_at_a_time = asyncio.Lock()
 
     def register(self, server: Any, kind: Any) -> None:
         """Let Moonraker answer requests of a kind."""
@@ -114,13 +113,7 @@ class Pages:
         return str(await self._in_thread(self._describe, name))
 
     async def _requested(self, request: Any) -> str | bytes:
-        """Return the page of a file, or that of the printer's state, as of now.
-
-        Raises Moonraker's error.
-        """
         name = request.get_str("file", "")
-        if not name:
-            return await self._of_printer()
         page = await self._in_thread(self._read, name) if self._component.knows(name) else None
         if page is None:
             return NOTICE.format(html.escape(
@@ -130,14 +123,6 @@ class Pages:
             ))  # fmt: skip
         content: bytes = page
         return content
-
-    async def _of_printer(self) -> str:
-        async with self._one_at_a_time:
-            status, page = await self._component.run("page")
-        if status != 0:
-            raise self._component.server.error("the page was not made: the console says why", 500)
-        made: str = page
-        return made
 
     async def _in_thread(self, function: Any, name: str) -> Any:
         """Read from the disk, for which Moonraker's loop does not wait."""

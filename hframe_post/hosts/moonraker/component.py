@@ -25,6 +25,7 @@ PROCESS_S = 4 * 3600.0  # s, for a process
 UPLOADS = ("convert", "leave")
 METADATA_S = 60.0  # s, in which Moonraker reads those of a file
 MEGABYTE = 1_000_000
+IDENTIFY = "'hframe-post identify FOLDER --printer-cfg printer.cfg -o printer.toml'"
 TIDY_S = 5.0  # s after the start, and after files are deleted
 
 
@@ -233,15 +234,13 @@ class HframePost:
     # ------------------------------------------------------------------ for Klipper's macros
 
     async def _calibrate(self, axis: str = "", recordings: str = "") -> None:
-        """Measure the printer, or with recordings = FOUND use those that its owner has made."""
         if axis not in ("", "X", "Y"):
             self.say(f"AXIS is X or Y, not {axis}", True)
             return
-        if recordings not in ("", "FOUND"):
-            self.say(f"RECORDINGS is found, not {recordings}: no other files are read", True)
+        if recordings:  # of an older hframe.cfg
+            self.say(f"RECORDINGS is gone: {IDENTIFY} takes recordings that you have made", True)
             return
-        measuring = self.measuring
-        if await (measuring.reuse() if recordings else measuring.measure("calibration", axis)):
+        if await self.measuring.measure("calibration", axis):
             stale = (await self._status_requested(None))["stale"]
             if stale:
                 when = "HFRAME_CONVERT converts them now"

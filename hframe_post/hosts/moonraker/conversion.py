@@ -14,9 +14,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
-from .disk import FOLDER, HISTORY, NAME, BeyondError, FailureError, GoneError
+from .disk import FOLDER, NAME, BeyondError, FailureError, GoneError
 from .originals import PAGE_SUFFIX, SETTINGS, Originals
 
 LOG = re.compile(r"\s*\d+\.\d{3} s  (?P<text>.*)")  # of hframe-post -v
@@ -33,12 +32,12 @@ TITLE = "SLIC3R_PP_OUTPUT_NAME"  # the variable in which slicers tell the name o
 def converted(
     source: Path, target: Path, name: str, command: Sequence[str], interface: Interface,
     is_gone: Callable[[], bool], with_page: bool,
-) -> tuple[str, Mapping[str, Any] | None]:  # fmt: skip
-    """Convert a file; return the summary as text and as JSON, None if nothing was to be converted.
+) -> tuple[str, bool]:  # fmt: skip
+    """Convert a file; return the summary, and whether there was anything to convert.
 
     name: of the source for people. is_gone: whether the user has deleted the file meanwhile.
-    with_page: also write its page next to the target, if that succeeds. The JSON is empty if the
-    command writes its own. Raises FailureError with the reason, BeyondError, GoneError.
+    with_page: also write its page next to the target, if that succeeds. Raises FailureError with
+    the reason, BeyondError, GoneError.
     """
     deadline = time.monotonic() + 3600.0 * MAX_HOURS
     arguments = (source, target, name, command, interface, is_gone, deadline)
@@ -51,19 +50,11 @@ def converted(
 def _converted(
     source: Path, target: Path, name: str, command: Sequence[str], interface: Interface,
     is_gone: Callable[[], bool], deadline: float, more: Sequence[str],
-) -> tuple[str, Mapping[str, Any] | None]:  # fmt: skip
+) -> tuple[str, bool]:  # fmt: skip
     """Convert a file until a time. more: words of the command. Raises the same errors."""
-    summary = target.with_suffix(".json.new")  # which tidying removes if this is killed
-    written = [*more] if "--json" in command else ["--json", str(summary), *more]
-    words = [*command, *written, "-v", "-o", str(target), str(source)]
+    words = [*command, *more, "-v", "-o", str(target), str(source)]
     process = started(words, {TITLE: name} if more else {})
-    try:
-        shown, status = _followed(
-            process, interface, lambda: is_gone() or time.monotonic() > deadline
-        )
-        found = json.loads(summary.read_text("utf-8")) if summary.exists() else {}
-    finally:
-        summary.unlink(missing_ok=True)
+    shown, status = _followed(process, interface, lambda: is_gone() or time.monotonic() > deadline)
     shown = [line.replace(str(source), name) for line in shown if not line.startswith("file   ")]
     if is_gone():
         raise GoneError
@@ -78,8 +69,8 @@ def _converted(
         raise FailureError(reason or f"hframe-post ended with status {status}")
     ours = f"{name}: "
     if shown and shown[0].startswith(ours):
-        return shown[0].removeprefix(ours), None
-    return "\n".join(["converted", *shown]), found
+        return shown[0].removeprefix(ours), False
+    return "\n".join(["converted", *shown]), True
 
 
 def _followed(
@@ -224,10 +215,6 @@ class Settings:
     @property
     def folder(self) -> Path:
         return Path(self.gcodes) / FOLDER
-
-    @property
-    def history(self) -> Path:
-        return self.folder / HISTORY
 
     @property
     def originals(self) -> Originals:

@@ -7,32 +7,25 @@ import json
 import os
 import re
 import shutil
-import sys
-import tempfile
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-from .conversion import COMMAND_S, PAGE_SHOWS, Interface, Settings, converted, page_of, said
+from .conversion import PAGE_SHOWS, Interface, Settings, converted, page_of
 from .disk import (
-    BROKEN,
     BeyondError,
-    Event,
     FailureError,
     GoneError,
-    add,
     alone,
     cause,
     settle,
     stamp,
 )
 from .originals import PAGE_SUFFIX, Upload, refuse, settings_of
-from .recordings import conclude, prepare, reuse
+from .recordings import conclude, prepare
 
-__all__ = ["Settings", "again", "conclude", "page", "prepare", "reuse", "stale", "tidy", "upload"]
+__all__ = ["Settings", "again", "conclude", "prepare", "stale", "tidy", "upload"]
 
 OF_THE_FILE = re.compile(r"line \d+: ")  # how the reasons begin that a line of the file gives
-NOT_MEASURED = "plant.invented: "  # in the reason why a profile is not used before it is measured
+NOT_MEASURED = "this printer is not measured yet"  # of a profile, says the command line
 
 
 def upload(settings: Settings, path: str) -> int:
@@ -53,11 +46,11 @@ def _uploaded(settings: Settings, path: Path) -> int | None:
     made = one.work.with_suffix(".converted")
     try:
         one.take()
-        text, found = converted(
+        text, is_new = converted(
             one.work, made, path.name, settings.command, interface, one.is_gone,
             settings.originals.has_room() and not settings_of(one.work),
         )  # fmt: skip
-        one.give_back(None if found is None else made, settings.originals)
+        one.give_back(made if is_new else None, settings.originals)
     except (FailureError, GoneError, OSError) as error:
         fate = one.let_go() if one.is_gone() else "failed"
         if fate == "replaced":
@@ -74,7 +67,7 @@ def _uploaded(settings: Settings, path: Path) -> int | None:
         return 1
     finally:
         _remove(made)
-    _conclude(settings, path, interface, text, found)
+    _conclude(settings, path, interface, text)
     return 0
 
 
@@ -91,7 +84,7 @@ def _harmless(settings: Settings, error: Exception) -> str:
         settings.present()
     except FailureError as of_profile:
         if NOT_MEASURED in cause(of_profile):
-            return "this printer is not measured yet. To measure it, type HFRAME_CALIBRATE"
+            return f"{NOT_MEASURED}. To measure it, type HFRAME_CALIBRATE"
         return cause(of_profile) if shutil.which(settings.command[0]) else ""
     return ""
 
@@ -120,7 +113,7 @@ def _again(settings: Settings, path: Path) -> int:
         original = settings.originals.of(path)
         if not original.exists():
             raise FailureError("its sliced file is not kept: upload it again")
-        text, found = converted(
+        text, _ = converted(
             original, new, path.name, settings.command, interface,
             lambda: stamp(path) != before, settings.originals.has_room(),
         )  # fmt: skip
@@ -133,7 +126,7 @@ def _again(settings: Settings, path: Path) -> int:
         return 1
     finally:
         _remove(new)
-    _conclude(settings, path, interface, text.replace("converted", "converted again", 1), found)
+    _conclude(settings, path, interface, text.replace("converted", "converted again", 1))
     return 0
 
 
@@ -143,43 +136,12 @@ def _remove(made: Path) -> None:
     made.with_suffix(PAGE_SUFFIX).unlink(missing_ok=True)
 
 
-def _conclude(
-    settings: Settings, path: Path, interface: Interface, text: str,
-    found: Mapping[str, Any] | None,
-) -> None:  # fmt: skip
-    """Report a conversion, link its page, and add it to the history, if there was one.
-
-    On a full disk, the history goes without it.
-    """
-    name = _name(Path(settings.gcodes), path)
-    with contextlib.suppress(OSError, *BROKEN):
-        add(settings.history, Event.converted(name, found or {}))
+def _conclude(settings: Settings, path: Path, interface: Interface, text: str) -> None:
+    """Report a conversion and link its page."""
     interface.report(text)
     with contextlib.suppress(OSError):  # it was deleted meanwhile
         if settings.originals.page_of(path).exists():
-            interface.report(f"{PAGE_SHOWS}: {page_of(name)}")
-
-
-def page(settings: Settings) -> int:
-    """Print the page that shows the state of the profile and the history."""
-    os.chdir(settings.folder)  # where doctor tries to write
-    settings.history.mkdir(exist_ok=True)
-    reason = ""
-    with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder, "page.html")
-        try:
-            program, profile = settings.program_and_profile()
-            config = profile.with_name("printer.cfg")
-            compared = ["--printer-cfg", str(config)] if config.is_file() else []
-            words = ["-p", str(profile), *compared, "--history", str(settings.history)]
-            said([*program, "doctor", *words, "--report", str(made)], COMMAND_S)
-        except FailureError as error:  # also if doctor finds a problem
-            reason = cause(error)
-        if made.exists():
-            sys.stdout.buffer.write(made.read_bytes())
-            return 0
-    Interface(settings.socket).report(f"the page was not made: {reason}")
-    return 1
+            interface.report(f"{PAGE_SHOWS}: {page_of(_name(Path(settings.gcodes), path))}")
 
 
 def stale(settings: Settings, *names: str) -> int:

@@ -49,19 +49,6 @@ class Measuring:
         finally:
             self._busy = False
 
-    async def reuse(self) -> bool:
-        """Update the profile from the owner's recordings; return whether it was written."""
-        if self._busy:
-            self._say("the printer is being measured: try again once that has ended", True)
-            return False
-        self._busy = True
-        try:
-            self._say("the model is computed, which may take some minutes")
-            status, _ = await self._run("reuse")
-            return status == 0
-        finally:
-            self._busy = False
-
     async def _played(self, job: str) -> bool:
         """Let Klipper play a file, and return whether it came to its end."""
         klippy = self._server.lookup_component("klippy_apis")

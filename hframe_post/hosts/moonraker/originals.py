@@ -207,7 +207,7 @@ class Upload:
     def give_back(self, made: Path | None, originals: Originals) -> None:
         """Put the converted file where the slicer's was. Raises GoneError.
 
-        made: the converted file, beside which the slicer's is kept; None: it is the slicer's.
+        made: the converted file, next to which the slicer's is kept; None: it is the slicer's.
         """
         if self.is_gone():
             raise GoneError

@@ -6,7 +6,6 @@ one axis stay until it is recorded again, so that the sensor may be moved in bet
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import re
@@ -14,12 +13,11 @@ import shutil
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from .conversion import PAGE, Interface, Settings, said
-from .disk import FOLDER, Event, FailureError, add, cause, events
+from .conversion import Interface, Settings, said
+from .disk import FOLDER, FailureError, cause
 
 WRITING = {  # the words of a command before the file of G-code
     "calibration": ("measure", "-q", "--times", "2", "-o"),
@@ -45,8 +43,6 @@ def prepare(settings: Settings, kind: str, axis: str = "") -> int:
     folder, interface = settings.folder / kind, Interface(settings.socket)
     try:
         program, profile = settings.program_and_profile()
-        if kind == "calibration" and (offered := offer(settings, profile)):
-            interface.report(offered)
         if kind == "calibration" and axis != "Y":
             shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(exist_ok=True)
@@ -88,69 +84,33 @@ def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
     return _updated(settings, kind, program, profile, inputs)
 
 
-def reuse(settings: Settings) -> int:
-    """Update the profile from recordings that the owner made before. Exit status 0: as above."""
-    try:
-        program, profile = settings.program_and_profile()
-        recordings = found(settings, profile)
-        if not recordings:
-            raise FailureError(
-                f"no raw_data_….csv in {settings.recordings}, and no .stdata in {RESULTS[0]} next "
-                "to printer.cfg. TEST_RESONANCES AXIS=X OUTPUT=raw_data records one"
-            )
-        config = profile.with_name("printer.cfg")  # it describes the tests
-        words = ["--printer-cfg", str(config)] if config.is_file() else []
-        (settings.folder / "calibration").mkdir(exist_ok=True)
-    except (FailureError, OSError) as error:
-        return _refused(settings, "calibration", error)
-    return _updated(settings, "calibration", program, profile, [*recordings], words)
-
-
 def _refused(settings: Settings, kind: str, error: Exception) -> int:
     reason = f"the model was not changed: {cause(error)}"
     Interface(settings.socket).report(reason, failed=True)
-    _remember(settings, Event(kind, reason=reason))
     return 1
 
 
 def _updated(
-    settings: Settings, kind: str, program: list[str], profile: Path, inputs: Sequence[Path],
-    more: Sequence[str] = (),
-) -> int:  # fmt: skip
-    """Update the profile from recordings and say what came out. more: options of identify."""
+    settings: Settings, kind: str, program: list[str], profile: Path, inputs: Sequence[Path]
+) -> int:
+    """Update the profile from recordings and say what came out."""
     summary = settings.folder / kind / "summary.json"
     page = profile.with_suffix(".html")
     words = {"calibration": ["identify", "--report", str(page)], "check": ["check"]}[kind]
     result = ("-p", str(profile), "--json", str(summary), "-o", str(profile))
     try:
-        said([*program, *words, *more, *result, *map(str, inputs)], MEASURING_S)
+        said([*program, *words, *result, *map(str, inputs)], MEASURING_S)
         known = json.loads(summary.read_text("utf-8"))
     except (FailureError, OSError, ValueError) as error:
         return _refused(settings, kind, error)
     interface = Interface(settings.socket)
-    _remember(settings, Event(kind, hz=_resonances(known)))
     result_lines = {"calibration": _identified, "check": _checked}[kind](known)
     plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
     lines = [*result_lines, f"the model is written into {profile}{plots}"]
     if profile.with_suffix(".kernel").is_file():
         lines.append("with [hframe_live] in printer.cfg, restart Klipper: it takes this model")
     interface.report("\n".join(lines))  # at once: some consoles show the newest message first
-    interface.report(f"how the printer does: {PAGE}")  # KlipperScreen shows no message with a link
     return 0
-
-
-def _remember(settings: Settings, event: Event) -> None:
-    with contextlib.suppress(OSError):  # of a full disk: the console has said it
-        add(settings.history, event)
-
-
-def _resonances(found: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
-    """Return the main resonance of each axis that identify found, or check before and after."""
-    return {
-        AXES[name]: tuple(one["resonance"]["hz"] if "resonance" in one else [one["modes"][0]["hz"]])
-        for name, one in found["functions"].items()
-        if name in AXES and ("resonance" in one or one["modes"])
-    }
 
 
 def _is_written(folder: Path, profile: Path) -> bool:
@@ -242,41 +202,3 @@ def _checked(found: Mapping[str, Any]) -> Iterator[str]:
         moved = f"moved from {before:.1f} to {now:.1f} Hz" if one["drifted"] else "has not drifted"
         old, new = (f"{100.0 * share:.0f} %" for share in one["unexplained"])
         yield f"{AXES[name]}: the main resonance {moved}, unexplained {old} → {new}"
-
-
-# ----------------------------------------------------------------------
-# Recordings that the owner has made with Klipper or Shake&Tune, where these leave them.
-
-RESULTS = ("ShakeTune_results", "K-ShakeTune_results")  # next to printer.cfg; the second until 2024
-SESSION_S = 24 * 3600.0  # s before the last recording, in which the printer has not changed
-
-
-def found(settings: Settings, profile: Path) -> dict[Path, float]:
-    """Return the recordings of the last session, with their times in s since 1970.
-
-    What Klipper writes with OUTPUT=resonances is a spectrum, which tells no model.
-    """
-    files = [*Path(settings.recordings).glob("raw_data_*.csv")]
-    for name in RESULTS:
-        for ending in ("*.stdata", "*.csv"):
-            files += profile.with_name(name).rglob(ending)
-    times = dict[Path, float]()
-    for path in sorted(files):
-        with contextlib.suppress(OSError):  # it was deleted meanwhile
-            times[path] = path.stat().st_mtime
-    last = max(times.values(), default=0.0)
-    return {path: at for path, at in times.items() if at > last - SESSION_S}
-
-
-def offer(settings: Settings, profile: Path) -> str:
-    """Return the line that offers recordings; empty: there are none since the last calibration."""
-    times = found(settings, profile)
-    last = max(times.values(), default=0.0)
-    done = (one.at for one in events(settings.history) if one.kind == "calibration" and one.hz)
-    if last <= max(done, default=0.0):
-        return ""
-    day = datetime.fromtimestamp(last, timezone.utc).date()  # noqa: UP017  Python 3.9
-    return (
-        f"recordings by Klipper or Shake&Tune found: {len(times)}, the last of {day}. To use them "
-        "instead of measuring, cancel, then type HFRAME_CALIBRATE RECORDINGS=found"
-    )

@@ -350,8 +350,8 @@ class _Normal:
 
     @classmethod
     def of(cls, data: Data, Psi: Array) -> _Normal:
-        beside = data.X.T @ Psi
-        A = np.block([[data.X_X, beside], [beside.T, Psi.T @ Psi]])
+        X_Psi = data.X.T @ Psi
+        A = np.block([[data.X_X, X_Psi], [X_Psi.T, Psi.T @ Psi]])
         # rounding must leave A positive definite, where low noise makes columns nearly alike
         A[np.diag_indices_from(A)] *= 1.0 + ROUNDING
         b = np.concatenate([data.X_y, Psi.T @ data.y])

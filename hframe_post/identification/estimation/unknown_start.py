@@ -1,6 +1,6 @@
 """The impulse response of an axis, from recordings whose start and gain are unknown.
 
-A real printer is no sum of a few modes. Its response h is therefore estimated as it is, by least
+A real printer is not a sum of a few modes. Its response h is therefore estimated as it is, by least
 squares with a prior (Pillonetto, Chen, Ljung, Regularized System Identification, 2022)
 
     ĥ = argmin Σ_f W(f) |H(f) − Σ_k h_k e^{−2πifk}|² + (h − δ)ᵀ K⁻¹ (h − δ),

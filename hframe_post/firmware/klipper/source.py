@@ -1,19 +1,21 @@
-"""The settings of a new profile that printer.cfg decides."""
+"""What printer.cfg says: the settings of a profile, and what does not go with one."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from hframe_post.errors import HframeError
-from hframe_post.firmware.base import Source
-from hframe_post.firmware.klipper.macros import FILE, macros
+from hframe_post.firmware.base import Finding, Source
+from hframe_post.firmware.klipper.live import check_live
+from hframe_post.firmware.klipper.macros import FILE, check_macros, macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.klipper.version import check_version
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
 from hframe_post.printer.new_profile import (
-    CLOCK,
     Known,
     Tables,
     as_float,
@@ -44,7 +46,7 @@ def kinematics_in(config: KlipperConfig) -> tuple[str, ...]:
     return KINEMATICS[kind]
 
 
-def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
+def from_klipper(config: KlipperConfig) -> Tables:
     """Return the settings that a printer.cfg decides. Raises HframeError if a number is missing."""
     velocity = _needed(config, "printer", "max_velocity")
     acceleration = _needed(config, "printer", "max_accel")
@@ -59,7 +61,6 @@ def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
             "z_acceleration": _or(config, "printer", "max_z_accel", acceleration),
             **extruder(config, velocity, acceleration),
         },
-        "steps": _steps(config),
         "retraction": _retraction(config),
         "extruder": _advance(config),
         "speed": {"acceleration": acceleration},
@@ -75,11 +76,13 @@ def from_klipper(config: KlipperConfig, kinematics: str) -> Tables:
             "end_macro": Known(END_MACRO, "of hframe.cfg: restores what printer.cfg sets"),
         },
     }
+    if (steps := _steps(config)) is not None:
+        tables["steps"] = steps
     for section in config.sections("dual_carriage")[:1]:
         tables["firmware"] = {"other_tools": Known(("T1",), f"[{section}] prints then")}
-    # a file that was not found may set it
-    unknown = ("steps", "retraction", "extruder") if config.missing else ("steps",)
-    return {name: table for name, table in tables.items() if table or name not in unknown}
+    if config.missing:  # a file that was not found may set it
+        return {name: table for name, table in tables.items() if table}
+    return tables
 
 
 def corner_in(config: KlipperConfig) -> Known:
@@ -110,27 +113,32 @@ def _needed(config: KlipperConfig, section: str, key: str) -> Known:
         raise HframeError(where + lost)
     if not 0.0 < value < 1e9:
         raise HframeError(f"{config.path}: [{section}] {key}: {value:g} is not possible")
-    return Known(value, f"{key} of [{section}]")
+    return Known(value, f"{key} of [{section}]", config.place(section, key))
 
 
 def _or(config: KlipperConfig, section: str, key: str, default: float | Known) -> Known:
     """Return the number in printer.cfg, or what Klipper uses without it."""
     value = config.number(section, key)
+    place = config.place(section, key)
     if not math.isnan(value):
-        return Known(value, f"{key} of [{section}]")
-    if isinstance(default, Known):
-        return Known(default.value, f"{default.origin}, without {key}")
-    return Known(default, f"{DEFAULT} for {key}")
+        return Known(value, f"{key} of [{section}]", place)
+    if not isinstance(default, Known):
+        default = Known(default, f"{DEFAULT} for {key}")
+    else:
+        default = replace(default, origin=f"{default.origin}, without {key}")
+    return replace(default, place=place, assumed=bool(config.missing))
 
 
 def _range(config: KlipperConfig, axis: str) -> Known:
     section = f"stepper_{axis}"
     low, high = config.number(section, "position_min", 0.0), config.number(section, "position_max")
     if not low < high:
+        lost = f"; {config.missing[0]}" if config.missing else ""
         raise HframeError(
-            f"{config.path}: [{section}] position_max is missing, or below position_min"
+            f"{config.path}: [{section}] position_max is missing, or below position_min{lost}"
         )
-    return Known((low, high), f"position_min and position_max of [{section}]")
+    origin = f"position_min and position_max of [{section}]"
+    return Known((low, high), origin, config.place(section, "position_max"))
 
 
 def extruder(config: KlipperConfig, velocity: Known, acceleration: Known) -> dict[str, Known]:
@@ -157,18 +165,20 @@ def extruder(config: KlipperConfig, velocity: Known, acceleration: Known) -> dic
     }
 
 
-def _steps(config: KlipperConfig) -> dict[str, Known]:
-    """Return mm per step of each motor; nothing if one cannot be computed or x and y differ."""
+def _steps(config: KlipperConfig) -> dict[str, Known] | None:
+    """Return mm per step of each motor, none if x and y differ; None if one is not known."""
     sections = {"belt": "stepper_x", "z": "stepper_z", "e": "extruder"}
     sizes = {name: config.step(section) for name, section in sections.items()}
-    same = math.isclose(sizes["belt"], config.step("stepper_y"), rel_tol=0.01)  # for x and y
-    if not same or not all(1e-6 <= size <= 10.0 for size in sizes.values()):
+    y = config.step("stepper_y")
+    if not all(1e-6 <= size <= 10.0 for size in (*sizes.values(), y)):
+        return None
+    if not math.isclose(sizes["belt"], y, rel_tol=0.01):
         return {}
-    found = {
-        name: Known(sizes[name], f"rotation_distance and microsteps of [{section}]")
+    return {
+        name: Known(sizes[name], f"rotation_distance and microsteps of [{section}]",
+                    config.place(section, "rotation_distance"))
         for name, section in sections.items()
-    }
-    return {**found, "clock_hz": CLOCK}
+    }  # fmt: skip
 
 
 def _retraction(config: KlipperConfig) -> dict[str, Known]:
@@ -205,7 +215,7 @@ def text_from_klipper(config: KlipperConfig) -> str:
     """Return a new profile for a printer.cfg, with the safest kinematics. Raises HframeError."""
     kind = kinematics_in(config)[0]
     tables = {"kinematics": {"type": Known(kind, "kinematics of [printer]")}}
-    return profile_text(tables | from_klipper(config, kind), f"made from {config.path.name}")
+    return profile_text(tables | from_klipper(config), f"made from {config.path.name}")
 
 
 # ----------------------------------------------------------------------
@@ -226,7 +236,23 @@ class KlipperSource(Source):
         self.sensors = names or "none in printer.cfg; you need one to measure"
 
     def tables(self, kinematics: str, bed: tuple[float, float] | None) -> Tables:
-        return from_klipper(self._config, kinematics)
+        return from_klipper(self._config)
+
+    @property
+    def missing(self) -> str:
+        return "the include that finds no file" if self._config.missing else ""
+
+    def findings(
+        self, profile: Printer, remedy: str, again: str, log: Path | None
+    ) -> Iterator[Finding]:
+        config = self._config
+        for text in self.warnings:
+            yield Finding(text == config.unsaved, text)
+        yield from self.differing(profile, remedy)
+        yield from check_stream(config, profile)
+        yield from check_live(config, profile)
+        yield from check_macros(config, profile, again)
+        yield from check_version(config, log)
 
     def companions(self, profile: Printer) -> dict[str, str]:
         return {FILE: macros(profile, self._config)}
@@ -272,3 +298,21 @@ def warnings(config: KlipperConfig) -> Iterator[str]:
                 f"{line[-1].place}: [{section}] runs SET_INPUT_SHAPER: what it sets lasts until a "
                 "converted file begins, which restores the frequencies of [input_shaper] at its end"
             )
+
+
+def check_stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
+    """Yield what converted files need and printer.cfg lacks, and what distorts them."""
+    klipper = printer.firmware.klipper
+    for name in (klipper.begin_macro, klipper.end_macro) if klipper is not None else ():
+        if name and name != END_MACRO and not config.macros(name):  # see `check_macros`
+            yield Finding(True, f"[gcode_macro {name}] is missing; firmware.klipper names it")
+    if config.text("printer", "max_accel_to_decel"):
+        place = config.place("printer", "max_accel_to_decel")
+        yield Finding(
+            False,
+            f"{place}: [printer] max_accel_to_decel belongs to an older Klipper: converted files "
+            "need MINIMUM_CRUISE_RATIO, of March 2024 or newer",
+        )
+    if config.has("skew_correction"):
+        place = config.place("skew_correction", "")
+        yield Finding(False, f"{place}: [skew_correction] distorts converted motion: turn it off")
