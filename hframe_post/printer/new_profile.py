@@ -98,7 +98,7 @@ def profile_text(tables: Tables, description: str) -> str:
     settings = "\n".join(line for name, table in others.items() for line in _table(name, table))
     return f"""\
 # A profile for hframe-post, in mm and s. A comment says where a value was found; what is not
-# here has its default. No command changes this file; what is measured goes into another one.
+# here has its default. No command changes a value; what is measured goes into another file.
 
 description = {json.dumps(description, ensure_ascii=False)}
 
