@@ -59,21 +59,23 @@ class Bounds:
     belt_acceleration: float
     place: tuple[float, float]
 
+    def times(self, k: float) -> Bounds:
+        """Return the bounds of a path with k times the acceleration and corner speed."""
+        return replace(self, acceleration=k * self.acceleration, corner=k * self.corner)
+
 
 @dataclass(frozen=True, slots=True)
 class Figures:
     """What the test path shows. leaves, without: RMS error (mm) with and without compensation.
 
     without: less the plant's lag, which shows in no print. deviation: the most that a command
-    leaves the path in x or y, mm. belt_velocity, belt_acceleration: greatest of the command.
-    reserve: factor on the path's acceleration and corner speed up to which the belts can follow.
+    leaves the path in x or y, mm. reserve: factor on the path's acceleration and corner speed up
+    to which the belts can follow.
     """
 
     leaves: float
     without: float
     deviation: float
-    belt_velocity: float
-    belt_acceleration: float
     reserve: float
 
 
@@ -122,7 +124,7 @@ def kernel(plant: Plant, kinematics: Kinematics, bounds: Bounds) -> tuple[Kernel
     command outruns the belts at any effort.
     """
     plant, path = plant.at(bounds.place[X]), strokes(bounds)
-    limits = bounds.belt_velocity, bounds.belt_acceleration
+    most_v, most_a = bounds.belt_velocity, bounds.belt_acceleration
     each = plant.Gxx, plant.Gyy, *(coupling.G for coupling in plant.couplings)
     G = tuple(map(Spectrum.of, each))
     least = MEASURED_EFFORT if any(each.variance.any() for each in G) else EFFORTS[0]
@@ -136,26 +138,23 @@ def kernel(plant: Plant, kinematics: Kinematics, bounds: Bounds) -> tuple[Kernel
         )
         command = made.command(path)
         v, a = _rates(kinematics, command)
-        if v <= limits[0] and a <= limits[1]:
+        if v <= most_v and a <= most_a:
             break
     else:
         raise ArgumentError(
             f"the command would need {v:.0f} mm/s and {a:.0f} mm/s² of the belts, whose limits are "
-            f"{limits[0]:g} and {limits[1]:g}: lower velocity or acceleration under [limits]"
+            f"{most_v:g} and {most_a:g}: lower velocity or acceleration under [limits]"
         )
     n = np.arange(len(path), dtype=float)
     late = np.column_stack([np.interp(n - G[axis].lag, n, path[:, axis]) for axis in (X, Y)])
     leaves = _rms(nozzle(plant, path[0], played(command)) - path)
     without = _rms(nozzle(plant, path[0], path) - late)
-    deviation, most = float(np.abs(command - path).max()), limits[1] / a
-    for reserve in (most, 0.9 * most, 1.0):  # other strokes add up in other ways
-        faster = replace(
-            bounds, acceleration=reserve * bounds.acceleration, corner=reserve * bounds.corner
-        )
-        rates = _rates(kinematics, made.command(strokes(faster)))
-        if reserve >= 1.0 and rates[0] <= limits[0] and rates[1] <= limits[1]:
+    deviation = float(np.abs(command - path).max())
+    for reserve in (most_a / a, max(0.9 * most_a / a, 1.0), 1.0):  # strokes add up in other ways
+        v, a = _rates(kinematics, made.command(strokes(bounds.times(reserve))))
+        if v <= most_v and a <= most_a:
             break
-    return made, Figures(leaves, without, deviation, v, a, reserve)
+    return made, Figures(leaves, without, deviation, reserve)
 
 
 def _rates(kinematics: Kinematics, command: Array) -> tuple[float, float]:
@@ -218,15 +217,10 @@ def strokes(bounds: Bounds) -> Array:
     at, pieces, carry = np.array(bounds.place), [np.tile(bounds.place, (500, 1))], 0.0
     straight = (away[1:] * away[:-1]).sum(axis=1) >= -1e-9  # at most a square corner
     corners = [0.0, *np.where(straight, bounds.corner, 0.0).tolist(), 0.0]
-    for length, way, (v_s, v_e) in zip(lengths, away, pairwise(corners), strict=True):
-        reached = min(float(np.sqrt(length * bounds.acceleration)), bounds.velocity)
-        move = Trapezoid(
-            float(length),
-            bounds.velocity,
-            bounds.acceleration,
-            min(v_s, reached),
-            min(v_e, reached),
-        )
+    for length, way, ends in zip(lengths.tolist(), away, pairwise(corners), strict=True):
+        reached = min((length * bounds.acceleration) ** 0.5, bounds.velocity)
+        v_s, v_e = (min(v, reached) for v in ends)
+        move = Trapezoid(length, bounds.velocity, bounds.acceleration, v_s, v_e)
         t = np.arange(carry, move.seconds, TS)
         pieces.append(at + np.outer(move.distance(t), way))
         carry = (carry - move.seconds) % TS

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from hframe_post.firmware.klipper.live import kernel_file, live_kernel
 from hframe_post.hosts.klipper.kernel_file import read
-from hframe_post.hosts.klipper.native import Native
+from hframe_post.hosts.klipper.native import library, taps
 from hframe_post.printer.profile import load
 
 STRUCTS = """
@@ -25,21 +26,26 @@ STRUCTS = """
 BEGIN = 10.0  # s, of the first move
 
 
+@cache
+def declare(ffi: Any) -> None:
+    ffi.cdef(STRUCTS)
+
+
 class Stepper:
     """A motor of x, or of y, behind our kinematics."""
 
     def __init__(self, data: bytes, axis: str, travel: float = 1e4) -> None:
         chelper = importlib.import_module("klippy.chelper")
-        self.main, self.main_lib = chelper.get_ffi()
-        self.native, found = Native(chelper), read(data)
-        self.native.ffi.cdef(STRUCTS)
-        self.taps = self.native.kernel(found, [(-travel, travel)] * 2)
+        (self.ffi, self.lib), (_, self.main_lib) = library(chelper), chelper.get_ffi()
+        declare(self.ffi)
+        self.taps = taps(self.ffi, read(data), [(-travel, travel)] * 2)
         self.orig = self.main_lib.cartesian_stepper_alloc(axis.encode())
         self.trapq = self.main_lib.trapq_alloc()
         self.main_lib.itersolve_set_trapq(self.orig, self.trapq)
-        self.pointer = self.native.behind(self.orig, self.taps)
-        self.native.lib.hframe_live_reset(self.pointer)
-        self.sk = self.native.ffi.cast("struct kinematics *", self.pointer)
+        ours = self.lib.hframe_live_alloc(self.orig, self.taps)
+        self.pointer = self.ffi.gc(ours, self.lib.free)
+        self.lib.hframe_live_reset(self.pointer)
+        self.sk = self.ffi.cast("struct kinematics *", self.pointer)
 
     def append(self, time: float, phases: tuple[float, float, float], start: Any, way: Any,
                speeds: tuple[float, float, float]) -> None:  # fmt: skip
@@ -48,8 +54,8 @@ class Stepper:
     def listed(self) -> list[Any]:
         """Return all moves in the queue, without sentinels."""
         self.main_lib.itersolve_check_active(self.orig, 0.0)  # sets the end of the queue
-        ffi = self.native.ffi
-        root = ffi.cast("struct list_node *", self.native.ours(self.trapq))
+        ffi = self.ffi
+        root = ffi.cast("struct list_node *", self.trapq)
         offset, node, moves = ffi.offsetof("struct move", "node"), root.next, []
         while node != root:
             moves.append(ffi.cast("struct move *", ffi.cast("char *", node) - offset))
@@ -123,7 +129,7 @@ def test_travel_limits_the_command_but_not_the_path() -> None:
     at = np.arange(BEGIN, BEGIN + 1.0, 2e-4)
     found = np.array([stepper.at(float(one)) for one in at])
     assert found.max() <= 150.0 + 1e-9
-    assert stepper.native.lib.hframe_live_faded(stepper.pointer) > 0
+    assert stepper.lib.hframe_live_faded(stepper.pointer) > 0
     assert found[-1] == pytest.approx(150.0, abs=1e-9)
 
 
@@ -137,7 +143,7 @@ def test_before_the_begin_nothing_moves() -> None:
         time = BEGIN + 0.5 * k
         stepper.append(time, (0.05, 0.15, 0.05), (start, 50.0), (1.0, 0.0), (0.0, 150.0, 3000.0))
     stepper.sk.flush = BEGIN + 0.25  # the first move has just ended
-    stepper.native.lib.hframe_live_reset(stepper.pointer)
+    stepper.lib.hframe_live_reset(stepper.pointer)
     assert stepper.at(BEGIN + 0.251) == pytest.approx(40.0, abs=1e-9)
     assert stepper.at(BEGIN + 0.4) == pytest.approx(40.0, abs=1e-9)
     assert stepper.at(BEGIN + 2.0) == pytest.approx(70.0, abs=1e-9)
@@ -148,5 +154,5 @@ def test_a_command_at_a_coordinate_is_klippers() -> None:
     data = kernel_file(printer)
     assert data is not None
     stepper = Stepper(data, "y")
-    klippers = stepper.native.klippers(stepper.pointer)
-    assert stepper.main_lib.itersolve_calc_position_from_coord(klippers, 3.0, 4.0, 5.0) == 4.0
+    ours = stepper.pointer
+    assert stepper.main_lib.itersolve_calc_position_from_coord(ours, 3.0, 4.0, 5.0) == 4.0

@@ -1,14 +1,14 @@
 // Compensation inside Klipper's host: the planner's path, convolved with a kernel, makes the steps.
 //
-// Once a millisecond the path is sampled from the planner's moves, which gives p[g] at g ms.
-// Couplings are taken off it, then the plant's inverse is applied:
+// The path is sampled from the planner's moves, p[g] at g ms. Couplings are taken off it, then the
+// plant's inverse is applied:
 //
 //     target[g] = p[g] - lever(p[g]) * sum_k q[k] p[g - k]
 //     c[g]      = sum_k h[k] target[g - k]            k = -ahead ... past
 //
 // c[g] are the control points of a uniform cubic B-spline, which is what the motors follow.
 //
-// Everything is a function of time alone: rings only remember what was computed, and each stepper
+// Everything is a function of time alone: buffers only remember what was computed, and each stepper
 // has its own, since a host may make the steps of each in a thread. Nothing is allocated, locked,
 // read or written after hframe_live_alloc.
 
@@ -23,27 +23,26 @@
 
 #define GRID 0.001         // s
 #define PAST (TAPS - 1 - AHEAD)
-#define RING 4096          // samples; a power of two, larger than the longest window
-#define AROUND 3           // samples on either side that the spline and its rounding need
+#define BLOCK 20           // samples computed at once; a divisor of AHEAD and PAST
+#define SPAN 4000          // control points in memory; a multiple of BLOCK
+#define SPLINE 3           // control points around a millisecond, and its rounding
 #define SHOWS 0.001        // mm, the least change that counts
-#define AT_REST 500.0      // s within a move that stands still, at which its place is asked for
-
-// Samples first <= g < end of both axes, twice, so that any window of them is contiguous.
-struct ring {
-    int64_t first, end;
-    double at[2][2 * RING];
-};
 
 struct hframe_live {
     struct stepper_kinematics sk;
     struct stepper_kinematics *orig;
     const struct hframe_kernel *kernel;
-    struct move still;             // where the nozzle's command is, for orig
+    double way[3];                 // of the motor for 1 mm of each axis
     double begin;                  // s; before, the path is taken to rest
     int64_t faded;                 // control points that the edge of the travel has changed
-    int64_t piece;                 // ms at which the polynomials below hold
-    double polynomial[2][4];
-    struct ring path, target, control;
+    int64_t piece;                 // ms at which the polynomial of the motor below holds
+    double polynomial[4];
+    // control[k] is c[first + k], target[k] is PAST samples earlier, path[k] 2 * PAST
+    int64_t first;
+    int paths, targets, controls;  // samples that are there
+    double path[2][2 * (TAPS - 1) + SPAN];
+    double target[2][TAPS - 1 + SPAN];
+    double control[2][SPAN];
 };
 
 static inline struct hframe_live *
@@ -52,49 +51,17 @@ live_of(struct stepper_kinematics *sk)
     return (struct hframe_live *)((char *)sk - offsetof(struct hframe_live, sk));
 }
 
-// Return whether the motor moves with an axis.
-static inline int
-moves(const struct hframe_live *live, int axis)
+// Note BLOCK samples of h convolved with p; h[0] belongs to p[0] in the first of them. Apart from
+// its callers, gcc keeps all sums in registers.
+static __attribute__((noinline)) void
+convolve(double *result, const double *h, const double *p)
 {
-    return live->orig->active_flags & (axis ? AF_Y : AF_X);
-}
-
-static inline double *
-sample(struct ring *r, int axis, int64_t g)
-{
-    return &r->at[axis][g & (RING - 1)];
-}
-
-static inline void
-put(struct ring *r, int axis, int64_t g, double value)
-{
-    double *at = sample(r, axis, g);
-    at[0] = at[RING] = value;
-}
-
-// Return the first sample to compute so that those from `from` are there, and forget what is in
-// the way of it.
-static int64_t
-missing(struct ring *r, int64_t from, int64_t end)
-{
-    if (from < r->first || from > r->end || end - r->end > RING / 2)
-        r->first = r->end = from;
-    int64_t g = r->end;
-    if (end > r->end)
-        r->end = end;
-    if (r->first < r->end - RING)
-        r->first = r->end - RING;
-    return g;
-}
-
-static double
-convolved(const double *h, struct ring *r, int axis, int64_t g)
-{
-    const double *p = sample(r, axis, g - PAST);
-    double sum = 0.0;
+    double sum[BLOCK] = { 0.0 };
     for (int i = 0; i < TAPS; i++)
-        sum += h[i] * p[i];
-    return sum;
+        for (int j = 0; j < BLOCK; j++)
+            sum[j] += h[i] * p[i + j];
+    for (int j = 0; j < BLOCK; j++)
+        result[j] = sum[j];
 }
 
 // Sentinels around the planner's moves last no time or forever; the first never has a place.
@@ -104,41 +71,46 @@ is_first(struct move *m)
     return list_prev_entry(m, node)->move_t <= 0.0;
 }
 
-// Fill the path for the samples from <= g < end, where m is any move in the list.
+// Fill the path up to end, where m is any move in the list.
 static void
-fill_path(struct hframe_live *live, struct move *m, int64_t from, int64_t end)
+fill_path(struct hframe_live *live, struct move *m, int end)
 {
-    int64_t g = missing(&live->path, from, end);
-    while (fmax(g * GRID, live->begin) < m->print_time && !is_first(m))
+    int64_t origin = live->first - 2 * PAST;
+    double from = fmax((origin + live->paths) * GRID, live->begin);
+    while (from < m->print_time && !is_first(m))
         m = list_prev_entry(m, node);
-    for (; g < end; g++) {
-        double t = fmax(g * GRID, live->begin);
+    for (; live->paths < end; live->paths++) {
+        double t = fmax((origin + live->paths) * GRID, live->begin);
         while (t > m->print_time + m->move_t)
             m = list_next_entry(m, node);
         double s = fmax(t - m->print_time, 0.0);
         double distance = (m->start_v + m->half_accel * s) * s;
-        put(&live->path, 0, g, m->start_pos.x + m->axes_r.x * distance);
-        put(&live->path, 1, g, m->start_pos.y + m->axes_r.y * distance);
+        live->path[0][live->paths] = m->start_pos.x + m->axes_r.x * distance;
+        live->path[1][live->paths] = m->start_pos.y + m->axes_r.y * distance;
     }
 }
 
 static void
-fill_target(struct hframe_live *live, struct move *m, int64_t from, int64_t end)
+fill_target(struct hframe_live *live, struct move *m, int end)
 {
     const struct hframe_kernel *k = live->kernel;
-    int64_t g = missing(&live->target, from, end), reach = k->couplings > 0;
-    fill_path(live, m, g - reach * PAST, end + reach * AHEAD);
-    for (; g < end; g++) {
-        double target[2] = { *sample(&live->path, 0, g), *sample(&live->path, 1, g) };
+    for (; live->targets < end; live->targets += BLOCK) {
+        int at = live->targets, now = at + PAST;
+        fill_path(live, m, now + BLOCK + (k->couplings ? AHEAD : 0));
+        for (int axis = 0; axis < 2; axis++)
+            for (int j = 0; j < BLOCK; j++)
+                live->target[axis][at + j] = live->path[axis][now + j];
         for (int i = 0; i < k->couplings; i++) {
             const struct hframe_coupling *c = &k->coupling[i];
-            if (!moves(live, c->answer))
+            double added[BLOCK];
+            if (live->way[c->answer] == 0.0)
                 continue;
-            double lever = c->along < 0 ? 1.0 : *sample(&live->path, c->along, g) - c->centre;
-            target[c->answer] -= lever * convolved(c->h, &live->path, c->command, g);
+            convolve(added, c->h, &live->path[c->command][at]);
+            for (int j = 0; j < BLOCK; j++) {
+                double lever = c->along < 0 ? 1.0 : live->path[c->along][now + j] - c->centre;
+                live->target[c->answer][at + j] -= lever * added[j];
+            }
         }
-        put(&live->target, 0, g, target[0]);
-        put(&live->target, 1, g, target[1]);
     }
 }
 
@@ -158,41 +130,41 @@ within_travel(struct hframe_live *live, int axis, double p, double c)
 }
 
 static void
-fill_control(struct hframe_live *live, struct move *m, int64_t from, int64_t end)
+fill_control(struct hframe_live *live, struct move *m, int end)
 {
-    int64_t g = missing(&live->control, from, end);
-    if (g < end)
-        fill_target(live, m, g - PAST, end + AHEAD);
-    for (; g < end; g++)
+    for (; live->controls < end; live->controls += BLOCK) {
+        int at = live->controls;
+        fill_target(live, m, at + TAPS - 1 + BLOCK);
         for (int axis = 0; axis < 2; axis++) {
-            if (!moves(live, axis))
+            double *c = &live->control[axis][at], *p = &live->path[axis][at + 2 * PAST];
+            if (live->way[axis] == 0.0)
                 continue;
-            double c = convolved(live->kernel->axis[axis], &live->target, axis, g);
-            double p = *sample(&live->path, axis, g);
-            put(&live->control, axis, g, within_travel(live, axis, p, c));
+            convolve(c, live->kernel->axis[axis], &live->target[axis][at]);
+            for (int j = 0; j < BLOCK; j++)
+                c[j] = within_travel(live, axis, p[j], c[j]);
         }
+    }
 }
 
-// Note the spline's polynomials in the millisecond that begins at g.
+// Note the polynomial of the motor in the millisecond that begins at g: that of the spline of
+// g - 1 ... g + 2.
 static void
 set_piece(struct hframe_live *live, struct move *m, int64_t g)
 {
-    fill_control(live, m, g - 1, g + 3);
-    for (int axis = 0; axis < 2; axis++) {
-        const double *c = sample(&live->control, axis, g - 1);
-        double *p = live->polynomial[axis];
-        p[0] = (c[0] + 4.0 * c[1] + c[2]) / 6.0;
-        p[1] = (c[2] - c[0]) / 2.0;
-        p[2] = (c[0] - 2.0 * c[1] + c[2]) / 2.0;
-        p[3] = (c[3] - c[0] + 3.0 * (c[1] - c[2])) / 6.0;
+    if (g - 1 < live->first || g + 3 > live->first + SPAN) {
+        live->first = g - 1;
+        live->paths = live->targets = live->controls = 0;
     }
+    int at = g - 1 - live->first;
+    fill_control(live, m, at + 4);
+    double c[4], *p = live->polynomial;
+    for (int j = 0; j < 4; j++)
+        c[j] = live->way[0] * live->control[0][at + j] + live->way[1] * live->control[1][at + j];
+    p[0] = (c[0] + 4.0 * c[1] + c[2]) / 6.0;
+    p[1] = (c[2] - c[0]) / 2.0;
+    p[2] = (c[0] - 2.0 * c[1] + c[2]) / 2.0;
+    p[3] = (c[3] - c[0] + 3.0 * (c[1] - c[2])) / 6.0;
     live->piece = g;
-}
-
-static inline double
-evaluated(const double *p, double u)
-{
-    return ((p[3] * u + p[2]) * u + p[1]) * u + p[0];
 }
 
 static double
@@ -202,14 +174,13 @@ calc_position(struct stepper_kinematics *sk, struct move *m, double move_time)
     if (!m->node.next)     // in no list: the host asks for the motor's place at a coordinate
         return live->orig->calc_position_cb(live->orig, m, move_time);
     double ms = (m->print_time + move_time) / GRID;
-    int64_t g = (int64_t)floor(ms);
+    int64_t g = (int64_t)ms;
     if (g != live->piece)
         set_piece(live, m, g);
-    live->still.start_pos.x = evaluated(live->polynomial[0], ms - g);
-    live->still.start_pos.y = evaluated(live->polynomial[1], ms - g);
-    live->still.start_pos.z = m->start_pos.z
-        + m->axes_r.z * (m->start_v + m->half_accel * move_time) * move_time;
-    return live->orig->calc_position_cb(live->orig, &live->still, AT_REST);
+    const double u = ms - g, *p = live->polynomial;
+    double distance = (m->start_v + m->half_accel * move_time) * move_time;
+    return ((p[3] * u + p[2]) * u + p[1]) * u + p[0]
+        + live->way[2] * (m->start_pos.z + m->axes_r.z * distance);
 }
 
 // Forget the path: before the time to which steps have been made, it rests.
@@ -218,10 +189,8 @@ hframe_live_reset(struct stepper_kinematics *sk)
 {
     struct hframe_live *live = live_of(sk);
     live->begin = sk->last_flush_time;
-    live->piece = INT64_MIN;
-    struct ring *rings[] = { &live->path, &live->target, &live->control };
-    for (int i = 0; i < 3; i++)
-        rings[i]->first = rings[i]->end = INT64_MIN / 2;
+    live->piece = -1;
+    live->first = INT64_MAX;
 }
 
 // Let one go on, at rest, where the other has got to.
@@ -247,7 +216,7 @@ hframe_live_faded(struct stepper_kinematics *sk)
 }
 
 // Return the kinematics of a motor behind orig, or NULL if it cannot have one or memory is short.
-// Both arguments must outlive it; free() it.
+// orig must be linear. Both arguments must outlive it; free() it.
 struct stepper_kinematics *
 hframe_live_alloc(struct stepper_kinematics *orig, const struct hframe_kernel *kernel)
 {
@@ -259,10 +228,14 @@ hframe_live_alloc(struct stepper_kinematics *orig, const struct hframe_kernel *k
     }
     live->orig = orig;
     live->kernel = kernel;
-    live->still.move_t = 2.0 * AT_REST;
+    for (int axis = 0; axis < 3; axis++) {
+        struct move unit = { .start_pos.axis = { 0.0 } };
+        unit.start_pos.axis[axis] = 1.0;
+        live->way[axis] = orig->calc_position_cb(orig, &unit, 0.0);
+    }
     live->sk.calc_position_cb = calc_position;
     live->sk.active_flags = orig->active_flags | (kernel->couplings ? moved : 0);
-    live->sk.gen_steps_pre_active = (reach * AHEAD + AROUND) * GRID;
-    live->sk.gen_steps_post_active = (reach * PAST + AROUND) * GRID;
+    live->sk.gen_steps_pre_active = (reach * AHEAD + BLOCK + SPLINE) * GRID;
+    live->sk.gen_steps_post_active = (reach * PAST + SPLINE) * GRID;
     return &live->sk;
 }

@@ -17,12 +17,9 @@ struct hframe_kernel {
     struct hframe_coupling coupling[COUPLINGS];
 };
 
-struct stepper_kinematics;
-
 struct stepper_kinematics *hframe_live_alloc(struct stepper_kinematics *orig
                                              , const struct hframe_kernel *kernel);
 void hframe_live_hand_over(struct stepper_kinematics *from, struct stepper_kinematics *to);
 void hframe_live_reset(struct stepper_kinematics *sk);
 double hframe_live_window(struct stepper_kinematics *sk);
 int64_t hframe_live_faded(struct stepper_kinematics *sk);
-void free(void *pointer);

@@ -21,10 +21,10 @@ import json
 import math
 from typing import Any
 
-FORMAT = b"hframe-post kernel 2\n"
+FORMAT = b"hframe-post kernel 3\n"
 AHEAD, TAPS, COUPLINGS = 100, 501, 8  # as in hframe_live.h
 LIMITS = ("max_velocity", "max_accel", "square_corner_velocity")
-FIGURES = ("leaves", "without", "deviation", "belt_velocity", "belt_acceleration", "reserve")
+FIGURES = ("leaves", "without", "deviation", "reserve")
 KEYS = {"profile", "made_by", "measured", "kinematics", "limits", *FIGURES, "x", "y", "couplings"}
 AGAIN = "write it again with 'hframe-post identify', then restart Klipper"
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from .kernel_file import FIGURES, LIMITS, read
-from .native import Native
+from .native import library, taps
 
 NAME = "hframe_live"
 KINEMATICS = ("cartesian", "corexy", "hybrid_corexy", "corexz")
@@ -42,6 +42,7 @@ class HframeLive:
         self.reasons, self.tower = set[str](), ""
         self.active = self.unshaped = self.limited = False
         self.motors: list[tuple[Any, Any, Any]] = []  # stepper, Klipper's kinematics, ours
+        self.behind: dict[Any, Any] = {}  # ours by Klipper's
         self.kernel: dict[str, Any] | None = None
         if self.path.is_file():
             try:
@@ -93,12 +94,12 @@ class HframeLive:
                 )
         package = __name__.split(".", maxsplit=1)[0]
         parent = "klippy." if package == "klippy" else ""  # Kalico's is a package
-        self.native = Native(importlib.import_module(f"{parent}chelper"))
+        self.ffi, self.lib = library(importlib.import_module(f"{parent}chelper"))
         steppers = [config.getsection(f"stepper_{axis}") for axis in "xy"]
         travel = [
             (one.getfloat("position_min", 0.0), one.getfloat("position_max")) for one in steppers
         ]
-        self.taps, self.kernel = self.native.kernel(kernel, travel), kernel
+        self.taps, self.kernel = taps(self.ffi, kernel, travel), kernel
 
     def _connect(self) -> None:
         self.toolhead = self.printer.lookup_object("toolhead")
@@ -168,28 +169,28 @@ class HframeLive:
         self.active, self.unshaped = active, unshaped
 
     def _take(self) -> None:
-        former, self.motors = {id(one[0]): one for one in self.motors}, []
+        self.motors.clear()
         for stepper in self.kinematics.get_steppers():
             if not any(map(stepper.is_active_axis, "xy")):
                 continue
             theirs = stepper.get_stepper_kinematics()
-            _, known, ours = former.get(id(stepper), (None, None, None))
-            if known != theirs:
-                ours = self.native.behind(theirs, self.taps)
-            if ours is None:
-                raise self.printer.config_error(
-                    f"[{NAME}] cannot move {stepper.get_name()}: convert files instead"
-                )
-            self.motors.append((stepper, theirs, ours))
+            if theirs not in self.behind:
+                ours = self.lib.hframe_live_alloc(theirs, self.taps)
+                if ours == self.ffi.NULL:
+                    raise self.printer.config_error(
+                        f"[{NAME}] cannot move {stepper.get_name()}: convert files instead"
+                    )
+                self.behind[theirs] = self.ffi.gc(ours, self.lib.free)
+            self.motors.append((stepper, theirs, self.behind[theirs]))
         for stepper, theirs, ours in self.motors:
-            self.native.lib.hframe_live_hand_over(self.native.ours(theirs), ours)
-            self.native.lib.hframe_live_reset(ours)
-            stepper.set_stepper_kinematics(self.native.klippers(ours))
+            self.lib.hframe_live_hand_over(theirs, ours)
+            self.lib.hframe_live_reset(ours)
+            stepper.set_stepper_kinematics(ours)
         self._note_window(on=True)
 
     def _give_back(self) -> None:
         for stepper, theirs, ours in self.motors:
-            self.native.lib.hframe_live_hand_over(ours, self.native.ours(theirs))
+            self.lib.hframe_live_hand_over(ours, theirs)
             stepper.set_stepper_kinematics(theirs)
         self._note_window(on=False)
 
@@ -198,12 +199,12 @@ class HframeLive:
         if hasattr(self.queuing, "check_step_generation_scan_windows"):
             self.queuing.check_step_generation_scan_windows()
         elif self.motors:
-            window = self.native.lib.hframe_live_window(self.motors[0][2])
+            window = self.lib.hframe_live_window(self.motors[0][2])
             self.toolhead.note_step_generation_scan_time(*(window, 0.0)[:: 1 if on else -1])
 
     def _forget(self) -> None:
         for _, _, ours in self.motors if self.active else ():
-            self.native.lib.hframe_live_reset(ours)
+            self.lib.hframe_live_reset(ours)
 
     def _command(self, gcmd: Any) -> None:
         enable = gcmd.get_int("ENABLE", None, minval=0, maxval=1)
@@ -236,7 +237,7 @@ class HframeLive:
             status |= {
                 key: self.kernel[key] for key in ("profile", "made_by", "measured", *FIGURES)
             }
-            faded = [self.native.lib.hframe_live_faded(one[2]) for one in self.motors]
+            faded = [self.lib.hframe_live_faded(one[2]) for one in self.motors]
             status["faded"] = max(faded, default=0)  # ms within reach of the bed's edge
         return status
 
