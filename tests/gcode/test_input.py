@@ -25,7 +25,6 @@ def test_a_file_and_a_list_can_be_read_again(tmp_path: Path) -> None:
         assert list(given.lines(counted.append)) == list(given.again()) == LINES
         assert sum(counted) == 11
         assert not given.once
-        assert not given.binary
 
 
 def test_a_stream_cannot() -> None:

@@ -17,7 +17,7 @@ from hframe_post.arrays import TS
 from hframe_post.cli.main import main
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.klipper.settings import text_from_klipper
+from hframe_post.firmware.klipper.source import text_from_klipper
 from hframe_post.identification.check import runs
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.model_file import model_path
