@@ -226,16 +226,6 @@ def simulate(
     return report
 
 
-def is_doubtful(printer: Printer) -> bool:
-    """Return whether the model itself says how well it is known: drift, or what is unknown."""
-    return Doubts.from_plant(printer.plant) is not None
-
-
-def model_uncertainty(printer: Printer) -> float:
-    """Return the share by which the printer may differ from its model: measured, or 0.05."""
-    return DEFAULT_MODEL_ERROR if printer.uncertainty is None else printer.uncertainty
-
-
 # ---------------------------------------------------------------------- arguments
 
 
