@@ -1,7 +1,5 @@
 """The exceptions that a user can cause: each says where, what and what to do."""
 
-import sys
-from pathlib import Path
 from typing import Any
 
 
@@ -12,17 +10,6 @@ def one_line(text: str) -> str:
     """
     shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return text if text.isprintable() else "".join(shown)
-
-
-def install_advice(package: str) -> str:
-    """Return the command that adds a package to this installation of hframe-post."""
-    folders = Path(sys.prefix).parts
-    python = f'"{sys.executable}"' if " " in sys.executable else sys.executable
-    if "pipx" in folders:
-        return f"pipx inject hframe-post {package}"
-    if "uv" in folders:  # which puts no pip into its environments
-        return f"uv pip install --python {python} {package}"
-    return f"{python} -m pip install {package}"
 
 
 def _place(line: int | None) -> str:

@@ -22,7 +22,7 @@ from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import settling_samples
 from hframe_post.conversion import files
 from hframe_post.conversion.options import Options, stamp
-from hframe_post.conversion.pipeline import Chain, prepared
+from hframe_post.conversion.pipeline import Chain, Trial, prepared
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.errors import (
@@ -159,7 +159,7 @@ def convert(
         if page is not None:
             options = _pictured(options, given, printer, printer.plant)
         written = files.Target(outputs, output, given.path) if target is not None else None
-        report, printer, options = _converted(given, written, printer, options, progress)
+        report, printer = _converted(given, written, printer, options, progress)
         if page_file is not None:
             name = title or (given.path.name if given.path else "print")
             release_memory()
@@ -242,23 +242,23 @@ def model_uncertainty(printer: Printer) -> float:
 def _converted(
     given: Input, target: files.Target | None, printer: Printer, options: Options,
     progress: Callable[[int], object] | None,
-) -> tuple[Report, Printer, Options]:  # fmt: skip
+) -> tuple[Report, Printer]:  # fmt: skip
     """Convert at the file's speeds, or as fast as the greatest error allows.
 
-    Return the report, and the printer and options with which the file was converted.
+    Return the report, and the printer with whose limits the file was converted.
     """
     if options.speed is None:
-        return files.convert(given.lines(progress), target, printer, options), printer, options
+        return files.convert(given.lines(progress), target, printer, options), printer
     from hframe_post.studies.speed_search import find_fastest, with_speed
 
     shown = [progress]  # once, if there are several trials
 
-    def converted(printer: Printer, options: Options) -> Report:
+    def converted(printer: Printer, trial: Trial) -> Report:
         lines = given.lines(shown.pop() if shown else None)
-        return files.convert(lines, target, printer, options)
+        return files.convert(lines, target, printer, options, trial)
 
     fastest = find_fastest(given.again, printer, options, converted)
-    return with_speed(fastest), fastest.printer, fastest.options
+    return with_speed(fastest), fastest.printer
 
 
 def _write_page(
@@ -300,8 +300,7 @@ def _pictured(options: Options, source: Input, printer: Printer, plant: Plant) -
 @contextmanager
 def _comparing_stamps(printer: Printer, options: Options, source: Input) -> Iterator[None]:
     """Let no LeftAloneError pass if the source was converted with other settings."""
-    same_format = options.format == ("bgcode" if source.binary else "gcode")
-    present = stamp(printer, options) if source.path and same_format else ""
+    present = stamp(printer, options) if source.path and options.format == "gcode" else ""
     try:
         yield
     except LeftAloneError as found:

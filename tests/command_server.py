@@ -68,7 +68,7 @@ def _server(prepared: str) -> socket.socket:
     server = subprocess.Popen(
         [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), prepared],
         pass_fds=[theirs.fileno()], cwd=ROOT, stdin=subprocess.DEVNULL, process_group=0,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), "PYTHONHOME": ""},
     )  # fmt: skip
     theirs.close()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.klipper.settings import from_klipper, kinematics_in
+from hframe_post.firmware.klipper.source import from_klipper, kinematics_in
 from hframe_post.printer.new_profile import Known, profile_text
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer

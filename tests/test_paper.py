@@ -252,11 +252,8 @@ def test_fig_9_racking_compensation_at_125_control_points(rectangle: Array) -> N
     assert rms["none"] > rms["fbs"]
 
 
-@pytest.mark.parametrize(
-    "printed_window",
-    [False, pytest.param(True, marks=pytest.mark.slow)],
-    ids=["shipped", "printed"],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("printed_window", [False, True], ids=["shipped", "printed"])
 def test_fig_11_width_of_the_prism(printed_window: bool) -> None:
     """At least what the paper measured on printed parts: 43 % below fbs, 68 % below none."""
     lines = (SAMPLES / "prism.gcode").read_bytes().splitlines(keepends=True)

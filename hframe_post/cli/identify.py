@@ -16,14 +16,13 @@ from hframe_post.cli.model_output import Findings, profile_option, publish, reco
 from hframe_post.cli.options import (
     files_read,
     help_all_option,
-    old_option,
     page_option,
     position,
     say,
 )
 from hframe_post.errors import IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.klipper.settings import kinematics_in, text_from_klipper, warnings
+from hframe_post.firmware.klipper.source import kinematics_in, text_from_klipper, warnings
 from hframe_post.printer.choice import choose
 from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.profile import load, parse
@@ -61,7 +60,6 @@ def _columns(text: str) -> tuple[str, ...]:
     help="A command that 'measure' wrote, and its recording, where their names do not match. May "
     "be repeated.",
 )  # fmt: skip
-@old_option("--axes", "the recordings show how the sensor is mounted")
 @click.option(
     "--columns", type=_columns, metavar="T,X,Y,Z",
     help="Names of time (s) and accelerations in recordings not written by Klipper.",

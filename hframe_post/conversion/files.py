@@ -12,10 +12,11 @@ from typing import IO, Any, TypeAlias
 
 from hframe_post.conversion.conversions import GcodeConversion, SampleConversion, StepConversion
 from hframe_post.conversion.options import TOLERANCE, Kind, Options, stamp
+from hframe_post.conversion.pipeline import Trial
 from hframe_post.conversion.report import Report
 from hframe_post.errors import OptionError
 from hframe_post.firmware.registry import firmware
-from hframe_post.gcode.lines import SUFFIX, as_binary, is_binary
+from hframe_post.gcode.lines import BINARY
 from hframe_post.printer.profile import check_identified
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
@@ -61,27 +62,27 @@ class Format:
     """One kind of output: the conversion, and the function that saves it.
 
     save: takes the conversion, the target and a text that says what made it. suffixes: those that
-    choose this format. packs: whether a further .gz compresses it.
+    choose this format.
     """
 
     convert: Callable[..., Conversion]
     save: Callable[[Any, Target, str], None]
     suffixes: tuple[str, ...] = ()
-    packs: bool = True
 
 
 @one_blas_thread()
 def convert(
-    lines: Iterable[bytes], target: Target | None, printer: Printer, options: Options
-) -> Report:
+    lines: Iterable[bytes], target: Target | None, printer: Printer, options: Options,
+    trial: Trial | None = None,
+) -> Report:  # fmt: skip
     """Convert lines and write the target, which appears with its outputs.
 
-    target None: nothing is written. Raises HframeError, OSError.
+    target None: nothing is written. trial: at other speeds. Raises HframeError, OSError.
     """
     if target is not None and options.strategy != "none" and not options.force:
         check_identified(printer)
     chosen = FORMATS[options.format or "gcode"]
-    conversion = chosen.convert(lines, printer, options)
+    conversion = chosen.convert(lines, printer, options, trial)
     if target is None:
         for _ in conversion:
             pass
@@ -95,36 +96,33 @@ def with_format(
 ) -> Options:
     """Return the options with the format for ``output``, or for None: standard output.
 
-    source: the input; where it is replaced, binary G-code stays binary. Raises OptionError for what
-    the format or the printer's firmware cannot have.
+    source: the input. Raises OptionError for what the format or the printer's firmware cannot have.
     """
     in_place = source is not None and output is not None and _is_same(source, output)
-    kind = chosen_format(output, options.format, source if in_place else None)
-    if in_place and kind not in GCODE:
+    kind = chosen_format(output, options.format)
+    if in_place and kind != "gcode":
         raise OptionError(f"{kind} would replace the G-code: name an output file with -o")
-    if options.tolerance != TOLERANCE and kind not in GCODE:
+    if options.tolerance != TOLERANCE and kind != "gcode":
         raise OptionError("--tolerance is for G-code")
     if options.tolerance != TOLERANCE and not firmware(printer).decimates:
         raise OptionError("--tolerance is for Klipper")
-    return replace(options, format=kind, tolerance=options.tolerance if kind in GCODE else None)
+    return replace(options, format=kind, tolerance=options.tolerance if kind == "gcode" else None)
 
 
 def _is_same(source: Path, target: Path) -> bool:
     return source.exists() and target.exists() and source.samefile(target)
 
 
-def chosen_format(output: Path | None, asked: Kind | None, source: Path | None = None) -> Kind:
-    """Return the format for the file ``output``, or for None: standard output.
-
-    source: the input if it is to be replaced; binary G-code stays binary. Raises OptionError.
-    """
+def chosen_format(output: Path | None, asked: Kind | None) -> Kind:
+    """Return the format for a file, or for None: standard output. Raises OptionError."""
     suffix, packing = _suffixes(output)
     by_suffix = next((name for name, known in FORMATS.items() if suffix in known.suffixes), None)
-    replaced: Kind | None = "bgcode" if source is not None and is_binary(source) else None
-    kind: Kind = asked or replaced or by_suffix or "gcode"
+    kind: Kind = asked or by_suffix or "gcode"
+    if suffix == BINARY:
+        raise OptionError(f"{output}: binary G-code is not written: name a .gcode file")
     if suffix in TABLES and kind != "samples":
         raise OptionError(f"a {suffix} file holds samples, not {kind}")
-    if packing and output is not None and (not FORMATS[kind].packs or suffix in TABLES):
+    if packing and output is not None and (kind == "gcode" or suffix in TABLES):
         why = f"{suffix} is compressed already" if suffix in TABLES else "printers cannot read it"
         raise OptionError(
             f"{output}: {kind} is not written compressed, because {why}: leave out {packing}"
@@ -140,16 +138,8 @@ def _suffixes(path: Path | None) -> tuple[str, str]:
 
 
 def _save_gcode(conversion: GcodeConversion, target: Target, _: str) -> None:
-    _write_text(conversion, target.open())
-
-
-def _save_binary(conversion: GcodeConversion, target: Target, _: str) -> None:
-    with as_binary(target.open()) as text:
-        _write_text(conversion, text)
-
-
-def _write_text(conversion: GcodeConversion, file: IO[bytes]) -> None:
-    write_output(file, conversion, lambda: conversion.times, lambda: conversion.report().as_text())
+    report = conversion.report
+    write_output(target.open(), conversion, lambda: conversion.times, lambda: report().as_text())
 
 
 def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
@@ -179,11 +169,9 @@ def _save_samples(conversion: SampleConversion, target: Target, made_by: str) ->
                 packed.write(piece)
 
 
-GCODE = ("gcode", "bgcode")  # what may replace the input
 TABLES = (".npz",)  # of samples, which are CSV under any other suffix
 FORMATS: dict[Kind, Format] = {
-    "gcode": Format(GcodeConversion, _save_gcode, packs=False),
-    "bgcode": Format(GcodeConversion, _save_binary, (SUFFIX,), packs=False),
+    "gcode": Format(GcodeConversion, _save_gcode),
     "steps": Format(StepConversion, _save_steps, (".csv",)),
     "samples": Format(SampleConversion, _save_samples, TABLES),
 }

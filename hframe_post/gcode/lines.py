@@ -1,35 +1,27 @@
-"""The numbered lines of a file, text or binary, some of which can be seen before their turn.
-
-Prusa's binary G-code (.bgcode) is read and written through libbgcode's Python binding, an optional
-extra. It is converted to and from text in temporary files, since libbgcode works on files.
-"""
+"""The numbered lines of a file, some of which can be seen before their turn."""
 
 from __future__ import annotations
 
-import shutil
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from functools import partial
 from io import IOBase
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import IO, cast
 
-from hframe_post.errors import ArgumentError, GcodeError, HframeError, install_advice
+from hframe_post.errors import ArgumentError, GcodeError
 from hframe_post.gcode.commands import Line
 
-MAGIC = b"GCDE"
 NOT_TEXT = {  # first bytes of files that are taken for G-code
-    MAGIC: "this is binary G-code, not its text",
+    b"GCDE": "this is binary G-code: turn off 'Supports binary G-code' in the slicer's printer "
+    "settings, and slice again",
     b"\x1f\x8b": "this file is compressed: unpack it first, with gunzip or 7-Zip",
     b"PK\x03\x04": "this is a ZIP archive, such as a project (.3mf): export the G-code from it",
     b"\xff\xfe": "this file is UTF-16, as PowerShell's > writes it: use -o instead of >",
     b"\xfe\xff": "this file is UTF-16: save it as UTF-8",
 }
-SUFFIX = ".bgcode"
-TO_TEXT = "from_binary_to_ascii"  # of libbgcode
-NAMES = (".gcode", ".gco", ".g", SUFFIX)  # ends of the names of files of G-code
+BINARY = ".bgcode"  # Prusa's, which is refused
+NAMES = (".gcode", ".gco", ".g", BINARY)  # ends of the names of files of G-code
 MAX_LINE_BYTES = 1 << 20  # no slicer writes nearly as much, and no firmware reads it
 MAX_LINES_AHEAD = 4000  # that can be seen before their turn
 MAX_BYTES_AHEAD = 1 << 20
@@ -41,79 +33,9 @@ def is_gcode_name(name: str) -> bool:
     return name.lower().endswith(NAMES)
 
 
-def is_binary(path: Path) -> bool:
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(MAGIC)) == MAGIC
-
-
-@contextmanager
-def as_text(first: bytes, rest: IO[bytes]) -> Iterator[IO[bytes]]:
-    """Open the text of binary G-code that begins with the bytes ``first``. Raises GcodeError."""
-    with TemporaryDirectory(prefix="hframe-post-") as folder:
-        binary, text = Path(folder, "binary"), Path(folder, "text")
-        with binary.open("wb") as copy:
-            copy.write(first)
-            shutil.copyfileobj(rest, copy)
-        cause = _convert(TO_TEXT, binary, text, verify=True)
-        if cause is not None:
-            raise GcodeError(f"this binary G-code cannot be read: {cause}")
-        with text.open("rb") as file:
-            yield file
-
-
-@contextmanager
-def as_binary(target: IO[bytes]) -> Iterator[IO[bytes]]:
-    """Open a file for text that becomes binary G-code in ``target``. Raises HframeError."""
-    with TemporaryDirectory(prefix="hframe-post-") as folder:
-        text, binary = Path(folder, "text"), Path(folder, "binary")
-        with text.open("w+b") as file:
-            yield file
-        cause = _convert("from_ascii_to_binary", text, binary)
-        if cause is not None:
-            raise HframeError(
-                f"this cannot be written as binary G-code: {cause}. A file needs PrusaSlicer's "
-                "comments for that; for another slicer write .gcode"
-            )
-        with binary.open("rb") as whole:
-            shutil.copyfileobj(whole, target)
-
-
-def _convert(function: str, source: Path, target: Path, verify: bool = False) -> str | None:
-    """Convert a file; return the error message, if there is one."""
-    try:
-        import pybgcode as bgcode
-    except ImportError:
-        why = (
-            "this is binary G-code. Turn off 'Supports binary G-code' in the slicer's printer "
-            "settings and slice again, or install the package that reads it: "
-            if function == TO_TEXT
-            else f"to write {SUFFIX}, install the package that does it: "
-        )
-        raise HframeError(why + install_advice("pybgcode-jneilliii")) from None
-    opened = [bgcode.open(str(source), "rb"), bgcode.open(str(target), "wb")]
-    try:
-        result = getattr(bgcode, function)(*opened, *((True,) if verify else ()))
-    except (RuntimeError, ValueError, MemoryError) as error:
-        return str(error)
-    finally:
-        for file in opened:
-            bgcode.close(file)
-    if result == bgcode.EResult.Success:
-        return None
-    return str(bgcode.translate_result(result))
-
-
 def lines_of(file: IO[bytes]) -> Iterator[bytes]:
-    """Yield the lines of a text or binary G-code file; a line that is too long is cut."""
-    first = file.readline(MAX_LINE_BYTES + 2)
-    if first.startswith(MAGIC):
-        with as_text(first, file) as text:
-            yield from lines_of(text)
-    elif first:
-        yield first
-        yield from iter(partial(file.readline, MAX_LINE_BYTES + 2), b"")
+    """Yield the lines of a file; one that is too long is cut."""
+    yield from iter(partial(file.readline, MAX_LINE_BYTES + 2), b"")
 
 
 def _check_start(first: bytes) -> None:
@@ -135,10 +57,6 @@ class Input:
         self.path = Path(source) if isinstance(source, str | Path) else None
         self.once = isinstance(source, Iterator | IOBase)
         self._source = source
-
-    @property
-    def binary(self) -> bool:
-        return self.path is not None and is_binary(self.path)
 
     def lines(self, progress: Callable[[int], object] | None = None) -> Iterable[bytes]:
         """Return the lines. progress: called with the number of bytes of each."""

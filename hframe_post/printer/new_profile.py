@@ -135,7 +135,7 @@ ROUNDING = 1e-3  # share, mm and so on by which two numbers may differ
 # what an owner chooses, whatever the firmware says
 CHOSEN = (
     "limits.velocity", "limits.acceleration", "limits.square_corner_velocity",
-    "limits.junction_deviation", "speed.", "sweep.", "steps.clock_hz", "kinematics.",
+    "limits.junction_deviation", "speed.", "sweep.", "kinematics.",
     "firmware.other_tools", "firmware.klipper.end_macro",
 )  # fmt: skip
 

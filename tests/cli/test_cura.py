@@ -136,10 +136,7 @@ def test_a_failure_is_shown_and_the_file_is_marked(own: Any, data: list[str]) ->
 
 
 def test_it_is_installed_into_every_version(cura: object, tmp_path: Path) -> None:
-    install = partial(
-        run, "connect", "cura", XDG_DATA_HOME=str(tmp_path), HOME=str(tmp_path), PYTHONHOME="",
-        LD_LIBRARY_PATH="",
-    )  # fmt: skip
+    install = partial(run, "connect", "cura", XDG_DATA_HOME=str(tmp_path), HOME=str(tmp_path))
     assert install().returncode == 1
     for version in ("4.13", "5.10", "5.10/scripts", "stored_files"):
         (tmp_path / "cura" / version).mkdir(parents=True)

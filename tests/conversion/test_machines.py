@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from tests.gcode_tools import strokes
 
@@ -33,6 +34,7 @@ def convert(source: Path, output: Path, environment: dict[str, str]) -> None:
     subprocess.run(list(map(str, command)), check=True, env={**os.environ, **environment})
 
 
+@pytest.mark.slow
 def test_samples_are_equal_to_the_last_bit(tmp_path: Path) -> None:
     source, results = tmp_path / "strokes.gcode", []
     source.write_text("\n".join([*strokes(0, 6, 0.4), "G4 P1200", "G1 X60 Y60 E1", ""]))

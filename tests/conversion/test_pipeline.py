@@ -33,14 +33,14 @@ OURS = re.compile(
 
 @pytest.fixture(scope="module")
 def cube(paper: Printer) -> tuple[bytes, bytes, Report]:
-    lines = sample("cube.gcode")
+    lines = layers("cube.gcode", 20)
     text, report = converted(lines, paper, Options("racking", ("none", "racking")))
     return b"".join(lines), text, report
 
 
 def test_filament_of_every_layer_is_that_of_the_input(cube: tuple[bytes, bytes, Report]) -> None:
     before, after = follow(cube[0]), follow(cube[1])
-    assert len(before.at_layer) == len(after.at_layer) == 100
+    assert len(before.at_layer) == len(after.at_layer) == 20
     np.testing.assert_allclose(np.diff(after.at_layer), np.diff(before.at_layer), atol=1e-4)
     assert after.filament == pytest.approx(before.filament, abs=1e-4)
 

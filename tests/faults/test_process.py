@@ -105,7 +105,7 @@ def test_a_full_disk_in_the_middle_of_a_print(folder: Path) -> None:
     shutil.copy(SAMPLES / "cube.gcode", folder / "in.gcode")
 
     def small() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, 1 << 20))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 18, 1 << 18))
 
     status, printed = shell("$ME in.gcode", folder, preexec_fn=small)
     assert (status, printed) == (1, f"Error: {printed[7:]}")
@@ -146,6 +146,7 @@ def test_names_reach_the_output_as_one_printable_line(folder: Path, name: bytes)
         assert line.startswith((b";", b"G1 ", b"M", b"SET_", b"G9", b"G4 ")) or line in known
 
 
+@pytest.mark.slow
 def test_two_processes_write_one_file(folder: Path) -> None:
     """Whoever is last has it, whole."""
     for name, strategy in (("one", "racking"), ("other", "none")):

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.command_line import run
 from tests.conftest import ROOT, SAMPLES
 from tests.gcode_tools import SPANS
 
@@ -66,9 +67,7 @@ def test_what_a_kill_leaves_is_removed_by_the_next_run(tmp_path: Path) -> None:
     assert temporary(tmp_path)
     part = tmp_path / "part.gcode"
     part.write_bytes(RECTANGLE)
-    finished = started(part, "-q")
-    finished.communicate(timeout=60.0)
-    assert finished.returncode == 0
+    assert run(part, "-q").returncode == 0
     assert [path.name for path in tmp_path.iterdir()] == ["part.gcode"]
 
 

@@ -23,9 +23,8 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.klipper.settings import KlipperSource
+from hframe_post.firmware.klipper.source import KlipperSource
 from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin
-from hframe_post.gcode.lines import as_binary, lines_of
 from hframe_post.identification.recordings import accelerometer
 from hframe_post.printer.new_profile import Known, profile_text
 from hframe_post.printer.profile import load, parse, shipped
@@ -35,7 +34,6 @@ from tests.gcode_tools import converted
 from tests.klipper.host import KlippyError, play
 from tests.printers import M503, REAL, profile_of
 from tests.same_print import PLACE, assert_same_print, unstamped
-from tests.slices import SLICES
 
 KLIPPER_FILAMENT = 5e-3  # mm; a step of the extruder is 0.7e-3
 FOUND = sorted(Path(__file__).with_name("found").iterdir())
@@ -118,24 +116,12 @@ def _answered(path: Path) -> None:
     answer.warnings()
 
 
-def _unpacked(path: Path) -> None:
-    with path.open("rb") as file:
-        sum(map(len, lines_of(file)))
-
-
 def _recording() -> bytes:
     rng = np.random.default_rng(0)
     samples = np.column_stack([np.arange(0.0, 1.0, 1e-3), rng.normal(size=(1000, 3))])
     text = io.BytesIO()
     np.savetxt(text, samples, "%.6f", ",", header="time,accel_x,accel_y,accel_z")
     return text.getvalue()
-
-
-def _binary() -> bytes:
-    binary = io.BytesIO()
-    with as_binary(binary) as file:
-        file.writelines(SLICES["prusaslicer"].lines)
-    return binary.getvalue()
 
 
 def taken(data: bytes, suffix: str, reader: Callable[[Path], object]) -> None:
@@ -149,9 +135,8 @@ def taken(data: bytes, suffix: str, reader: Callable[[Path], object]) -> None:
             refused(error)
 
 
-RECORDING, BINARY = _recording(), _binary()
+RECORDING = _recording()
 FILES: dict[str, tuple[st.SearchStrategy[bytes], str, Callable[[Path], object]]] = {
-    "bgcode": (broken(BINARY), "bgcode", _unpacked),
     "recording": (edited(RECORDING), "csv", accelerometer.read),
     "packed": (broken(gzip.compress(RECORDING, mtime=0)), "csv.gz", accelerometer.read),
     "cfg": (edited(REAL.read_bytes()), "cfg", _configured),

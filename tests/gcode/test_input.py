@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import io
 import os
-import subprocess
-import sys
+import threading
 from pathlib import Path
 
 import pytest
 
 from hframe_post.errors import ArgumentError
 from hframe_post.gcode.lines import Input
-from tests.conftest import MEASURED, SAMPLES
+from tests.command_line import RECTANGLE, run
+from tests.conftest import MEASURED
 
 LINES = [b"G28\n", b"G1 X10\n"]
 
@@ -25,7 +25,6 @@ def test_a_file_and_a_list_can_be_read_again(tmp_path: Path) -> None:
         assert list(given.lines(counted.append)) == list(given.again()) == LINES
         assert sum(counted) == 11
         assert not given.once
-        assert not given.binary
 
 
 def test_a_stream_cannot() -> None:
@@ -40,8 +39,8 @@ def test_a_stream_cannot() -> None:
 def test_a_named_pipe_is_opened_once(tmp_path: Path) -> None:
     pipe, out = tmp_path / "pipe", tmp_path / "out.gcode"
     os.mkfifo(pipe)
-    command: list[str | Path] = [sys.executable, "-m", "hframe_post", pipe, "-o", out, "-q"]
-    with subprocess.Popen([*command, "-p", MEASURED]) as process:
-        pipe.write_bytes((SAMPLES / "rectangle.gcode").read_bytes())
-        assert process.wait(60) == 0
+    writing = threading.Thread(target=pipe.write_bytes, args=(RECTANGLE.read_bytes(),))
+    writing.start()
+    assert run(pipe, "-o", out, "-q", "-p", MEASURED).returncode == 0
+    writing.join()
     assert out.stat().st_size

@@ -210,6 +210,7 @@ def test_no_more_is_kept_than_the_owner_allows(part: Path, reports: list[Any]) -
     assert all(b"; processed by" in path.read_bytes() for path in paths)
 
 
+@pytest.mark.slow
 def test_an_interrupted_conversion_goes_on_from_the_slicers_file(part: Path) -> None:
     upload = Upload(part, part.parents[1])
     upload.take()

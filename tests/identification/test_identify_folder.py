@@ -16,7 +16,7 @@ from click.testing import CliRunner, Result
 from hframe_post.cli.main import main
 from hframe_post.errors import IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.klipper.settings import text_from_klipper
+from hframe_post.firmware.klipper.source import text_from_klipper
 from hframe_post.identification.estimation.measured import MeasurementSettings
 from hframe_post.identification.estimation.uncalibrated import uncalibrated_responses
 from hframe_post.identification.gather import from_folders

@@ -17,6 +17,7 @@ from hframe_post.identification.recordings.strokes import command, runs, within_
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
 from tests.command_line import run
+from tests.conftest import few
 from tests.quantities import below
 
 KLIPPERS = ("paper", "example-corexy", "example-cartesian", "example-voron", "example-hbot")
@@ -36,7 +37,7 @@ def rests(motion: Array) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("name", KLIPPERS)
+@pytest.mark.parametrize("name", few(KLIPPERS, 2))
 def test_no_frequency_is_missing_in_any_axis(name: str) -> None:
     for one in runs(load(name)):
         moved = np.flatnonzero(np.ptp(one.command, axis=0) > 0.0)
@@ -47,7 +48,7 @@ def test_no_frequency_is_missing_in_any_axis(name: str) -> None:
             below(hole, DEEPEST, f"deepest hole in {'xy'[axis]} of {one.name}, dB")
 
 
-@pytest.mark.parametrize("name", KLIPPERS)
+@pytest.mark.parametrize("name", few(KLIPPERS, 2))
 def test_the_motion_is_that_of_prints(name: str) -> None:
     printer = load(name)
     limits = printer.limits

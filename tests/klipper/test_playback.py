@@ -158,6 +158,7 @@ def rms(x: Array) -> float:
     return float(np.sqrt(np.square(x).mean())) if len(x) else 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.klipper
 def test_cube_is_played_as_intended(tmp_path: Path) -> None:
     check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 3))

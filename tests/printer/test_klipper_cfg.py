@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from hframe_post.firmware.base import Finding
-from hframe_post.firmware.klipper.check import check_stream
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.klipper.settings import KlipperSource
+from hframe_post.firmware.klipper.source import KlipperSource, check_stream
 from hframe_post.printer.settings import Printer
 from tests.printers import REAL, profile_of
 

@@ -141,6 +141,6 @@ class Klipper(Firmware):
 
     @classmethod
     def source(cls, files: Sequence[Path]) -> Source:
-        from hframe_post.firmware.klipper.settings import KlipperSource
+        from hframe_post.firmware.klipper.source import KlipperSource
 
         return KlipperSource(files[0])

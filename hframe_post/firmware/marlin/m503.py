@@ -12,6 +12,8 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Source
 from hframe_post.native.planning import square_corner_velocity
@@ -115,6 +117,14 @@ class MarlinSettings:
         if not (-10.0 if command == "M208" else 0.0) <= value < 1e9:
             raise HframeError(f"{self.name}: {command} {letter}{value:g} is not possible")
         return Known(value, f"{command} {letter}")
+
+    def words(self, command: str, letters: str, default: float | None = None) -> Known:
+        """Return one value, or two as a pair; see ``word``."""
+        found = [self.word(command, letter, default) for letter in letters]
+        if len(found) == 1:
+            return found[0]
+        pair = tuple(as_float(each) for each in found)
+        return Known(pair, f"{command} {' and '.join(letters)}")
 
     def defined(self, name: str) -> bool:
         return name in self._defines
@@ -220,57 +230,65 @@ def _planner(found: re.Match[str] | None) -> Known | None:
     return Known(name, origin)
 
 
-# ---------------------------------------------------------------------- as settings of a profile
+# ----------------------------------------------------------------------
+# The settings as tables of a profile: for each key the command and the letters that give it.
+
+LIMITS = {
+    "z_velocity": ("M203", "Z"), "z_acceleration": ("M201", "Z"),
+    "extruder_velocity": ("M203", "E"), "extruder_acceleration": ("M204", "R"),
+}  # fmt: skip
+MOTORS = {"belt": "X", "z": "Z", "e": "E"}  # by the letter of M92
+TABLE = {
+    "max_velocity": ("M203", "XY"), "max_acceleration": ("M201", "XY"),
+    "max_acceleration_e": ("M201", "E"), "acceleration": ("M204", "P"),
+    "travel_acceleration": ("M204", "T"), "retract_acceleration": ("M204", "R"),
+}  # fmt: skip
+IF_SET = {  # in builds that have them; 0: off
+    "min_velocity": ("M205", "S"), "min_travel_velocity": ("M205", "T"),
+    "linear_advance": ("M900", "K"), "shaper_freq_x": ("M593 X", "F"),
+    "shaper_freq_y": ("M593 Y", "F"), "fixed_time_motion": ("M493", "S"),
+    "fixed_time_trajectory": ("M494", "T"), "fixed_time_smoothing": ("M494", "XY"),
+    "fixed_time_smoothing_z_e": ("M494", "ZE"),
+}  # fmt: skip
+DEFAULT_SEGMENT_US = 20000.0  # µs, Marlin's DEFAULT_MINSEGMENTTIME
 
 
 def from_marlin(settings: MarlinSettings, travel: dict[str, Known]) -> Tables:
     """Return the settings of a new profile. Raises HframeError if a number is missing."""
-    velocity = _least(settings, "M203", "XY")
-    highest = _least(settings, "M201", "XY")
-    printing = settings.word("M204", "P")
-    acceleration = min(printing, highest, key=as_float)
-    corner = _corner(settings, acceleration)
+    word = settings.word
+    velocity, highest = (_least(settings, command) for command in ("M203", "M201"))
+    acceleration = min(word("M204", "P"), highest, key=as_float)
+    deviation, a = word("M205", "J", 0.0), as_float(acceleration)
+    if J := as_float(deviation):
+        speed = float(f"{square_corner_velocity(J, a):.3g}")
+        corner = Known(speed, f"of M205 J{J:g} at {a:g} mm/s²")
+        corners = jerks = {"junction_deviation": deviation}
+    else:
+        corner, corners = _least(settings, "M205"), {}
+        jerks = {"jerk": settings.words("M205", "XY"), "jerk_e": word("M205", "E")}
+    limits = {"velocity": velocity, "acceleration": acceleration, "square_corner_velocity": corner}
     tables: Tables = {
         "travel": travel,
-        "limits": {
-            "velocity": velocity,
-            "acceleration": acceleration,
-            "square_corner_velocity": corner,
-            **_deviation(settings),
-            "z_velocity": settings.word("M203", "Z"),
-            "z_acceleration": settings.word("M201", "Z"),
-            "extruder_velocity": settings.word("M203", "E"),
-            "extruder_acceleration": settings.word("M204", "R"),
-        },
+        "limits": limits | corners | {key: word(*each) for key, each in LIMITS.items()},
         "steps": _steps(settings),
         "retraction": _retraction(settings),
-        "extruder": _advance(settings),
+        "extruder": {"advance": K} if (K := word("M900", "K", 0.0)).value else {},
         "speed": {"acceleration": acceleration},
         "sweep": sweep(acceleration),
-        "firmware.marlin": _table(settings),
+        "firmware.marlin": {
+            **{key: settings.words(*each) for key, each in TABLE.items()},
+            **jerks,
+            **_if_set(settings),
+            **_build(settings),
+        },
     }
     if settings.defined(TWO_CARRIAGES):
         tables["firmware"] = {"other_tools": Known(("T1",), f"{TWO_CARRIAGES} prints then")}
     return {name: table for name, table in tables.items() if table}
 
 
-def _least(settings: MarlinSettings, command: str, letters: str) -> Known:
-    return min((settings.word(command, letter) for letter in letters), key=as_float)
-
-
-def _corner(settings: MarlinSettings, acceleration: Known) -> Known:
-    """Return the speed through a square corner, by junction deviation or by jerk."""
-    deviation = as_float(settings.word("M205", "J", 0.0))
-    if not deviation:
-        return _least(settings, "M205", "XY")
-    a = as_float(acceleration)
-    speed = square_corner_velocity(deviation, a)
-    return Known(float(f"{speed:.3g}"), f"of M205 J{deviation:g} at {a:g} mm/s²")
-
-
-def _deviation(settings: MarlinSettings) -> dict[str, Known]:
-    deviation = settings.word("M205", "J", 0.0)
-    return {"junction_deviation": deviation} if deviation.value else {}
+def _least(settings: MarlinSettings, command: str) -> Known:
+    return min((settings.word(command, letter) for letter in "XY"), key=as_float)
 
 
 def _steps(settings: MarlinSettings) -> dict[str, Known]:
@@ -284,77 +302,37 @@ def _steps(settings: MarlinSettings) -> dict[str, Known]:
         raise HframeError(
             f"{settings.name}: M92 X{x:g} and Y{y:g} differ, but x and y need equal steps. {remedy}"
         )
-    sizes = {"belt": "X", "z": "Z", "e": "E"}
-    found = {}
-    for name, letter in sizes.items():
-        steps = settings.word("M92", letter)
-        if not as_float(steps) > 0.0:
+    found = dict[str, Known]()
+    for name, letter in MOTORS.items():
+        if not (steps := as_float(settings.word("M92", letter))) > 0.0:
             raise HframeError(f"{settings.name}: M92 {letter} must be above 0")
-        found[name] = Known(1.0 / as_float(steps), f"1 / M92 {letter}")
+        found[name] = Known(1.0 / steps, f"1 / M92 {letter}")
     return found
 
 
 def _retraction(settings: MarlinSettings) -> dict[str, Known]:
-    if not as_float(settings.word("M207", "S", 0.0)) > 0.0:
+    if not as_float(length := settings.word("M207", "S", 0.0)) > 0.0:
         return {}
-
-    def speed(command: str, default: float | None = None) -> Known:
-        a_minute = settings.word(command, "F", default)
-        return Known(as_float(a_minute) / 60.0, f"{a_minute.origin} / 60")
-
+    speeds = {"speed": settings.word("M207", "F"), "return_speed": settings.word("M208", "F", 0.0)}
     return {
-        "length": settings.word("M207", "S"),
-        "speed": speed("M207"),
-        "return_speed": speed("M208", 0.0),
+        "length": length,
+        **{key: Known(as_float(a_minute) / 60.0, f"{a_minute.origin} / 60")
+           for key, a_minute in speeds.items()},
         "extra": settings.word("M208", "S", 0.0),
-    }
+    }  # fmt: skip
 
 
-def _advance(settings: MarlinSettings) -> dict[str, Known]:
-    K = settings.word("M900", "K", 0.0)
-    return {"advance": K} if K.value else {}
-
-
-def _table(settings: MarlinSettings) -> dict[str, Known]:
-    word = settings.word
-
-    def pair(command: str) -> Known:
-        x, y = (as_float(word(command, letter)) for letter in "XY")
-        return Known((x, y), f"{command} X and Y")
-
-    table = {
-        "max_velocity": pair("M203"),
-        "max_acceleration": pair("M201"),
-        "max_acceleration_e": word("M201", "E"),
-        "acceleration": word("M204", "P"),
-        "travel_acceleration": word("M204", "T"),
-        "retract_acceleration": word("M204", "R"),
-    }
-    if word("M205", "J", 0.0).value:
-        table["junction_deviation"] = word("M205", "J")
-    else:
-        table |= {"jerk": pair("M205"), "jerk_e": word("M205", "E")}
-    microseconds = word("M205", "B", 20000.0)
-    table["min_segment_time"] = Known(as_float(microseconds) * 1e-6, "M205 B / 1000000")
-    optional = {
-        "min_velocity": word("M205", "S", 0.0),
-        "min_travel_velocity": word("M205", "T", 0.0),
-        "linear_advance": word("M900", "K", 0.0),
-        "shaper_freq_x": word("M593 X", "F", 0.0),
-        "shaper_freq_y": word("M593 Y", "F", 0.0),
-        "fixed_time_motion": word("M493", "S", 0.0),
-        "fixed_time_trajectory": word("M494", "T", 0.0),
-    }
-    table |= {key: known for key, known in optional.items() if known.value}
-    for key, letters in (("fixed_time_smoothing", "XY"), ("fixed_time_smoothing_z_e", "ZE")):
-        one, other = (as_float(word("M494", letter, 0.0)) for letter in letters)
-        if one or other:
-            table[key] = Known((one, other), f"M494 {letters[0]} and {letters[1]}")
-    if as_float(word("M420", "S", 0.0)):
+def _if_set(settings: MarlinSettings) -> dict[str, Known]:
+    """Return what a printer need not have, and is not off."""
+    segment = settings.word("M205", "B", DEFAULT_SEGMENT_US)
+    table = {"min_segment_time": Known(as_float(segment) * 1e-6, "M205 B / 1000000")}
+    optional = {key: settings.words(*each, 0.0) for key, each in IF_SET.items()}
+    table |= {key: known for key, known in optional.items() if np.any(known.value)}
+    if as_float(settings.word("M420", "S", 0.0)):
         table["bed_levelling"] = Known(True, "M420 S1, which our own files send after G28")
     if edges := settings.soft_endstops():
         table["soft_endstops"] = Known(edges, "the answer to M211")
-    return table | _build(settings)
+    return table
 
 
 def _build(settings: MarlinSettings) -> dict[str, Known]:

@@ -1,4 +1,4 @@
-"""The settings of a new profile that printer.cfg decides."""
+"""What printer.cfg says: the settings of a profile, and what does not go with one."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Finding, Source
-from hframe_post.firmware.klipper.check import check_stream, check_version
 from hframe_post.firmware.klipper.live import check_live
 from hframe_post.firmware.klipper.macros import FILE, check_macros, macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.klipper.version import check_version
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
 from hframe_post.printer.new_profile import (
     Known,
@@ -298,3 +298,21 @@ def warnings(config: KlipperConfig) -> Iterator[str]:
                 f"{line[-1].place}: [{section}] runs SET_INPUT_SHAPER: what it sets lasts until a "
                 "converted file begins, which restores the frequencies of [input_shaper] at its end"
             )
+
+
+def check_stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
+    """Yield what converted files need and printer.cfg lacks, and what distorts them."""
+    klipper = printer.firmware.klipper
+    for name in (klipper.begin_macro, klipper.end_macro) if klipper is not None else ():
+        if name and name != END_MACRO and not config.macros(name):  # see `check_macros`
+            yield Finding(True, f"[gcode_macro {name}] is missing; firmware.klipper names it")
+    if config.text("printer", "max_accel_to_decel"):
+        place = config.place("printer", "max_accel_to_decel")
+        yield Finding(
+            False,
+            f"{place}: [printer] max_accel_to_decel belongs to an older Klipper: converted files "
+            "need MINIMUM_CRUISE_RATIO, of March 2024 or newer",
+        )
+    if config.has("skew_correction"):
+        place = config.place("skew_correction", "")
+        yield Finding(False, f"{place}: [skew_correction] distorts converted motion: turn it off")

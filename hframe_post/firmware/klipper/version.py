@@ -1,4 +1,9 @@
-"""What is wrong with a printer.cfg, or with the version of its Klipper, for converted files."""
+"""Klipper's version, as its log shows it, and what is wrong with some versions.
+
+Klipper asks git for its version, such as "v0.13.0-635-g460ee7834": the last release, the commits
+since, and the last of these; only that one if the copy of its history has no releases. "-dirty"
+follows if files were changed. No G-code and no macro can read it.
+"""
 
 from __future__ import annotations
 
@@ -9,34 +14,6 @@ from pathlib import Path
 from hframe_post.errors import one_line
 from hframe_post.firmware.base import Finding
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.printer.firmware_tables import END_MACRO
-from hframe_post.printer.settings import Printer
-
-
-def check_stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
-    """Yield what converted files need and printer.cfg lacks, and what distorts them."""
-    klipper = printer.firmware.klipper
-    for name in (klipper.begin_macro, klipper.end_macro) if klipper is not None else ():
-        if name and name != END_MACRO and not config.macros(name):  # see `check_macros`
-            yield Finding(True, f"[gcode_macro {name}] is missing; firmware.klipper names it")
-    if config.text("printer", "max_accel_to_decel"):
-        place = config.place("printer", "max_accel_to_decel")
-        yield Finding(
-            False,
-            f"{place}: [printer] max_accel_to_decel belongs to an older Klipper: converted files "
-            "need MINIMUM_CRUISE_RATIO, of March 2024 or newer",
-        )
-    if config.has("skew_correction"):
-        place = config.place("skew_correction", "")
-        yield Finding(False, f"{place}: [skew_correction] distorts converted motion: turn it off")
-
-
-# ----------------------------------------------------------------------
-# Klipper's version, as its log shows it, and what is wrong with some versions.
-#
-# Klipper asks git for its version, such as "v0.13.0-635-g460ee7834": the last release, the commits
-# since, and the last of these; only that one if the copy of its history has no releases. "-dirty"
-# follows if files were changed. No G-code and no macro can read it.
 
 LOG = "klippy.log"
 VERSION = re.compile(rb"Git version: '([^']+)'")  # at each start, and where a new log begins
