@@ -22,7 +22,7 @@ from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import settling_samples
 from hframe_post.conversion import files
 from hframe_post.conversion.options import Options, stamp
-from hframe_post.conversion.pipeline import Chain, prepared
+from hframe_post.conversion.pipeline import Chain, Trial, prepared
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.errors import (
@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 
 DEFAULT = Options()
 SHAPED_LINES = 20_000  # of a file, from which a page's input shaper is chosen; 2 % off at most
-DEFAULT_MODEL_ERROR = 0.05  # where the profile does not say how uncertain the plant is
 
 
 def load_printer(name_or_path: str | Path) -> Printer:
@@ -159,7 +158,7 @@ def convert(
         if page is not None:
             options = _pictured(options, given, printer, printer.plant)
         written = files.Target(outputs, output, given.path) if target is not None else None
-        report, printer, options = _converted(given, written, printer, options, progress)
+        report, printer = _converted(given, written, printer, options, progress)
         if page_file is not None:
             name = title or (given.path.name if given.path else "print")
             release_memory()
@@ -226,39 +225,29 @@ def simulate(
     return report
 
 
-def is_doubtful(printer: Printer) -> bool:
-    """Return whether the model itself says how well it is known: drift, or what is unknown."""
-    return Doubts.from_plant(printer.plant) is not None
-
-
-def model_uncertainty(printer: Printer) -> float:
-    """Return the share by which the printer may differ from its model: measured, or 0.05."""
-    return DEFAULT_MODEL_ERROR if printer.uncertainty is None else printer.uncertainty
-
-
 # ---------------------------------------------------------------------- arguments
 
 
 def _converted(
     given: Input, target: files.Target | None, printer: Printer, options: Options,
     progress: Callable[[int], object] | None,
-) -> tuple[Report, Printer, Options]:  # fmt: skip
+) -> tuple[Report, Printer]:  # fmt: skip
     """Convert at the file's speeds, or as fast as the greatest error allows.
 
-    Return the report, and the printer and options with which the file was converted.
+    Return the report, and the printer with whose limits the file was converted.
     """
     if options.speed is None:
-        return files.convert(given.lines(progress), target, printer, options), printer, options
+        return files.convert(given.lines(progress), target, printer, options), printer
     from hframe_post.studies.speed_search import find_fastest, with_speed
 
     shown = [progress]  # once, if there are several trials
 
-    def converted(printer: Printer, options: Options) -> Report:
+    def converted(printer: Printer, trial: Trial) -> Report:
         lines = given.lines(shown.pop() if shown else None)
-        return files.convert(lines, target, printer, options)
+        return files.convert(lines, target, printer, options, trial)
 
     fastest = find_fastest(given.again, printer, options, converted)
-    return with_speed(fastest), fastest.printer, fastest.options
+    return with_speed(fastest), fastest.printer
 
 
 def _write_page(

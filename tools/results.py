@@ -1,10 +1,11 @@
-"""Write docs/results.md: what the sample prints take and leave, on whatever machine runs it.
+"""Write docs/results.md: errors and times of the sample prints, on the machine that runs it.
 
-make results
+make results; with PREVIOUS=/path/to/another/bin/hframe-post beside that version
 """
 
 from __future__ import annotations
 
+import os
 import platform
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 import hframe_post as hp
 from examples.paper import results as paper
 from examples.paper import tables
+from tests.benchmarks import speed
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "sample_gcode"
@@ -25,7 +27,7 @@ HEAD = """\
 # Results
 
 `make results` computes this page: the predicted contour error of the sample prints on two
-measured printers and two shipped profiles, what the stages of a conversion take, and the paper's
+measured printers and two shipped profiles, the time of conversions, and the paper's
 rectangle. The profiles' plants are exact here; [identify.md](identify.md#how-far-to-trust-it) says
 what is left on real printers.
 """
@@ -35,7 +37,7 @@ def rows() -> Iterator[str]:
     yield HEAD
     yield from errors()
     yield from inexact()
-    yield from stages()
+    yield from speeds()
     yield "## The paper's rectangle\n"
     yield "[derivations.md](derivations.md#the-papers-figures) has the paper's other tables.\n"
     printer = hp.load_printer("paper")
@@ -74,15 +76,13 @@ def inexact() -> Iterator[str]:
     yield ""
 
 
-def stages() -> Iterator[str]:
-    machine = f"{platform.machine()} with Python {platform.python_version()}"
-    yield f"## Time\n\nCPU seconds of each stage, with `paper`, on {machine}.\n"
-    found = {part: converted(part) for part in PRINTS}
-    names = list(dict.fromkeys(name for one in found.values() for name in one.seconds))
-    yield table_head("print", *names)
-    for part, report in found.items():
-        label = f"{part}, {report.time.after:.0f} s of print"
-        yield line(label, *(f"{report.seconds.get(name, 0.0):.2f}" for name in names))
+def speeds() -> Iterator[str]:
+    yield "## Speed\n"
+    yield f"CPU on {platform.machine()} with Python {platform.python_version()}, each converted in"
+    yield "turn with what it is compared with: slicing by CuraEngine, `gzip -9` of the input, and"
+    yield "the command that `PREVIOUS` names.\n"
+    yield table_head(*speed.HEAD)
+    yield from (line(*cells) for cells in speed.rows(PRINTERS, os.environ.get("PREVIOUS")))
     yield ""
 
 

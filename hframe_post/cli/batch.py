@@ -19,7 +19,6 @@ from hframe_post.cli.options import (
     conversion_options,
     files_read,
     help_all_option,
-    old_option,
     printer_option,
     say,
 )
@@ -50,10 +49,6 @@ CLEAR_LINE = "\r\x1b[K"
     "--resume", is_flag=True,
     help="Skip files that are converted already.",
 )  # fmt: skip
-@old_option("--watch", "name the folder with --resume, for example from cron")
-@old_option("--scheduler", "run 'hframe-post batch' on each machine with its share of the files")
-@old_option("-d", "-o names the folder")
-@old_option("--directory", "-o names the folder")
 @json_option
 @help_all_option
 @click.option("-q", "--quiet", is_flag=True, help="Print no progress and no summary.")

@@ -14,7 +14,6 @@ from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.options import (
     files_read,
     number,
-    old_option,
     printer_option,
     quoted,
     say,
@@ -70,8 +69,6 @@ def _heat(text: str) -> tuple[float, float]:
     "--pick", type=(_shift, _shift), metavar="X Y",
     help="Change the model by what the best square has in x and in y, such as --pick -6% 0.",
 )  # fmt: skip
-@old_option("--advance-lines", "slicers print such a pattern, as OrcaSlicer's calibration does")
-@old_option("--advance", "write extruder.advance into the profile")
 @click.option(
     "--heat", type=_heat, metavar="NOZZLE,BED",
     help="Temperatures of what is printed, °C, such as 210,60 for PLA. Default: asked on a "

@@ -17,7 +17,7 @@ from hframe_post.cli.model_output import (
     publish,
     recordings_argument,
 )
-from hframe_post.cli.options import files_read, old_option, page_option, printer_option
+from hframe_post.cli.options import files_read, page_option, printer_option
 from hframe_post.errors import IdentificationError, PrinterError
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.printer.settings import Verified
@@ -31,9 +31,6 @@ if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that t
 @click.command()
 @recordings_argument
 @printer_option
-@old_option("--gcode", "write the run with 'hframe-post measure --for check -o CHECK.GCODE'")
-@old_option("--axis", "the run moves both axes; where the bed moves, there is a file for each")
-@old_option("--axes", "the recordings show how the sensor is mounted")
 @page_option
 @json_option
 @profile_option

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import os
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -21,8 +20,6 @@ from hframe_post.cli.options import (
     dashed,
     files_read,
     help_all_option,
-    log,
-    number,
     printer_option,
     progress_bar,
     say,
@@ -32,12 +29,11 @@ from hframe_post.conversion.options import Options, first_line
 from hframe_post.errors import LeftAloneError, one_line
 from hframe_post.printer.choice import verification_as_text
 from hframe_post.printer.profile import check_identified, played_by
-from hframe_post.printer.settings import Limits
 from hframe_post.stream.running import keep_memory
 from hframe_post.writers.outputs import Outputs
 
-# in PrusaSlicer and OrcaSlicer: the slicer's name for the file, which is a temporary one by now
 LONGEST_MOVE = 200  # bytes of a line, more than any slicer writes
+# in PrusaSlicer and OrcaSlicer: the slicer's name for the file, which is a temporary one by now
 OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
 
 
@@ -102,8 +98,6 @@ def convert(
         options = replace(options, force=True)
     if name_in_slicer:
         head.insert(0, f"file             {one_line(name_in_slicer)}")
-    head += slicer_warnings(os.environ, profile.limits)
-    log(f"profile {printer}, strategy {options.strategy or profile.compensation.strategy}")
     keep_memory()
     with (
         _leaving_alone(source, None if dry_run else output, json_file, html, quiet),
@@ -123,14 +117,11 @@ def convert(
             outputs=outputs,
             progress=advance,
         )
-        log(f"{report.read.lines} lines are converted")
-        _log_times(report.seconds)
         report = replace(report, notices=(*cut_off(source), *report.notices))
         write_json({**choice.as_json(), **report.as_json()})
         text = report.summary(head)
         if text_file is not None:
             text_file.write(text.encode() + b"\n")
-    log("all files are written")
     if not quiet:
         say(text)
 
@@ -167,12 +158,6 @@ def _print_stamp(printer: str, options: Options) -> None:
     click.echo(first_line(profile, options), nl=False)
 
 
-def _log_times(seconds: Mapping[str, float]) -> None:
-    total = sum(seconds.values())
-    for stage, spent in seconds.items():
-        log(f"  {stage:12s}{spent:8.3f} s of the processor{100.0 * spent / total:6.1f} %")
-
-
 @contextmanager
 def _leaving_alone(
     source: Path, output: Path | None, json_file: Path | None, html: bool, quiet: bool
@@ -190,36 +175,3 @@ def _leaving_alone(
         if not quiet:
             say(f"{source}: {found.cause}; left as it is")
         raise click.exceptions.Exit(0) from None
-
-
-# ----------------------------------------- what slicers tell in variables SLIC3R_*
-
-
-def slicer_warnings(environ: Mapping[str, str], limits: Limits) -> list[str]:
-    """Return a warning if the slicer's accelerations exceed the profile's."""
-    excessive = {
-        name: value for name, value in _accelerations(environ).items()
-        if value > limits.acceleration
-    }  # fmt: skip
-    if not excessive:
-        return []
-    settings = ", ".join(f"{name} {value:g}" for name, value in sorted(excessive.items()))
-    return [
-        f"SLICER           asks for more acceleration than the profile's "
-        f"{limits.acceleration:g} mm/s² ({settings}): the profile's is used"
-    ]
-
-
-def _accelerations(environ: Mapping[str, str]) -> dict[str, float]:
-    """Return mm/s² by setting; without zeros, which leave the choice to the firmware."""
-    found = {}
-    for variable, text in environ.items():
-        name = variable.removeprefix("SLIC3R_")
-        machine_limit = name.startswith("MACHINE_")
-        if name == variable or machine_limit or not name.endswith("_ACCELERATION"):
-            continue
-        values = [number(part) for part in text.split(",")]  # one per extruder, or percentages
-        usable = [value for value in values if 0.0 < value < math.inf]
-        if usable:
-            found[name.lower()] = max(usable)
-    return found

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import coloured, old_option, quoted
+from hframe_post.cli.options import coloured, quoted
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware, source_of
@@ -76,8 +76,6 @@ class _Findings:
     metavar="FILE", help="Klipper's log, which shows its version. Default: klippy.log next to "
     "printer.cfg, or in the folder logs next to that of printer.cfg.",
 )  # fmt: skip
-@old_option("--report", "its output says all")
-@old_option("--history", "the console says what each check has found")
 @click.pass_context
 def doctor(
     context: click.Context,

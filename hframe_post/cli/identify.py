@@ -16,7 +16,6 @@ from hframe_post.cli.model_output import Findings, profile_option, publish, reco
 from hframe_post.cli.options import (
     files_read,
     help_all_option,
-    old_option,
     page_option,
     position,
     say,
@@ -61,7 +60,6 @@ def _columns(text: str) -> tuple[str, ...]:
     help="A command that 'measure' wrote, and its recording, where their names do not match. May "
     "be repeated.",
 )  # fmt: skip
-@old_option("--axes", "the recordings show how the sensor is mounted")
 @click.option(
     "--columns", type=_columns, metavar="T,X,Y,Z",
     help="Names of time (s) and accelerations in recordings not written by Klipper.",

@@ -56,6 +56,21 @@ GONE = {  # former commands, and what replaced them
     "cura-script": "'hframe-post connect cura'",
     "octoprint-plugin": "'hframe-post connect octoprint'",
 }
+MOUNTED = "the recordings show how the sensor is mounted"
+GONE_OPTIONS = {  # former options by command, and what replaced them
+    ("batch", "--watch"): "name the folder with --resume, for example from cron",
+    ("batch", "--scheduler"): "run 'hframe-post batch' on each machine with its share of the files",
+    ("batch", "-d"): "-o names the folder",
+    ("batch", "--directory"): "-o names the folder",
+    ("calibrate-print", "--advance-lines"): "slicers print such a pattern, as OrcaSlicer does",
+    ("calibrate-print", "--advance"): "write extruder.advance into the profile",
+    ("check", "--gcode"): "write the run with 'hframe-post measure --for check -o CHECK.GCODE'",
+    ("check", "--axis"): "the run moves both axes; where the bed moves, each has its file",
+    ("check", "--axes"): MOUNTED,
+    ("doctor", "--report"): "its output says all",
+    ("doctor", "--history"): "the console says what each check has found",
+    ("identify", "--axes"): MOUNTED,
+}
 UNBROKEN = "\N{NON-BREAKING HYPHEN}"
 _GIVEN = "hframe_post.given"  # the command line in the context's meta
 _NOT_PARSED = (click.NoSuchOption, click.BadOptionUsage, click.MissingParameter)
@@ -181,6 +196,10 @@ def _misread(failure: click.UsageError, args: list[str]) -> str:
     """Return the message, and what to type if a file was read as options or an option as a file."""
     from hframe_post.gcode.lines import is_gcode_name
 
+    if isinstance(failure, click.NoSuchOption) and failure.ctx is not None:
+        gone = GONE_OPTIONS.get((failure.ctx.info_name or "", failure.option_name))
+        if gone is not None:
+            return f"{failure.option_name} is gone: {gone}"
     end = args.index("--") if "--" in args else len(args)
     dashed = [word for word in args[:end] if word.startswith("-")]
     for word in dashed if isinstance(failure, _NOT_PARSED) else ():

@@ -123,10 +123,6 @@ def typed(read: Callable[[str], Any]) -> Callable[[str], Any]:
     return convert
 
 
-seed_option = click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Random seed.",
-)  # fmt: skip
-
 page_option = click.option(
     "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE.HTML", help="Write a report for a browser.",
@@ -193,19 +189,6 @@ def position(text: str) -> tuple[float, float]:
     return round(x, 3), round(y, 3)
 
 
-def print_options(*names: str) -> Callable[[Command], Command]:
-    """Return the decorator that adds the file of a print to study, its printer, and options."""
-    source = click.argument(
-        "source", metavar="[IN.GCODE]", required=False,
-        type=click.Path(path_type=Path, allow_dash=True),
-    )  # fmt: skip
-
-    def add(command: Command) -> Command:
-        return source(printer_option(conversion_options(*names)(help_all_option(command))))
-
-    return add
-
-
 STEPS = 200  # of a bar
 PATIENCE_S = 2.0  # s of work, after which a terminal shows a bar
 START = time.monotonic()
@@ -214,7 +197,7 @@ _VERBOSE = "hframe_post.verbose"  # in a context's meta
 
 @contextmanager
 def progress_bar(source: Path | None, quiet: bool) -> Iterator[Callable[[int], object] | None]:
-    """Show how much of a file was read: a bar on a terminal, or lines of the log with ``-v``.
+    """Show how much of a file was read: a bar on a terminal, or lines with ``-v``.
 
     Yields the function to call with each number of bytes read; None if nothing is shown.
     """
@@ -299,14 +282,8 @@ def _set_verbose(context: click.Context, _: click.Parameter, verbose: bool) -> N
 
 verbose_option = click.option(
     "-v", "--verbose", is_flag=True, expose_value=False, callback=_set_verbose,
-    help="Log stages and their duration.",
+    help="Log how much is read.",
 )  # fmt: skip
-
-
-def log(text: str) -> None:
-    """Print a line with the seconds since the start, if the running command has ``-v``."""
-    if _is_verbose():
-        _print_log(text)
 
 
 def _print_log(text: str) -> None:
@@ -320,13 +297,3 @@ def write_kernel(outputs: Outputs, profile: Path, printer: Printer) -> None:
     data = kernel_file(printer)
     if data is not None:
         outputs.open(name_of(profile)).write(data)
-
-
-def old_option(name: str, instead: str, flag: bool = False) -> Callable[[Command], Command]:
-    """Return a hidden option that ends in one line: what replaced it."""
-
-    def gone(_: click.Context, option: click.Parameter, value: str | bool | None) -> None:
-        if value:
-            raise click.UsageError(f"{option.opts[0]} is gone: {instead}")
-
-    return click.option(name, is_flag=flag, hidden=True, expose_value=False, callback=gone)

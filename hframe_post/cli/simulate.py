@@ -12,11 +12,12 @@ from hframe_post import library
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     chosen_printer,
+    conversion_options,
     dashed,
     files_read,
-    print_options,
+    help_all_option,
+    printer_option,
     progress_bar,
-    seed_option,
     share,
 )
 from hframe_post.conversion.options import Options
@@ -32,7 +33,13 @@ from hframe_post.writers.outputs import Outputs
 
 
 @click.command()
-@print_options("limits", "extrusion", "clamp")
+@click.argument(
+    "source", metavar="[IN.GCODE]", required=False,
+    type=click.Path(path_type=Path, allow_dash=True),
+)  # fmt: skip
+@printer_option
+@conversion_options("limits", "extrusion", "clamp")
+@help_all_option
 @click.option(
     "--plant", "plant_file", metavar="NAME|FILE",
     help="Judge on the model of this profile.",
@@ -45,7 +52,7 @@ from hframe_post.writers.outputs import Outputs
     "--draws", type=click.IntRange(1, 1000), default=50, show_default=True,
     help="Random printers for each --model-error.",
 )  # fmt: skip
-@seed_option
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Random seed.")
 @click.option("--steps", is_flag=True, help="Round the motors' motion to whole steps.")
 @click.option(
     "--shapers", is_flag=True,

@@ -19,7 +19,14 @@ from typing import TYPE_CHECKING
 from hframe_post.arrays import Array
 from hframe_post.conversion.ledger import Ledger, StepTally
 from hframe_post.conversion.options import Options, first_line
-from hframe_post.conversion.pipeline import Chain, PlannedFile, SampleStream, Stages, stop_solvers
+from hframe_post.conversion.pipeline import (
+    Chain,
+    PlannedFile,
+    SampleStream,
+    Stages,
+    Trial,
+    stop_solvers,
+)
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Span, Spans
 from hframe_post.errors import HframeError, PrinterError
@@ -42,9 +49,12 @@ if TYPE_CHECKING:
 class GcodeConversion:
     """A print as G-code for the printer's firmware."""
 
-    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+    def __init__(
+        self, lines: Iterable[bytes], printer: Printer, options: Options,
+        trial: Trial | None = None,
+    ) -> None:  # fmt: skip
         lines, printer = with_motors(lines, printer, options.limits)
-        self._chain, self._stamp = Chain(printer, options), first_line(printer, options)
+        self._chain, self._stamp = Chain(printer, options, trial), first_line(printer, options)
         self._source, self._ledger = PlannedFile(lines, self._chain), Ledger()
 
     def __iter__(self) -> Iterator[Output]:
@@ -70,7 +80,6 @@ class GcodeConversion:
         report, code = self._source.report(ledger), own.code()
         return replace(
             report, advance=self._source.advance(ledger),
-            sliced_off=self._source.sliced_off() if ledger.written.off else 0.0,
             lines_per_second=own.motion(options.tolerance).lines_per_second,
             notices=(*report.notices, *code.notices), when_stopped=code.when_stopped,
         )  # fmt: skip
@@ -112,7 +121,7 @@ class SpanWriter:
 
         def output() -> Iterator[Output]:
             commands = stages.predicted(stages.commands(span.items), threads)
-            yield from stages.times.timed("write", writer.write(commands))
+            yield from writer.write(commands)
             result.ledger = replace(stages.ledger, written=writer.summary)
 
         result.output = output()
@@ -217,7 +226,10 @@ class StepConversion:
     Raises PrinterError if the profile does not say how the motors step.
     """
 
-    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+    def __init__(
+        self, lines: Iterable[bytes], printer: Printer, options: Options,
+        trial: Trial | None = None,
+    ) -> None:  # fmt: skip
         table, kinematics = printer.steps, printer.kinematics
         if table is None:
             cause = "the table is missing; step timing needs it"
@@ -228,7 +240,7 @@ class StepConversion:
             )
             raise PrinterError(cause, "kinematics.type", printer.name)
         self._table = table
-        self._commands = SampleStream(lines, printer, options)
+        self._commands = SampleStream(lines, printer, options, trial=trial)
         self._stepper = StepGenerator(options.strategy, kinematics, table)
         header = Header(
             __version__, printer.name, options.digest(printer.digest), table.clock_hz,
@@ -263,9 +275,12 @@ class StepConversion:
 class SampleConversion:
     """A print as tables of path, command and predicted motion, one row a millisecond."""
 
-    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+    def __init__(
+        self, lines: Iterable[bytes], printer: Printer, options: Options,
+        trial: Trial | None = None,
+    ) -> None:  # fmt: skip
         self._plant, self._strategy = printer.plant, options.strategy
-        self._commands = SampleStream(lines, printer, options)
+        self._commands = SampleStream(lines, printer, options, trial=trial)
         self._rows = 0
 
     def __iter__(self) -> Iterator[Array]:

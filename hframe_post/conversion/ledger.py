@@ -117,9 +117,9 @@ class Ledger:
     Of the samples: their number; resting, those added at stops; judged, those whose errors were
     predicted; filament_out; peaks; clamped; advancing, pressure advance; in_bands, outer walls and
     what of them a motor spends in a band that it avoids; contour and width, errors by strategy;
-    picture, if one was asked for; metered, sums of the options' meters.
+    picture, if one was asked for; metered, sums of a trial's meters.
 
-    Of the output: written, steps. seconds: processor time by stage.
+    Of the output: written, steps.
     """
 
     read: FileTally = field(default_factory=FileTally)
@@ -144,7 +144,6 @@ class Ledger:
     metered: Any = field(default=None, compare=False, repr=False)
     written: GcodeSummary = field(default_factory=GcodeSummary)
     steps: StepTally | None = None
-    seconds: dict[str, float] = field(default_factory=dict, compare=False)
 
     @property
     def duration(self) -> float:

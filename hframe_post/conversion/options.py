@@ -25,9 +25,7 @@ from hframe_post.stream.features import KINDS
 from hframe_post.version import __version__
 
 if TYPE_CHECKING:
-    from hframe_post.conversion.ledger import Meters
     from hframe_post.model.shapers import Shaping
-    from hframe_post.planner.pacing import Paces
 
 # mm; on Klipper's host, slices on a measured Voron: 0.014 leaves 2.0 and 3.1 µm RMS with the
 # exact model, this 1.1 and 2.3 with 1.3 and 1.5 times the lines, 0.004 another 0.1 and 0.2 less
@@ -132,9 +130,8 @@ class Options:
     segment may be off the samples; None or 0 writes every sample. max_error: in mm by feature, ''
     for all others; empty: the file's speeds. max_width_error: a share of the lines' width; 0: any.
 
-    The last fields are for the stages: ``resolved`` sets speed, the search for it paces. picture:
-    collect the path with its predicted errors; shaping: with those of this input shaper, too.
-    meters: measure the commands on their way to the output.
+    The last fields are for the stages. speed: set by ``resolved``. picture: collect the path with
+    its predicted errors; shaping: with those of this input shaper, too.
 
     Raises OptionError for values that make no sense.
     """
@@ -209,10 +206,8 @@ class Options:
         help="Number of processes. Default: one per processor.",
     )  # fmt: skip
     speed: Speed | None = None
-    paces: Paces | None = None
     picture: bool = False
     shaping: Shaping | None = None
-    meters: Meters | None = None
 
     def __post_init__(self) -> None:
         for name in ("limits", "extrusion", "retract", "format"):
@@ -263,8 +258,7 @@ class Options:
     def digest(self, profile: str) -> str:
         """Return a hash of all that decides the output in addition to the input.
 
-        profile: the digest of the printer's. Predictions do not change the output, and paces follow
-        from the input and the speed asked for.
+        profile: the digest of the printer's. Predictions do not change the output.
         """
         values = {name: getattr(self, name) for name, shown in SHOWN.items() if shown.decides}
         return digest_of({**values, "speed": self.speed, "profile": profile})

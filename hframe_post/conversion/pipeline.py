@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,7 @@ from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
-from hframe_post.conversion.ledger import FileNotes, Ledger, SampleNotes
+from hframe_post.conversion.ledger import FileNotes, Ledger, Meters, SampleNotes
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import AdvanceReport, BandReport, Report
 from hframe_post.conversion.sliced_errors import SlicedFile
@@ -43,7 +43,7 @@ from hframe_post.planner.bands import MotorBands, avoid_bands
 from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.motors import WithinMotors
-from hframe_post.planner.pacing import PieceStart, pace
+from hframe_post.planner.pacing import Paces, PieceStart, pace
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import ErrorMeter
@@ -51,7 +51,7 @@ from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Limits, Motors, Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
-from hframe_post.stream.running import StageTimes, prefetch
+from hframe_post.stream.running import prefetch
 from hframe_post.stream.tally import joined
 from hframe_post.stream.types import Item, Moves, Passthrough, Planned, Samples
 
@@ -63,11 +63,19 @@ MOVES_AHEAD = 300_000  # read before the first is planned, of 64 bytes: 20 MB
 # ---------------------------------------------------------------------- the stages
 
 
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A print at other speeds. paces: of its moves; meters: of its commands, on their way."""
+
+    paces: Paces
+    meters: Meters | None = None
+
+
 class Chain:
     """The stages of a conversion: each gets what it needs of a printer and of the options."""
 
-    def __init__(self, printer: Printer, options: Options) -> None:
-        self.printer, self.options = printer, options
+    def __init__(self, printer: Printer, options: Options, trial: Trial | None = None) -> None:
+        self.printer, self.options, self.trial = printer, options, trial
         self.firmware = firmware(printer)
         self.bands = MotorBands.from_profile(printer.speed.avoid, printer.kinematics)
 
@@ -86,7 +94,7 @@ class Chain:
 
     def paced(self, items: Iterator[Item]) -> Iterator[Item]:
         """Set the pace of moves, if a speed was asked for."""
-        return items if self.options.paces is None else pace(items, self.options.paces)
+        return items if self.trial is None else pace(items, self.trial.paces)
 
     def parsed(self, lines: Iterable[bytes]) -> Iterator[Item]:
         """Read G-code and set the pace of its moves. Raises HframeError."""
@@ -162,7 +170,8 @@ class Stages:
     strategies: to compute; the options' by default. at_stops: solvers reused from other stages with
     the same printer and compensator, because solvers cache their solutions. printing: layer and
     feature at the beginning. skip_slow: see ``sampled``. advance: pressure advance at the
-    beginning; the profile's by default. whole: see ``ErrorMeter``; a picture shows all.
+    beginning; the profile's by default. whole: see ``ErrorMeter``, if commands become lines; a
+    picture shows all.
     """
 
     def __init__(
@@ -181,25 +190,23 @@ class Stages:
         checked = (printer.travel, motors, printer.kinematics)
         self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
         own = chain.firmware
-        limits = own.motion(options.tolerance).extruder
-        self._advancing = Advancing(advance or own.advance(), limits)
+        rules = own.motion(options.tolerance)
+        self._advancing = Advancing(advance or own.advance(), rules.extruder)
         self._errors = ErrorMeter(
             printer.plant, doubts=Doubts.from_plant(printer.plant, printer.uncertainty),
             picture=(picture := _picture(printing) if options.picture else None),
-            whole=None if picture else whole,
+            whole=None if picture else whole, rules=None if whole is None else rules,
         )  # fmt: skip
         self._notes = SampleNotes(options.strategy, printing, chain.bands)
-        self._meter = options.meters.begun(printing) if options.meters else None
-        self.times = StageTimes()
+        meters = chain.trial.meters if chain.trial else None
+        self._meter = meters.begun(printing) if meters else None
 
     def commands(self, items: Iterable[Planned]) -> Iterator[Samples]:
         """Yield checked commands for planned motion; the first sample is number 0.
 
         Raises HframeError.
         """
-        samples = self._chain.sampled(items, self._skip_slow)
-        samples = self.times.timed("sample", samples)
-        return self.checked(self.compensated(samples))
+        return self.checked(self.compensated(self._chain.sampled(items, self._skip_slow)))
 
     def whole(self, spans: Spans) -> Iterator[Samples]:
         """Yield checked commands for a print; the spans continue each other. Raises HframeError."""
@@ -208,8 +215,7 @@ class Stages:
 
     def compensated(self, samples: Iterable[Samples]) -> Iterator[Samples]:
         commands = compensate(samples, self._compensator, self._strategies)
-        commands = dwell_at_stops(self.times.timed("compensate", commands), self._at_stops)
-        return self.times.timed("dwell", commands)
+        return dwell_at_stops(commands, self._at_stops)
 
     def checked(self, commands: Iterable[Samples]) -> Iterator[Samples]:
         """Yield commands that are safe for the machine. Raises HframeError for others."""
@@ -217,7 +223,7 @@ class Stages:
         commands = check_deviation(commands, strategy, self._plant, self._limits)
         if self._options.clamp:
             commands = self._clamp.limit(commands, strategy)
-        return self.times.timed("guard", self._guard.check(commands, strategy))
+        return self._guard.check(commands, strategy)
 
     def advanced(
         self, commands: Iterable[Samples], advance: Advance | None = None
@@ -226,7 +232,7 @@ class Stages:
 
         advance: at the beginning of another stream, whose first sample is number 0 again.
         """
-        return self.times.timed("advance", self._advancing.samples(commands, advance))
+        return self._advancing.samples(commands, advance)
 
     def predicted(self, commands: Iterable[Samples], threads: bool) -> Iterator[Samples]:
         """Add advance; measure contour error and print time, on the way to the output.
@@ -242,10 +248,10 @@ class Stages:
                 from hframe_post.compensation.shape import SHAPER, shape
 
                 commands = shape(commands, {SHAPER: self._options.shaping})
-            commands = self.times.timed("predict", self._errors.samples(commands))
+            commands = self._errors.samples(commands)
             commands = prefetch(commands) if threads else commands
         if self._meter is not None:
-            commands = self.times.timed("measure", self._meter.samples(commands))
+            commands = self._meter.samples(commands)
         return self._notes.samples(commands)
 
     @property
@@ -256,7 +262,7 @@ class Stages:
             samples=notes.end, resting=notes.resting, judged=errors.judged,
             filament_out=notes.filament, peaks=self._guard.peaks, clamped=self._clamp.clamped,
             advancing=self._advancing.summary, in_bands=notes.in_bands, contour=errors.contour,
-            width=errors.width, picture=errors.picture, seconds=self.times.seconds,
+            width=errors.width, picture=errors.picture,
             metered=self._meter.sums if self._meter is not None else None,
         )  # fmt: skip
 
@@ -283,7 +289,7 @@ class PlannedFile:
         self._lines, self._chain, self._options = lines, chain, chain.options
         self._notes = FileNotes(chain.firmware.dialect.label, printer.limits)
         self._sliced = SlicedFile(printer, chain.firmware, chain.bands)
-        self._times, self._following = StageTimes(), chain.following()
+        self._following = chain.following()
         self._within = chain.within_motors()
 
     @property
@@ -295,10 +301,10 @@ class PlannedFile:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         notes, chain = self._notes, self._chain
         items = notes.items(chain.read(notes.lines(self._lines), notes.note))
-        items = read_ahead(self._times.timed("read", items))
+        items = read_ahead(items)
         items = notes.paced(chain.paced(self._sliced.items(items)))
         plans = chain.scheduled(items, followed=self._following, within=self._within)
-        plans = self._times.timed("plan", notes.plans(plans))
+        plans = notes.plans(plans)
         return Spans(plans, chain.firmware.advance())
 
     @property
@@ -308,7 +314,6 @@ class PlannedFile:
         return Ledger(
             read=notes.read, path=notes.path, ramps=notes.ramps,
             slowed=self._within.share, sliced_s=own.seconds, elsewhere=own.elsewhere,
-            seconds=self._times.seconds,
             following=None if slowed is None else (slowed.share, slowed.least),
             sliced_bands=own.in_bands,
         )  # fmt: skip
@@ -340,11 +345,6 @@ class PlannedFile:
     @property
     def _judges_today(self) -> bool:
         return "none" in (self._options.predict or ()) and self._options.strategy != "none"
-
-    def sliced_off(self) -> float:
-        """Return by how much (mm RMS) whole steps put the sliced file off its path."""
-        steps = self._chain.printer.steps
-        return self._sliced.off_in_steps(steps) if steps and self._judges_today else 0.0
 
     def advance(self, ledger: Ledger) -> AdvanceReport | None:
         """Return what was done about pressure advance, if there is any."""
@@ -390,9 +390,10 @@ class SampleStream:
     def __init__(
         self, lines: Iterable[bytes], printer: Printer, options: Options,
         strategies: tuple[str, ...] = (), compensator: Compensator | None = None,
+        trial: Trial | None = None,
     ) -> None:  # fmt: skip
         lines, printer = with_motors(lines, printer, options.limits)
-        chain = Chain(printer, options)
+        chain = Chain(printer, options, trial)
         self._source = PlannedFile(lines, chain)
         self._stages = Stages(chain, compensator or chain.compensator, strategies)
         self.check_filament = self._source.check_filament

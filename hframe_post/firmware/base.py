@@ -19,7 +19,7 @@ from hframe_post.model.shapers import Shaping
 from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.firmware_tables import FirmwareTable
 from hframe_post.printer.new_profile import Tables, differences
-from hframe_post.printer.settings import Limits, Printer
+from hframe_post.printer.settings import Limits, Printer, Steps
 from hframe_post.stream.types import FileLimits
 
 
@@ -217,6 +217,11 @@ class Firmware(ABC):
         Raises HframeError.
         """
         return None
+
+    @property
+    def steps(self) -> Steps | None:
+        """Return the motors' steps if their size matters for the print."""
+        return None if self.decimates else self.printer.steps
 
     def check_serial(self) -> None:
         """Raise PrinterError if the profile does not allow printing over a serial line."""

@@ -1,4 +1,4 @@
-"""How stages run: in threads of their own, timed, with one BLAS thread, and with little memory."""
+"""How stages run: in threads of their own, with one BLAS thread, and with little memory."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import ctypes
 import gc
 import os
 import sys
-import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -36,37 +34,6 @@ def prefetch(items: Iterable[T]) -> Iterator[T]:
             yield item  # type: ignore[misc]  # only the end is not a T
     finally:
         worker.shutdown(cancel_futures=True)
-
-
-class StageTimes:
-    """Processor time of each stage: ``seconds``, in the order in which they were first asked.
-
-    A stage's own time is what passes in its thread while it is asked for an item, without the
-    stages before it. Time in which it only waits does not count.
-    """
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._earlier = threading.local()  # per thread: a stack of seconds of earlier stages
-
-    def timed(self, stage: str, items: Iterable[T]) -> Iterator[T]:
-        """Yield the same items and measure their time. Several streams may share a stage."""
-        source, end = iter(items), object()
-        while (item := self._next(stage, source, end)) is not end:
-            yield item  # type: ignore[misc]  # only the end is not a T
-
-    def _next(self, stage: str, source: Iterator[T], end: object) -> T | object:
-        stack: list[float] = self._earlier.__dict__.setdefault("stack", [])
-        stack.append(0.0)
-        begun = time.thread_time()
-        try:
-            return next(source, end)
-        finally:
-            spent = time.thread_time() - begun
-            earlier = stack.pop()
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + spent - earlier
-            if stack:
-                stack[-1] += spent
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Chain, Stages, prepared, stop_solvers
+from hframe_post.conversion.pipeline import Chain, Stages, Trial, prepared, stop_solvers
 from hframe_post.conversion.report import Report
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.registry import firmware
@@ -43,7 +43,7 @@ FEW = 0.3  # share of the time of layers that are planned again on their own
 TRAVEL_SHARE = 4.0  # acceleration of travel over that of the gentlest feature
 
 Source = Callable[[], Iterable[bytes]]  # opens the file and yields its lines, at each call again
-Convert = Callable[[Printer, Options], Report]  # converts the file
+Convert = Callable[[Printer, Trial], Report]  # converts the file
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +68,13 @@ class Drive:
         self._lines, self._printer, self._width = lines, printer, width
         self._kept: list[Item] | None = None
         self._measure, self._freedom = measure, freedom
-        self._requested = options
-        self._options = replace(options, predict=(), clamp=True, paces=None)
+        self._options = replace(options, predict=(), clamp=True)
         self._compensator = prepared(printer)
         self._at_stops = stop_solvers(Chain(printer, options), self._compensator)
         self.max_acceleration, self._max_corner = printer.fastest_path
 
-    def configured(self, settings: SpeedSettings) -> tuple[Printer, Options]:
-        """Return a printer and options that print with these settings."""
+    def configured(self, settings: SpeedSettings) -> tuple[Printer, Paces]:
+        """Return a printer and paces that print with these settings."""
         kinds = {
             name: self._pace(settings, acceleration, settings.feed[name])
             for name, acceleration in settings.acceleration.items()
@@ -94,7 +93,7 @@ class Drive:
             kinds, self._freedom.flow, FIRST_LAYERS, settings.layer_feed,
             self._freedom.filament_acceleration, self._freedom.min_speed,
         )  # fmt: skip
-        return replace(self._printer, limits=limits), replace(self._requested, paces=paces)
+        return replace(self._printer, limits=limits), paces
 
     def _pace(self, settings: SpeedSettings, acceleration: float, feed: float) -> Pace:
         """Return a pace; corner speed grows with the acceleration, so corners keep their shape."""
@@ -121,13 +120,12 @@ class Drive:
         self, pieces: Iterable[Piece], settings: SpeedSettings, plants: tuple[Plant, ...]
     ) -> TrialPrint:
         sums, refused = self._sums(settings), ""
-        printer, options = self.configured(settings)
-        assert options.paces is not None
+        printer, paces = self.configured(settings)
         chain = Chain(printer, self._options)
         stages = Stages(chain, self._compensator, at_stops=self._at_stops)
         try:
             for piece in pieces:
-                items = pace(iter(piece.items), options.paces, piece.start)
+                items = pace(iter(piece.items), paces, piece.start)
                 followed = chain.following(piece.advance)
                 commands = stages.commands(chain.scheduled(items, piece.start, followed))
                 meter = TrialMeter(
@@ -146,11 +144,11 @@ class Drive:
 
         The report is None if the print is refused. Raises PrinterError.
         """
-        printer, options = self.configured(settings)
+        printer, paces = self.configured(settings)
         sums = self._sums(settings)
-        meters = TrialMeters(sums, plants, options.strategy, self._width)
+        meters = TrialMeters(sums, plants, self._options.strategy, self._width)
         try:
-            report = convert(printer, replace(options, meters=meters))
+            report = convert(printer, Trial(paces, meters))
         except PrinterError:
             raise
         except HframeError as error:  # not from the file, which was read to its end before
@@ -194,10 +192,9 @@ class Drive:
     def _layer_times(
         self, items: Iterable[Item], settings: SpeedSettings, start: PieceStart
     ) -> dict[int, float]:
-        printer, options = self.configured(settings)
-        assert options.paces is not None
-        chain = Chain(printer, replace(options, retract="standing"))
-        planned = chain.scheduled(pace(items, options.paces, start), start)
+        printer, paces = self.configured(settings)
+        chain = Chain(printer, replace(self._options, retract="standing"))
+        planned = chain.scheduled(pace(items, paces, start), start)
         labels, layers = Labels(replace(start.place), by_name=False), dict[int, float]()
         for chunk in chain.sampled(planned):
             add_layer_times(layers, labels.number(chunk)[0])

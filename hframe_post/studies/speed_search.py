@@ -25,6 +25,7 @@ from hframe_post.conversion.report import Report, Row
 from hframe_post.errors import HframeError
 from hframe_post.gcode.limits import slicer_settings
 from hframe_post.model.plant import Plant
+from hframe_post.planner.pacing import Paces
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.stream.running import one_blas_thread, release_memory
 from hframe_post.studies.speed_drive import Convert, Drive, Original, Source
@@ -37,10 +38,10 @@ Attempt = Callable[[SpeedSettings], tuple[TrialPrint, Report | None]]
 
 @dataclass(frozen=True, slots=True)
 class Fastest:
-    """Printer and options that make the print fast; the conversion, as a trial and as a report."""
+    """Printer and paces that make the print fast; the conversion, as a trial and as a report."""
 
     printer: Printer
-    options: Options
+    paces: Paces
     bound: Bound
     trial: TrialPrint
     original: Original
@@ -110,19 +111,15 @@ def search(
     least = LayerTimes.from_file(original.layers, freedom.min_layer_time)
     pieces = ExcerptSearch(drive, drive.excerpt(), (printer.plant, *near))
     settings, plants = pieces.fastest(bound)
-    attempt = partial(drive.try_whole, plants=plants, convert=convert or unwritten(lines))
+    attempt = partial(drive.try_whole, plants=plants, convert=convert or unwritten(lines, options))
     trial, report = fastest_whole(drive, bound, settings, least, attempt)
     assert report is not None  # of a print that is not refused
     return Fastest(*drive.configured(trial.settings), bound, trial, original, report)
 
 
-def unwritten(lines: Source) -> Convert:
+def unwritten(lines: Source, options: Options) -> Convert:
     """Return the conversion of a file whose output nobody needs."""
-
-    def convert(printer: Printer, options: Options) -> Report:
-        return files.convert(lines(), None, printer, options)
-
-    return convert
+    return lambda printer, trial: files.convert(lines(), None, printer, options, trial)
 
 
 def fastest_whole(

@@ -9,10 +9,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from hframe_post.cli.convert import slicer_warnings
 from hframe_post.cli.main import main
 from hframe_post.printer.choice import choose, set_default
-from hframe_post.printer.settings import Printer
 from tests.command_line import RECTANGLE, run
 
 
@@ -86,21 +84,6 @@ def test_a_broken_configuration_is_an_error(tmp_path: Path) -> None:
 )
 def test_the_profile_in_the_slicers_printer_notes(notes: str, profile: str) -> None:
     assert choose(None, {"SLIC3R_PRINTER_NOTES": notes}).profile == profile
-
-
-def test_more_acceleration_than_in_the_profile_is_a_warning(paper: Printer) -> None:
-    environ = {
-        "SLIC3R_INFILL_ACCELERATION": "12000,1000",
-        "SLIC3R_TRAVEL_ACCELERATION": "0",
-        "SLIC3R_PERIMETER_ACCELERATION": "10000",
-        "SLIC3R_BRIDGE_ACCELERATION": "150%",
-        "SLIC3R_FIRST_LAYER_ACCELERATION": "many",
-        "SLIC3R_MACHINE_MAX_ACCELERATION_X": "90000",
-        "ACCELERATION": "1e9",
-    }
-    (line,) = slicer_warnings(environ, paper.limits)
-    assert "10000 mm/s² (infill_acceleration 12000)" in line
-    assert not slicer_warnings({}, paper.limits)
 
 
 def test_the_profile_of_this_folder_comes_before_the_default(

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
-from hframe_post.stream.running import PREFETCHED_ITEMS, StageTimes, prefetch
+from hframe_post.stream.running import PREFETCHED_ITEMS, prefetch
 
 
 @pytest.fixture(autouse=True)
@@ -88,28 +87,3 @@ def test_fault_of_the_consumer_ends_the_stage() -> None:
 
     with pytest.raises(FaultError):
         consume()
-
-
-# ---------------------------------------------------------------------- times
-
-WORK = 0.02  # s of processor time for an item
-
-
-def working(items: Iterable[int], seconds: float) -> Iterator[int]:
-    for item in items:
-        until = time.thread_time() + seconds
-        while time.thread_time() < until:
-            pass
-        yield item
-
-
-@pytest.mark.parametrize("threads", [False, True])
-def test_each_stage_is_charged_its_own_time(threads: bool) -> None:
-    times = StageTimes()
-    first: Iterable[int] = times.timed("first", working(range(4), WORK))
-    first = prefetch(first) if threads else first
-    second = times.timed("second", working(first, 3 * WORK))
-    assert list(times.timed("third", (item for item in second))) == [0, 1, 2, 3]
-    assert times.seconds["first"] == pytest.approx(4 * WORK, rel=0.2)
-    assert times.seconds["second"] == pytest.approx(12 * WORK, rel=0.2)
-    assert times.seconds["third"] < WORK

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.conversion.pipeline import SampleStream, Trial
 from hframe_post.errors import HframeError
 from hframe_post.model.plant import Plant
 from hframe_post.planner.pacing import ADJUSTED, FIRST_LAYERS, NAMES
@@ -73,7 +73,8 @@ def test_less_error_takes_more_time_and_both_less_than_the_file(
 
 def judged(fast: Fastest, plant: Plant, every: int) -> tuple[float, dict[str, float]]:
     """Convert again; return the seconds, and the 95th percentile of the error (mm) by feature."""
-    commands = SampleStream(cube(), fast.printer, fast.options)
+    trial = Trial(fast.paces)
+    commands = SampleStream(cube(), fast.printer, Options("racking"), trial=trial)
     labels, errors = Labels(), dict[str, ErrorStatistics]()
     for judgement in judge(commands, plant, every):
         layer, feature = (numbers[judgement.at] for numbers in labels.number(judgement.chunk))
@@ -189,9 +190,7 @@ def test_a_profile_bounds_acceleration_and_corners_of_the_path(paper: Printer) -
         mine = replace(paper, speed=replace(paper.speed, acceleration=most))
         drive = Drive(lambda: [], mine, Options("racking"), "p95", Freedom())
         asked = SpeedSettings(dict.fromkeys(ADJUSTED, 2e4), dict.fromkeys(ADJUSTED, 1.0))
-        paces = drive.configured(asked)[1].paces
-        assert paces is not None
-        kinds = paces.kinds.values()
+        kinds = drive.configured(asked)[1].kinds.values()
         return max(pace.acceleration for pace in kinds), max(pace.corner for pace in kinds)
 
     owners = paper.limits.square_corner_velocity
