@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 
 DEFAULT = Options()
 SHAPED_LINES = 20_000  # of a file, from which a page's input shaper is chosen; 2 % off at most
-DEFAULT_MODEL_ERROR = 0.05  # where the profile does not say how uncertain the plant is
 
 
 def load_printer(name_or_path: str | Path) -> Printer:
