@@ -80,7 +80,6 @@ class GcodeConversion:
         report, code = self._source.report(ledger), own.code()
         return replace(
             report, advance=self._source.advance(ledger),
-            sliced_off=self._source.sliced_off() if ledger.written.off else 0.0,
             lines_per_second=own.motion(options.tolerance).lines_per_second,
             notices=(*report.notices, *code.notices), when_stopped=code.when_stopped,
         )  # fmt: skip

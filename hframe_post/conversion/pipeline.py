@@ -170,7 +170,8 @@ class Stages:
     strategies: to compute; the options' by default. at_stops: solvers reused from other stages with
     the same printer and compensator, because solvers cache their solutions. printing: layer and
     feature at the beginning. skip_slow: see ``sampled``. advance: pressure advance at the
-    beginning; the profile's by default. whole: see ``ErrorMeter``; a picture shows all.
+    beginning; the profile's by default. whole: see ``ErrorMeter``, if commands become lines; a
+    picture shows all.
     """
 
     def __init__(
@@ -189,12 +190,12 @@ class Stages:
         checked = (printer.travel, motors, printer.kinematics)
         self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
         own = chain.firmware
-        limits = own.motion(options.tolerance).extruder
-        self._advancing = Advancing(advance or own.advance(), limits)
+        rules = own.motion(options.tolerance)
+        self._advancing = Advancing(advance or own.advance(), rules.extruder)
         self._errors = ErrorMeter(
             printer.plant, doubts=Doubts.from_plant(printer.plant, printer.uncertainty),
             picture=(picture := _picture(printing) if options.picture else None),
-            whole=None if picture else whole,
+            whole=None if picture else whole, rules=None if whole is None else rules,
         )  # fmt: skip
         self._notes = SampleNotes(options.strategy, printing, chain.bands)
         meters = chain.trial.meters if chain.trial else None
@@ -344,11 +345,6 @@ class PlannedFile:
     @property
     def _judges_today(self) -> bool:
         return "none" in (self._options.predict or ()) and self._options.strategy != "none"
-
-    def sliced_off(self) -> float:
-        """Return by how much (mm RMS) whole steps put the sliced file off its path."""
-        steps = self._chain.printer.steps
-        return self._sliced.off_in_steps(steps) if steps and self._judges_today else 0.0
 
     def advance(self, ledger: Ledger) -> AdvanceReport | None:
         """Return what was done about pressure advance, if there is any."""

@@ -17,13 +17,10 @@ from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.bands import TimeInBands
 from hframe_post.prediction.error_meter import PIECE
-from hframe_post.prediction.statistics import DECIMALS, ContourErrors
+from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.writers.print_time import duration
 
 TOOL = re.compile(r"T[1-9]\d*")
-# Share of the lines' distance from the command by which the nozzle is off its path: only what is
-# across the path counts. Simulated Marlin leaves 0.62 to 0.63
-ACROSS = math.sqrt(0.5)
 VISIBLE = 0.012  # mm RMS; ringing below it shows on no wall, whatever the light
 NO_GAIN = 0.9  # share of the best shaper's error from which on compensation is not worth its stream
 OUTRUN = 1.05  # times its limit, the acceleration of an extruder is worth a line
@@ -172,9 +169,8 @@ class Report(Ledger):
     that prints; None if the profile does not say. advance: pressure advance, if there is any.
     bands: of motor speed, if the profile avoids any. couples: whether a coupling, such as racking,
     is compensated. shaping: the best input shaper, whose errors stand among the others.
-    predicted_sliced: share of the print whose errors as sliced are predicted. sliced_off: mm RMS
-    across the path by which whole steps put the sliced file off. lines_per_second: that the
-    firmware takes. when_stopped: what to send after the print was stopped midway.
+    predicted_sliced: share of the print whose errors as sliced are predicted. lines_per_second:
+    that the firmware takes. when_stopped: what to send after the print was stopped midway.
     """
 
     strategy: str
@@ -187,7 +183,6 @@ class Report(Ledger):
     advance: AdvanceReport | None = None
     bands: BandReport | None = None
     predicted_sliced: float = 1.0
-    sliced_off: float = 0.0
     lines_per_second: float = math.inf
     when_stopped: str = ""
 
@@ -220,19 +215,6 @@ class Report(Ledger):
         compensated = name != "none" and not self.couples
         return "ringing" if compensated else STRATEGIES[name].label
 
-    def lines_error(self, name: str) -> float:
-        """Return by how much (mm RMS) whole steps of the lines add to a strategy's error.
-
-        The error and this one are independent, so that their squares add up.
-        """
-        if name == self.strategy:
-            return ACROSS * self.written.off
-        return self.sliced_off if name in ("none", SHAPER) else 0.0
-
-    def printed(self, name: str) -> float:
-        """Return the RMS error (mm) that a strategy or the shaper leaves, whole steps included."""
-        return math.hypot(self.contour[name].expected, self.lines_error(name))
-
     # ------------------------------------------------------------------ as text and as JSON
 
     def as_json(self) -> dict[str, Any]:
@@ -256,17 +238,14 @@ class Report(Ledger):
 
     def _first(self) -> list[Row]:
         """Return what an owner asks first: what the print gains, its time, and what is left out."""
-        result = ""
+        result, found = "", self.contour
         if self.strategy == "none":
             result = "nothing is compensated (-c none)"
-        elif {"none", self.strategy} <= self.contour.keys():
-            lines = self.lines_error(self.strategy)
-            result = f"{self.label(self.strategy)} {1e3 * self.printed('none'):.1f} → "
-            result += range_as_text(self.contour[self.strategy], lines)
-            if lines:
-                result += f", of which whole steps leave {1e3 * lines:.1f}"
-            if SHAPER in self.contour:
-                result += f"; the best input shaper would leave {1e3 * self.printed(SHAPER):.1f}"
+        elif {"none", self.strategy} <= found.keys():
+            result = f"{self.label(self.strategy)} {1e3 * found['none'].expected:.1f} → "
+            result += range_as_text(found[self.strategy])
+            if SHAPER in found:
+                result += f"; the best input shaper would leave {1e3 * found[SHAPER].expected:.1f}"
         return [Row("result", result), self.time.as_row(), self._uncompensated()]
 
     def _uncompensated(self) -> Row:
@@ -299,8 +278,8 @@ class Report(Ledger):
             return [Row("advice", text)]
         if not {"none", self.strategy} <= self.contour.keys() or self.time.change < -FASTER:
             return []  # a shaper could not print as fast as this
-        before, ours = self.printed("none"), self.printed(self.strategy)
-        shaper = self.printed(SHAPER) if SHAPER in self.contour else math.inf
+        before, ours = (self.contour[name].expected for name in ("none", self.strategy))
+        shaper = self.contour[SHAPER].expected if SHAPER in self.contour else math.inf
         text = ""
         if ours >= before:
             text = "this print is better as sliced"
@@ -322,6 +301,7 @@ class Report(Ledger):
         return [
             Row("moves", f"{read.moves} in {read.lines} lines; {lines} lines written", {
                 "moves": read.moves, "lines_read": read.lines, "lines_written": lines,
+                "busiest_second_lines": written.busiest_second or None,
                 "firmware_retractions": read.firmware_retractions,
             }),
             Row("filament", f"{after or 0.0:.2f} mm, unchanged", {
@@ -336,11 +316,6 @@ class Report(Ledger):
                 "peak_axis_acceleration": {"x": round(x, 1), "y": round(y, 1)},
                 "clamped_samples": self.clamped.samples,
                 "clamped_mm": round(self.clamped.most, 6),
-            }),
-            Row("lines", f"at most {written.busiest_second} in a second, {1e3 * written.off:.1f} "
-                "µm RMS off the exact command" if written.off else "", {
-                "busiest_second_lines": written.busiest_second or None,
-                "approximation_um": round(1e3 * written.off, 2) or None,
             }),
             *((self.bands.as_row(),) if self.bands else ()),
             *((Row("steps", f"{steps.rows} rows, {steps.ticks} ticks of {steps.clock_hz:g} Hz; "
@@ -362,21 +337,16 @@ class Report(Ledger):
         if self.shaping is not None and SHAPER in self.contour:
             against = [{
                 "name": self.shaping.x.name, **self.shaping.as_json(),
-                "contour_error_um": self._errors(SHAPER),
+                "contour_error_um": self.contour[SHAPER].micrometres(),
                 "line_width_error_percent": self.width[SHAPER].percents(),
             }]  # fmt: skip
+        errors = {name: self.contour[name].micrometres() for name in sorted(self.strategies)}
         return Row("predicted", text, {
-            "contour_error_um": {name: self._errors(name) for name in sorted(self.strategies)},
+            "contour_error_um": errors,
             "predicted_percent": round(100.0 * ours, 1),
             "predicted_as_sliced_percent": round(100.0 * sliced, 1),
             "against": against,
         })  # fmt: skip
-
-    def _errors(self, name: str) -> dict[str, Any]:
-        found, lines = self.contour[name].micrometres(), self.lines_error(name)
-        if lines:
-            found["with_steps"] = round(1e3 * self.printed(name), DECIMALS)
-        return found
 
     def _width(self) -> Row:
         """Return how far the printed line's width is off, if anything is extruded."""
@@ -455,13 +425,12 @@ class Report(Ledger):
         return any(fnmatchcase(cause, name.upper()) for name in self.other_tools or ())
 
 
-def range_as_text(contour: ContourErrors, lines: float = 0.0) -> str:
-    """Return the RMS error in µm, with its range if it has one. lines: see ``lines_error``."""
-    text = f"{1e3 * math.hypot(contour.expected, lines):.1f} µm RMS"
+def range_as_text(contour: ContourErrors) -> str:
+    """Return the RMS error in µm, with its range if it has one."""
+    text = f"{1e3 * contour.expected:.1f} µm RMS"
     if (known := contour.range) is None:
         return text
-    low, high = (1e3 * math.hypot(end, lines) for end in (known.low, known.high))
-    return f"{text} ({low:.1f} to {high:.1f} as the printer changes)"
+    return f"{text} ({1e3 * known.low:.1f} to {1e3 * known.high:.1f} as the printer changes)"
 
 
 def percent(share: float) -> str:

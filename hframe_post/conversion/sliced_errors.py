@@ -23,9 +23,9 @@ from hframe_post.planner.bands import MotorBands
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.best_shaper import Paths, paths, ranked
 from hframe_post.prediction.error_meter import ErrorMeter
-from hframe_post.prediction.predict import contour_error, stepped
+from hframe_post.prediction.predict import quantise
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
-from hframe_post.printer.settings import Printer, Steps
+from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Planned, Samples, frozen
 
@@ -95,19 +95,13 @@ class SlicedFile:
             from hframe_post.firmware.klipper.live import by_itself
 
             shapes |= by_itself(self._printer, LIVE)
-        for _ in meter.samples(shape(samples, shapes)):
+        shaped = shape(samples, shapes)
+        if (steps := self._firmware.steps) is not None:
+            shaped = quantise(shaped, self._printer.kinematics, steps)
+        for _ in meter.samples(shaped):
             pass
         share = self._kept / self._total if self._total else 1.0
         return Today(shaping, meter.contour, meter.width, share)
-
-    def off_in_steps(self, steps: Steps) -> float:
-        """Return by how much (mm RMS) whole steps put the pieces off their path."""
-        kinematics = self._printer.kinematics
-        off = [
-            contour_error(path, stepped(path, kinematics, steps), np.flatnonzero(counted))
-            for path, counted in paths(self._samples(self._pieces))
-        ]
-        return float(np.sqrt(np.square(np.concatenate(off)).mean())) if off else 0.0
 
     def shaping(self, plant: Plant) -> Shaping | None:
         """Return about the best input shaper of the firmware; None if nothing is extruded."""

@@ -19,7 +19,7 @@ from hframe_post.model.shapers import Shaping
 from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.firmware_tables import FirmwareTable
 from hframe_post.printer.new_profile import Tables, differences
-from hframe_post.printer.settings import Limits, Printer
+from hframe_post.printer.settings import Limits, Printer, Steps
 from hframe_post.stream.types import FileLimits
 
 
@@ -131,8 +131,7 @@ class Firmware(ABC):
     name: in profiles and on the command line. table: its table in profiles. dialect: what it reads.
     decimates: its segments depend on the tolerance. shapers: names of the input shapers that every
     version has; newer_versions: those that have the shapers with parameters, too, if any do.
-    configuration: a file that `setup` reads. compared: the one that `doctor` compares with a
-    profile, if any; unchecked: what `doctor` notes where it compares none.
+    configuration: a file that `setup` reads and `doctor` compares with a profile.
     """
 
     name: ClassVar[str]
@@ -142,8 +141,6 @@ class Firmware(ABC):
     shapers: ClassVar[tuple[str, ...]] = ("zv",)
     newer_versions: ClassVar[str] = ""
     configuration: ClassVar[str]
-    compared: ClassVar[str] = ""
-    unchecked: ClassVar[str]
 
     def __init__(self, printer: Printer) -> None:
         self.printer = printer
@@ -220,6 +217,11 @@ class Firmware(ABC):
         Raises HframeError.
         """
         return None
+
+    @property
+    def steps(self) -> Steps | None:
+        """Return the motors' steps if their size matters for the print."""
+        return None if self.decimates else self.printer.steps
 
     def check_serial(self) -> None:
         """Raise PrinterError if the profile does not allow printing over a serial line."""

@@ -18,8 +18,7 @@ symbol      meaning                                                         sour
 h minimises Σ W·(|G·B·h − D|² + λ·|ω²·B·h|²), expected over what is not known of G (its doubts). So
 H·h = r + Aᵀμ with a Toeplitz matrix H, subject to A·h = m: rest and constant speed are exact. An
 axis has D = 1. What a command of axis j adds to another axis (eq. 13, 19) is taken off its target
-by taps with G = Gjj and D the coupling: their product is the coupling's answer to the finished
-command. Common poles of both cancel, so that these taps are short where the coupling's are long.
+by taps with G = Gjj and D the coupling. Common poles of both cancel: these taps are short.
 """
 
 from __future__ import annotations
@@ -42,9 +41,9 @@ OMEGA = np.linspace(0.0, np.pi, 4097)  # rad/sample, of the least squares; 0.12 
 CORNER_HZ = 4.0  # moves of a print last about 1/4 s; from 2 to 8 Hz the error changes by 2 %
 PAST = TAPS - 1 - AHEAD
 EFFORTS = tuple(10.0 ** (k / 4.0) for k in range(17))  # λ = 1 … 10⁴
-# λ of a measured model, at least: on next sessions of two Vorons and an SV08 the mean error is the
-# least from 10 to 30, and 60 ms ahead instead of 100 leave up to 9 % more
-MEASURED_EFFORT = 15.0
+# of a measured model: on next sessions of two Vorons and an SV08 the mean error is the least from
+# 10 to 30, and 60 ms ahead instead of 100 leave up to 9 % more
+MEASURED_EFFORTS = EFFORTS[5:]  # λ = 18 … 10⁴
 STROKES = 100  # of the test path: 6 s, lengths of 0.2 to 60 mm
 
 
@@ -127,15 +126,11 @@ def kernel(plant: Plant, kinematics: Kinematics, bounds: Bounds) -> tuple[Kernel
     most_v, most_a = bounds.belt_velocity, bounds.belt_acceleration
     each = plant.Gxx, plant.Gyy, *(coupling.G for coupling in plant.couplings)
     G = tuple(map(Spectrum.of, each))
-    least = MEASURED_EFFORT if any(each.variance.any() for each in G) else EFFORTS[0]
-    for effort in (each for each in EFFORTS if each >= least):
-        made = Kernel(
-            (taps(G[X], None, effort), taps(G[Y], None, effort)),
-            tuple(
-                (each, taps(G[each.command], D, effort))
-                for each, D in zip(plant.couplings, G[2:], strict=True)
-            ),
-        )
+    measured, couplings = any(each.variance.any() for each in G), plant.couplings
+    for effort in MEASURED_EFFORTS if measured else EFFORTS:
+        added = [taps(G[of.command], D, effort) for of, D in zip(couplings, G[2:], strict=True)]
+        axes = taps(G[X], None, effort), taps(G[Y], None, effort)
+        made = Kernel(axes, tuple(zip(couplings, added, strict=True)))
         command = made.command(path)
         v, a = _rates(kinematics, command)
         if v <= most_v and a <= most_a:
@@ -145,7 +140,7 @@ def kernel(plant: Plant, kinematics: Kinematics, bounds: Bounds) -> tuple[Kernel
             f"the command would need {v:.0f} mm/s and {a:.0f} mm/s² of the belts, whose limits are "
             f"{most_v:g} and {most_a:g}: lower velocity or acceleration under [limits]"
         )
-    n = np.arange(len(path), dtype=float)
+    n = np.arange(len(path))
     late = np.column_stack([np.interp(n - G[axis].lag, n, path[:, axis]) for axis in (X, Y)])
     leaves = _rms(nozzle(plant, path[0], played(command)) - path)
     without = _rms(nozzle(plant, path[0], path) - late)

@@ -21,7 +21,7 @@ from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.page import filled
 from hframe_post.prediction.picture import Picture, Pieces
-from hframe_post.prediction.statistics import DECIMALS, TRAVEL
+from hframe_post.prediction.statistics import TRAVEL
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 
@@ -117,14 +117,11 @@ def _bands(report: Report) -> dict[str, Any] | None:
 
 
 def _strategy(name: str, report: Report) -> dict[str, Any]:
-    contour = report.contour[name]
-    known, p95 = contour.range, contour.micrometres()["p95"]
-    rms, lines = 1e3 * contour.expected, 1e3 * report.lines_error(name)
-    shown = {"name": name, "label": report.label(name), "p95": p95}
-    shown["rms"] = round(math.hypot(rms, lines), DECIMALS)
-    if known is not None:
-        ends = (1e3 * known.low, 1e3 * known.high)
-        shown["range"] = [round(math.hypot(um, lines), DECIMALS) for um in ends]
+    um = report.contour[name].micrometres()
+    shown: dict[str, Any] = {"name": name, "label": report.label(name), "p95": um["p95"]}
+    shown["rms"] = um.get("median", um["rms"])
+    if "from" in um:
+        shown["range"] = [um["from"], um["to"]]
     return shown
 
 

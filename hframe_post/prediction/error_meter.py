@@ -15,23 +15,31 @@ pressure is not predicted.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers
+from hframe_post.firmware.motion import MotionRules
 from hframe_post.model.advance import extruding
 from hframe_post.model.plant import Plant
 from hframe_post.model.responses import Plants
-from hframe_post.model.strategies import STRATEGIES
 from hframe_post.native.judging import line_pieces
 from hframe_post.native.linear import recursion
 from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.doubts import Doubts
-from hframe_post.prediction.predict import Judgement, judge, judge_window
+from hframe_post.prediction.predict import (
+    COMPENSATING,
+    Judgement,
+    as_written,
+    judge,
+    judge_window,
+)
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
-from hframe_post.prediction.windows import Windows
+from hframe_post.prediction.windows import WINDOW, Windows
+from hframe_post.stream.chunks import branches, on_a_grid
 from hframe_post.stream.types import Samples
 
 if TYPE_CHECKING:
@@ -39,7 +47,6 @@ if TYPE_CHECKING:
 
 
 PIECE = 0.4  # mm, the width of a usual line
-COMPENSATING = STRATEGIES.keys() - {"none"}
 
 
 class Lines:
@@ -131,14 +138,14 @@ class ErrorMeter:
 
     doubts: what is not known of the plant. picture: also collects them, if given. whole: samples
     from the first one on that are all judged, and a share of those after them; None: judge all.
-    judged: samples that were.
+    rules: of the lines that the commands become, if they do. judged: samples that were.
     """
 
     def __init__(
         self, plant: Plant, every: int = JUDGED_EVERY, doubts: Doubts | None = None,
-        picture: Picture | None = None, whole: int | None = None,
+        picture: Picture | None = None, whole: int | None = None, rules: MotionRules | None = None,
     ) -> None:  # fmt: skip
-        self._plant, self._every, self._doubts = plant, every, doubts
+        self._plant, self._every, self._doubts, self._rules = plant, every, doubts, rules
         self._whole, self.judged = whole, 0
         self.picture, self._lines = picture, Lines()
         self.contour: dict[str, ContourErrors] = {}
@@ -146,18 +153,22 @@ class ErrorMeter:
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
         if self._whole is None:
-            for judgement in judge(chunks, self._plant, self._every, self._doubts):
+            kept, passed = branches(on_a_grid(chunks, WINDOW) if self._rules else chunks, 2)
+            written = (as_written(chunk, self._rules) for chunk in passed)
+            judged = judge(written, self._plant, self._every, self._doubts)
+            for chunk, judgement in zip(kept, judged, strict=True):
                 self._add(judgement, self._lines)
                 if self.picture is not None:
                     self.picture.add(judgement)
-                yield judgement.chunk
+                yield chunk
             return
         doubts, plants = self._doubts, Plants([self._plant])
         before = max(self._plant.memory, doubts.past if doubts is not None else 0, NEAREST)
         after = self._plant.ahead + NEAREST + 1 + (doubts.ahead if doubts is not None else 0)
         for chunk, windows in Windows(before, after, self._whole).samples(chunks):
             for each in windows:
-                judgement = judge_window(each, plants, self._every, doubts)
+                window = replace(each, piece=as_written(each.piece, self._rules))
+                judgement = judge_window(window, plants, self._every, doubts)
                 self._add(judgement, Lines(), each.weight)
             yield chunk
 

@@ -15,9 +15,11 @@ from typing import TypeAlias
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
+from hframe_post.firmware.motion import MotionRules
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.model.responses import Plants, Responses
+from hframe_post.model.strategies import STRATEGIES
 from hframe_post.native.judging import count_turns, deviation, moving, square
 from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.doubts import Doubts, JudgedDoubts
@@ -26,6 +28,7 @@ from hframe_post.printer.settings import Steps
 from hframe_post.stream.chunks import neighbours, part, stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen
 
+COMPENSATING = STRATEGIES.keys() - {"none"}
 _Predicted: TypeAlias = tuple[Samples, list[dict[str, Array]]]  # a chunk, and each plant's nozzle
 
 
@@ -190,6 +193,20 @@ def _noted(
     for chunk, motions in predicted:
         waiting.append(motions)
         yield chunk
+
+
+def as_written(chunk: Samples, rules: MotionRules | None) -> Samples:
+    """Return the chunk with the motion that lines make of its commands. None: no lines are made."""
+    if rules is None or len(chunk) < 2:
+        return chunk
+    forced = np.zeros(len(chunk), bool)
+    at = [event.index - chunk.first for event in chunk.events]
+    forced[[k for k in at if 0 <= k < len(chunk)]] = True
+    return replace(chunk, commands={
+        name: frozen(rules.written(np.hstack([command, chunk.xyze[:, Z:]]), forced))
+        if name in COMPENSATING else command
+        for name, command in chunk.commands.items()
+    })  # fmt: skip
 
 
 def quantise(chunks: Iterable[Samples], kinematics: Kinematics, steps: Steps) -> Iterator[Samples]:

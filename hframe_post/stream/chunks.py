@@ -70,6 +70,12 @@ def batches(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
         yield join(waiting)
 
 
+def on_a_grid(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
+    """Yield chunks of n samples, and what is left of each stretch, wherever the stream was cut."""
+    for stretch in stretches(chunks):
+        yield from batches(stretch, n)
+
+
 def smaller(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
     for chunk in chunks:
         for start in range(0, len(chunk), n):

@@ -19,6 +19,7 @@ from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain, SampleStream
 from hframe_post.conversion.report import Report, range_as_text
+from hframe_post.firmware.motion import MotionRules
 from hframe_post.model.kinematics import Differences
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
@@ -27,10 +28,11 @@ from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import JUDGED_EVERY, ErrorMeter, Lines
 from hframe_post.prediction.picture import Picture
-from hframe_post.prediction.predict import Judgement, judge, quantise
+from hframe_post.prediction.predict import Judgement, as_written, judge, quantise
 from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
+from hframe_post.prediction.windows import WINDOW
 from hframe_post.printer.settings import Printer, Steps
-from hframe_post.stream.chunks import branches
+from hframe_post.stream.chunks import branches, on_a_grid
 from hframe_post.stream.types import Samples
 from hframe_post.writers.print_time import duration
 
@@ -249,13 +251,15 @@ def simulate(
     chain = Chain(printer, options)
     sliced = AsSliced(chain.firmware.limits())
     motion = sliced.samples(chain.parsed(lines()))
-    today = _Judged(shape(motion, shapings), printer, study)
+    steps = study.steps or chain.firmware.steps
+    today = _Judged(shape(motion, shapings), printer, study, steps)
     strategies = tuple(name for name in options.strategies if name != "none")
     ours = SampleStream(lines(), printer, replace(options, predict=()), strategies)
     parts, picture = Parts(), Picture(Labels()) if options.picture else None
     if "none" in (options.predict or ()):
         today.run(parts)
-    judged = _Judged(ours, printer, study)
+    rules = chain.firmware.motion(options.tolerance)
+    judged = _Judged(ours, printer, study, study.steps, rules)
     judged.run(parts, picture, shapings)
     off = {
         share: [{**own, **before} for own, before in zip(judged.off[share], found, strict=True)]
@@ -276,11 +280,16 @@ def simulate(
 class _Judged:
     """A motion of the print, judged on the simulated printer and on those that differ from it.
 
-    off: by share of model error, the contour errors of each of these.
+    steps: of the motors; rules: of the lines that make the motion; None: it is exact. off: by share
+    of model error, the contour errors of each of these.
     """
 
-    def __init__(self, source: Iterable[Samples], printer: Printer, study: Study) -> None:
+    def __init__(
+        self, source: Iterable[Samples], printer: Printer, study: Study, steps: Steps | None,
+        rules: MotionRules | None = None,
+    ) -> None:  # fmt: skip
         self._source, self._kinematics, self._study = source, printer.kinematics, study
+        self._steps, self._rules = steps, rules
         self._names = set[str]()  # strategies of its own
         self._meters = {
             share: [ErrorMeter(plant, DRAWS_JUDGED_EVERY) for plant in plants]
@@ -295,11 +304,12 @@ class _Judged:
         shapings: dict[str, Shaping] | None = None,
     ) -> None:  # fmt: skip
         """Add the errors to parts, and those of this path without compensation to the picture."""
-        study, commands = self._study, self._rated(parts)
+        study, commands = self._study, on_a_grid(self._rated(parts), WINDOW)
+        commands = (as_written(chunk, self._rules) for chunk in commands)
         if picture is not None:
             commands = shape(map(_with_path, commands), shapings or {})
-        if study.steps is not None:
-            commands = quantise(commands, self._kinematics, study.steps)
+        if self._steps is not None:
+            commands = quantise(commands, self._kinematics, self._steps)
         meters = [meter for each in self._meters.values() for meter in each]
         judged, *others = branches(commands, 1 + len(meters))
         drawn = (meter.samples(each) for meter, each in zip(meters, others, strict=True))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -11,7 +10,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, X, Y
 from hframe_post.errors import HframeError
-from hframe_post.firmware.motion import MotionRules
+from hframe_post.firmware.motion import DECIMALS, MotionRules
 from hframe_post.native.decimate import motion_segments
 from hframe_post.stream.types import Mark, Position
 
@@ -32,7 +31,7 @@ class Units:
     @cached_property
     def decimals(self) -> tuple[int, ...]:
         """Return the decimals of x, y, z, e in mm and of F in mm/min."""
-        return 3 + self.finer, 3 + self.finer, 3 + self.finer, 5, 1 + self.finer
+        return *(DECIMALS + self.finer,) * 3, 5, 1 + self.finer
 
     @cached_property
     def per_mm(self) -> Array:
@@ -163,8 +162,7 @@ class Segments(NamedTuple):
 
     at (k + 1, 4): places, in output units; ends (k,): the point of the batch at which each ends;
     T (k,): how long it is to last, s; dwell (k,): samples of dwell before it; still: samples
-    of dwell after the last. missed: squares of what the places are off the samples in x and y,
-    mm², summed; 0 where nothing bounds the lines in a second.
+    of dwell after the last.
     """
 
     at: Integers
@@ -172,7 +170,6 @@ class Segments(NamedTuple):
     T: Array
     dwell: Integers
     still: int
-    missed: float
 
 
 def segments(batch: Batch, start: Place, still: int, rules: MotionRules, units: Units) -> Segments:
@@ -185,17 +182,7 @@ def segments(batch: Batch, start: Place, still: int, rules: MotionRules, units: 
     made, places = rules.segments(batch.points, forced, batch.last)
     at, ends, T, dwell = motion_segments(places, made, forced, np.array(start), still, units.per_mm)
     left = batch.samples - int(ends[-1]) if len(ends) else still + batch.samples
-    bounded = rules.lines_per_second < math.inf
-    missed = _missed(batch.points, made, places) if bounded else 0.0
-    return Segments(at, ends, T, dwell, left, missed)
-
-
-def _missed(points: Array, ends: Integers, places: Array) -> float:
-    """Return the sum of squares, mm², by which segments are off the samples in x and y."""
-    when, vertices = np.append(0, ends), np.concatenate([points[:1], places])
-    n = when[-1] + 1
-    off = [np.interp(np.arange(n), when, vertices[:, k]) - points[:n, k] for k in (X, Y)]
-    return float(np.square(off).sum())
+    return Segments(at, ends, T, dwell, left)
 
 
 def rows_before(batch: Batch, ends: Integers) -> list[int]:

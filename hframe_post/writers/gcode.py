@@ -15,7 +15,6 @@ Three passes make the text, each a generator:
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -38,21 +37,11 @@ TEXT_AT_ONCE = 1 << 16  # bytes
 
 @dataclass(frozen=True, slots=True)
 class GcodeSummary:
-    """Numbers of a stream: lines, lines of motion in the busiest second, filament (mm).
-
-    samples: of motion; missed: squares of what the lines are off them, summed: ``Segments.missed``.
-    """
+    """Numbers of a stream: lines, lines of motion in the busiest second, filament (mm)."""
 
     lines: int = 0
     busiest_second: int = tallied(0, max)
     filament: float = 0.0
-    samples: int = 0
-    missed: float = 0.0
-
-    @property
-    def off(self) -> float:
-        """Return the root mean square of what the lines are off the samples, mm."""
-        return math.sqrt(self.missed / max(self.samples, 1))
 
 
 class GcodeWriter:
@@ -95,9 +84,7 @@ class GcodeWriter:
     def summary(self) -> GcodeSummary:
         """Return the numbers of the whole stream, once it has been written."""
         ledger = self._machine.ledger
-        return GcodeSummary(
-            self._lines, ledger.busiest, ledger.written, ledger.samples, ledger.missed
-        )
+        return GcodeSummary(self._lines, ledger.busiest, ledger.written)
 
 
 def _joined(output: Iterable[Output]) -> Iterator[Output]:

@@ -198,7 +198,6 @@ class Machine:
         assert self._at is not None
         still = self._still
         made = segments(batch, self._at, still, self._rules, self._units)
-        self.ledger.approximated(batch.samples, made.missed)
         self._still = made.still
         if len(made.T):
             yield from self._enter()
@@ -288,14 +287,13 @@ class Machine:
 class Ledger:
     """Filament in steps of 0.00001 mm, and mm in lines passed on; lines of motion a second.
 
-    steps: of filament at the beginning. samples, missed: of motion, and ``Segments.missed`` of all.
+    steps: of filament at the beginning.
     """
 
     def __init__(self, steps: int = 0) -> None:
         self._begun, self._steps, self._passed, self.busiest = steps, steps, 0.0, 0
         self._counted = steps  # when the firmware last began to count
         self._second, self._lines = 0, 0  # lines in that second, so far
-        self.samples, self.missed = 0, 0.0
 
     def moved(self, samples: Sequence[int], steps: int) -> None:
         """Add lines that extrude these steps in all and are due at these samples, ascending."""
@@ -305,10 +303,6 @@ class Ledger:
             end = bisect_left(samples, (second + 1) * a_second)
             self._lines = end - done + (self._lines if second == self._second else 0)
             self._second, self.busiest, done = second, max(self.busiest, self._lines), end
-
-    def approximated(self, samples: int, missed: float) -> None:
-        self.samples += samples
-        self.missed += missed
 
     def passed(self, filament: float) -> None:
         self._passed += filament

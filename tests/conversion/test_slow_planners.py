@@ -11,6 +11,7 @@ import pytest
 
 from hframe_post import library
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.conversion.report import Report
 from hframe_post.errors import LimitError
 from hframe_post.printer.profile import load
@@ -62,8 +63,10 @@ def test_a_profile_of_setup_leaves_compensation_what_it_needs(
 ) -> None:
     own = measured(set_up(tmp_path, kind, acceleration), acceleration)
     assert own.limits.acceleration == acceleration
-    report = library.convert(LAYER, None, own, Options(clamp=False))
-    none, compensated = errors(report)
+    commands = SampleStream(LAYER, own, Options(clamp=False).resolved(own))  # not yet whole steps
+    for _ in commands:
+        pass
+    none, compensated = errors(commands.report())
     below(compensated, 0.25 * none, "contour error, µm RMS")
 
 

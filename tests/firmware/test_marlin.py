@@ -315,10 +315,8 @@ def test_bound_on_lines_is_kept_or_told(marlin: Printer) -> None:
 def test_short_segments_do_not_cut_turns_off() -> None:
     """Settling at stops turns x and y back at different moments, a few steps apart."""
     ender = load("example-ender")
-    report = converted(layers("cube.gcode", 1), ender)[1]
-    below(report.written.off, 0.012, "RMS distance of the lines to the command, mm")  # was 0.026
-    error = report.lines_error("racking")
-    below(error, 0.004, "contour error that whole steps leave, mm RMS")  # was 0.0055
+    report = converted(layers("cube.gcode", 1), ender, Options("racking", ("racking",)))[1]
+    below(report.contour["racking"].rms, 0.004, "contour error with whole steps, mm RMS")
 
 
 def test_no_motion_goes_straight_back() -> None:
@@ -345,8 +343,8 @@ def test_a_print_that_whole_steps_spoil_is_reported(marlin: Printer) -> None:
         report = converted(layers("cube.gcode", 1), printer, options)[1]
         assert ("better as sliced" in report.as_text()) == slow
         um, shaper = report.as_json()["contour_error_um"], report.as_json()["against"][0]
-        ours, shaped = um["racking"]["with_steps"], shaper["contour_error_um"]["with_steps"]
-        assert (um["none"]["with_steps"] <= ours) == slow
+        ours, shaped = um["racking"]["rms"], shaper["contour_error_um"]["rms"]
+        assert (um["none"]["rms"] <= ours) == slow
         assert ("input shaper does as well" in report.as_text()) == (printer is ender)
         assert (ours > NO_GAIN * shaped) == (printer is not marlin)
 

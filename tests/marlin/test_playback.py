@@ -290,19 +290,18 @@ def contour(block: Samples, printer: Printer, name: str) -> float:
 )  # fmt: skip
 def test_the_predicted_error_includes_whole_steps(marlin: Printer, lines: list[bytes]) -> None:
     options = Options("racking", ("none", "racking"))
-    report = converted(lines, marlin, options)[1]
-    predicted = report.as_json()["contour_error_um"]["racking"]
-    assert f"{predicted['with_steps']:.1f} µm RMS, of which whole steps leave" in report.as_text()
+    predicted = converted(lines, marlin, options)[1].contour["racking"]
+    commands = SampleStream(iter(lines), marlin, options)
     one = played(lines, marlin)
     first, late, _ = one.track()
-    whole = join([b for b in SampleStream(iter(lines), marlin, options).computed() if len(b)])
+    whole = join([b for b in commands if len(b)])
     n, part = len(whole), slice(int(first[0]), int(first[-1]) + WINDOW)
     t = np.arange(n) * TS + np.interp(np.arange(n), first + WINDOW / 2, late)
     both = {"exact": whole.commands["racking"][part], "played": one.at(t)[part]}
     block = Samples(0, whole.xyze[part], whole.line[part], (), both)
-    exact, theirs = (contour(block, marlin, name) for name in both)
-    wanted = np.hypot(exact, 1e3 * report.lines_error("racking"))
-    near(theirs, float(wanted), 0.15 * float(wanted), "contour error, µm RMS")
+    exact, theirs = (contour(block, marlin, name) ** 2 for name in both)
+    told = 1e6 * (predicted.rms**2 - commands.report().contour["racking"].rms ** 2)
+    near(np.sqrt(theirs - exact), np.sqrt(told), 0.1 * np.sqrt(told), "error of steps, µm RMS")
 
 
 # ---------------------------------------------------------------------- the extruder

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from hframe_post.firmware.registry import firmware
 from hframe_post.prediction.error_meter import ErrorMeter
+from hframe_post.prediction.predict import as_written
 from hframe_post.prediction.windows import EVERY, WINDOW, Windows
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import smaller
@@ -43,6 +47,25 @@ def test_errors_of_windows_are_those_of_the_whole_print(paper: Printer, n: int) 
     assert errors["rms"] == pytest.approx(one.micrometres()["rms"], rel=0.05)
     if judged == n:
         assert errors == one.micrometres()
+
+
+def test_errors_are_those_of_the_motion_that_lines_make(paper: Printer) -> None:
+    """Decimated lines leave an error of their own, wherever the print is cut, in windows alike."""
+    whole = moving(2 * WINDOW)
+    whole = replace(whole, commands={"racking": whole.xyze[:, :2]})
+    rules, found = firmware(paper).motion(0.1), []
+    for chunks in ([whole], smaller([whole], 777), smaller([whole], 1000)):
+        meter = ErrorMeter(paper.plant, rules=rules)
+        passed = [chunk.commands["racking"] for chunk in meter.samples(chunks)]
+        assert (np.concatenate(passed) == whole.commands["racking"]).all()
+        found.append(meter.contour["racking"].micrometres())
+    assert found[0] == found[1] == found[2]
+    off = as_written(whole, rules).commands["racking"] - whole.commands["racking"]
+    assert 0.0 < np.linalg.norm(off, axis=1).max() < 0.1  # mm
+    windows = ErrorMeter(paper.plant, whole=WHOLE, rules=rules)
+    for _ in windows.samples([whole]):
+        pass
+    assert windows.contour["racking"].rms == pytest.approx(1e-3 * found[0]["rms"], rel=0.02)
 
 
 def test_a_window_is_one_of_so_many() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +69,7 @@ def kernel_file(printer: Printer) -> bytes | None:
         {
             "profile": printer.name,
             "made_by": f"hframe-post {__version__}",
-            "measured": printer.measured.isoformat() if printer.measured else "on an unknown day",
+            "measured": str(printer.measured or "on an unknown day"),
             "kinematics": klipper_name(printer.kinematics.type),
             "limits": dict(
                 zip(LIMITS, (bounds.velocity, bounds.acceleration, bounds.corner), strict=True)
@@ -98,10 +97,8 @@ def check_live(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
         return
     name = config.text(SECTION, "kernel") or "printer.kernel"
     path = config.path.absolute().parent / Path(name).expanduser()
-    again = "write it again: hframe-post setup printer.cfg, then restart Klipper"
     try:
-        data = path.read_bytes()
-        found = read(data)
+        found = read(path.read_bytes())
     except FileNotFoundError:
         yield Finding(False, f"{path} is missing: Klipper prints as without it until identify")
         return
@@ -112,12 +109,7 @@ def check_live(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
     weights = [*wanted.axes, *(h for _, h in wanted.couplings)]
     there = [found["x"], found["y"], *(row[4] for row in found["couplings"])]
     if np.shape(there) != np.shape(weights) or np.abs(np.subtract(there, weights)).max() > SAME:
+        again = "write it again: hframe-post setup printer.cfg, then restart Klipper"
         yield Finding(True, f"{path} is not of this profile as it is now: {again}")
-    days = ""
-    if printer.measured is not None:
-        days = f", {(datetime.now(UTC).date() - printer.measured).days} days ago"
-    yield Finding(
-        False,
-        f"{path}: {found['made_by']}, measured {found['measured']}{days}; leaves "
-        f"{1e3 * found['leaves']:.1f} µm",
-    )
+    of, leaves = f"{found['made_by']}, measured {found['measured']}", 1e3 * found["leaves"]
+    yield Finding(False, f"{path}: {of}; leaves {leaves:.1f} µm")

@@ -26,7 +26,6 @@
 #define BLOCK 20           // samples computed at once; a divisor of AHEAD and PAST
 #define SPAN 4000          // control points in memory; a multiple of BLOCK
 #define SPLINE 3           // control points around a millisecond, and its rounding
-#define SHOWS 0.001        // mm, the least change that counts
 
 struct hframe_live {
     struct stepper_kinematics sk;
@@ -34,7 +33,6 @@ struct hframe_live {
     const struct hframe_kernel *kernel;
     double way[3];                 // of the motor for 1 mm of each axis
     double begin;                  // s; before, the path is taken to rest
-    int64_t faded;                 // control points that the edge of the travel has changed
     int64_t piece;                 // ms at which the polynomial of the motor below holds
     double polynomial[4];
     // control[k] is c[first + k], target[k] is PAST samples earlier, path[k] 2 * PAST
@@ -117,13 +115,11 @@ fill_target(struct hframe_live *live, struct move *m, int end)
 // Return a control point that stays in the travel: towards its edge, the command fades into the
 // path. A cut would ask far more of the motors than the kernel does.
 static double
-within_travel(struct hframe_live *live, int axis, double p, double c)
+within_travel(const struct hframe_kernel *k, int axis, double p, double c)
 {
-    const struct hframe_kernel *k = live->kernel;
     double u = fmin(p - k->least[axis], k->most[axis] - p) / k->edge;
     if (u >= 1.0)
         return c;
-    live->faded += fabs(c - p) > SHOWS;
     u = fmax(u, 0.0);
     c = p + u * u * (3.0 - 2.0 * u) * (c - p);
     return fmin(fmax(c, fmin(k->least[axis], p)), fmax(k->most[axis], p));
@@ -141,7 +137,7 @@ fill_control(struct hframe_live *live, struct move *m, int end)
                 continue;
             convolve(c, live->kernel->axis[axis], &live->target[axis][at]);
             for (int j = 0; j < BLOCK; j++)
-                c[j] = within_travel(live, axis, p[j], c[j]);
+                c[j] = within_travel(live->kernel, axis, p[j], c[j]);
         }
     }
 }
@@ -202,17 +198,11 @@ hframe_live_hand_over(struct stepper_kinematics *from, struct stepper_kinematics
     to->last_move_time = from->last_move_time;
 }
 
-// Return the farther of the times before and after a step on which it depends, s.
+// Return how long steps depend on the path, s.
 double
 hframe_live_window(struct stepper_kinematics *sk)
 {
-    return fmax(sk->gen_steps_pre_active, sk->gen_steps_post_active);
-}
-
-int64_t
-hframe_live_faded(struct stepper_kinematics *sk)
-{
-    return live_of(sk)->faded;
+    return sk->gen_steps_post_active;
 }
 
 // Return the kinematics of a motor behind orig, or NULL if it cannot have one or memory is short.

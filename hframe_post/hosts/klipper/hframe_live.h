@@ -22,4 +22,3 @@ struct stepper_kinematics *hframe_live_alloc(struct stepper_kinematics *orig
 void hframe_live_hand_over(struct stepper_kinematics *from, struct stepper_kinematics *to);
 void hframe_live_reset(struct stepper_kinematics *sk);
 double hframe_live_window(struct stepper_kinematics *sk);
-int64_t hframe_live_faded(struct stepper_kinematics *sk);

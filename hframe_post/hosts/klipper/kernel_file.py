@@ -1,17 +1,8 @@
 """The file of a kernel: a line with the format, a digest of all after it, and JSON.
 
-====================  ==========================================================================
-key                   value
-====================  ==========================================================================
-profile, made_by,     whose it is, what wrote it, the day of the measurement
-measured
-kinematics            Klipper's name
-limits, reserve       Klipper's limits of the path for which the figures hold; factor on those of
-                      acceleration and corners up to which the motors can follow
-leaves, …             the other figures, mm and s
-x, y                  ``TAPS`` weights of the path, 1 ms apart; the first is ``AHEAD`` ms later
-couplings             rows: answering and commanding axis, axis of the lever or −1, its centre, taps
-====================  ==========================================================================
+``limits`` are Klipper's, of the path for which the figures (mm) hold. ``x`` and ``y`` are weights
+of the path, 1 ms apart; the first is ``AHEAD`` ms later. A row of ``couplings`` has the answering
+and the commanding axis, the axis of the lever or −1, its centre, and weights.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ BARE = (  # commands that measure the printer, Klipper's and Shake&Tune's, or se
     "AXES_SHAPER_CALIBRATION", "COMPARE_BELTS_RESPONSES", "CREATE_VIBRATIONS_PROFILE",
     "EXCITATE_AXIS_AT_FREQ",
 )  # fmt: skip
-TOWER = ("on", "off", "shaper")  # SET_HFRAME_LIVE TOWER=0, 1, 2 and again
+TOWER = ("on", "bare", "shaper")  # SET_HFRAME_LIVE TOWER=0, 1, 2 and again
 
 
 class HframeLive:
@@ -58,11 +58,8 @@ class HframeLive:
         self.gcode = self.printer.lookup_object("gcode")
         if self.shaper is None:
             self.gcode.register_command(SET_SHAPER, lambda gcmd: None)
-        self.gcode.register_command(
-            "SET_HFRAME_LIVE",
-            self._command,
-            desc="Compensate in Klipper: ENABLE=1 or 0; without it, show whether it does",
-        )
+        desc = "Compensate in Klipper: ENABLE=1 or 0; without it, show whether it does"
+        self.gcode.register_command("SET_HFRAME_LIVE", self._command, desc=desc)
         for event, handler in (
             ("klippy:connect", self._connect),
             ("klippy:ready", self._ready),
@@ -95,10 +92,8 @@ class HframeLive:
         package = __name__.split(".", maxsplit=1)[0]
         parent = "klippy." if package == "klippy" else ""  # Kalico's is a package
         self.ffi, self.lib = library(importlib.import_module(f"{parent}chelper"))
-        steppers = [config.getsection(f"stepper_{axis}") for axis in "xy"]
-        travel = [
-            (one.getfloat("position_min", 0.0), one.getfloat("position_max")) for one in steppers
-        ]
+        x, y = (config.getsection(f"stepper_{axis}") for axis in "xy")
+        travel = [(k.getfloat("position_min", 0.0), k.getfloat("position_max")) for k in (x, y)]
         self.taps, self.kernel = taps(self.ffi, kernel, travel), kernel
 
     def _connect(self) -> None:
@@ -156,7 +151,7 @@ class HframeLive:
         """Turn on or off what the state asks for, at rest."""
         wanted = self.kernel is not None and self.enabled and not self.reasons
         active = wanted and self.tower in ("", "on")
-        unshaped = active or (wanted and self.tower == "off")
+        unshaped = active or (wanted and self.tower == "bare")
         if (active, unshaped) == (self.active, self.unshaped):
             return
         self.toolhead.flush_step_generation()
@@ -222,23 +217,16 @@ class HframeLive:
             return f"off: no kernel {self.path} yet. Measure the printer: HFRAME_CALIBRATE"
         if self.active:
             leaves, without, deviation = (self.kernel[key] for key in FIGURES[:3])
-            return (
-                f"on: {1e3 * leaves:.1f} um where {1e3 * without:.0f} would be, at most "
-                f"{deviation:.2f} mm off the path"
-            )
+            shown = f"on: {1e3 * leaves:.1f} um where {1e3 * without:.0f} would be"
+            return f"{shown}, at most {deviation:.2f} mm off the path"
         return f"off: {', '.join(sorted(self.reasons)) or self.tower or 'ENABLE=0'}"
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
-        status: dict[str, Any] = {
-            "enabled": self.enabled, "active": self.active, "off": sorted(self.reasons),
-            "limited": self.limited,
-        }  # fmt: skip
+        status: dict[str, Any] = {"enabled": self.enabled, "active": self.active}
+        status |= {"off": sorted(self.reasons), "limited": self.limited}
         if self.kernel is not None:
-            status |= {
-                key: self.kernel[key] for key in ("profile", "made_by", "measured", *FIGURES)
-            }
-            faded = [self.lib.hframe_live_faded(one[2]) for one in self.motors]
-            status["faded"] = max(faded, default=0)  # ms within reach of the bed's edge
+            shown = ("profile", "made_by", "measured", *FIGURES)
+            status |= {key: self.kernel[key] for key in shown}
         return status
 
 
