@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 
 DEFAULT = Options()
 SHAPED_LINES = 20_000  # of a file, from which a page's input shaper is chosen; 2 % off at most
-DEFAULT_MODEL_ERROR = 0.05  # where the profile does not say how uncertain the plant is
 
 
 def load_printer(name_or_path: str | Path) -> Printer:
@@ -224,16 +223,6 @@ def simulate(
             file = (outputs or opened.enter_context(Outputs([]))).open(Path(page))
             _write_page(file, report, given, printer, options, title, "\n".join(notes))
     return report
-
-
-def is_doubtful(printer: Printer) -> bool:
-    """Return whether the model itself says how well it is known: drift, or what is unknown."""
-    return Doubts.from_plant(printer.plant) is not None
-
-
-def model_uncertainty(printer: Printer) -> float:
-    """Return the share by which the printer may differ from its model: measured, or 0.05."""
-    return DEFAULT_MODEL_ERROR if printer.uncertainty is None else printer.uncertainty
 
 
 # ---------------------------------------------------------------------- arguments

@@ -1,18 +1,19 @@
-"""Write docs/results.md: what the sample prints take and leave, on whatever machine runs it.
+"""Write docs/results.md: errors and times of the sample prints, on the machine that runs it.
 
-make results
+make results; with PREVIOUS=/path/to/another/bin/hframe-post beside that version
 """
 
 from __future__ import annotations
 
+import os
 import platform
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import hframe_post as hp
 from examples.paper import results as paper
 from examples.paper import tables
+from tests.benchmarks import speed
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "sample_gcode"
@@ -26,7 +27,7 @@ HEAD = """\
 # Results
 
 `make results` computes this page: the predicted contour error of the sample prints on two
-measured printers and two shipped profiles, what the stages of a conversion take, and the paper's
+measured printers and two shipped profiles, the time of conversions, and the paper's
 rectangle. The profiles' plants are exact here; [identify.md](identify.md#how-far-to-trust-it) says
 what is left on real printers.
 """
@@ -36,7 +37,7 @@ def rows() -> Iterator[str]:
     yield HEAD
     yield from errors()
     yield from inexact()
-    yield from stages()
+    yield from speeds()
     yield "## The paper's rectangle\n"
     yield "[derivations.md](derivations.md#the-papers-figures) has the paper's other tables.\n"
     printer = hp.load_printer("paper")
@@ -75,15 +76,13 @@ def inexact() -> Iterator[str]:
     yield ""
 
 
-def stages() -> Iterator[str]:
-    machine = f"{platform.machine()} with Python {platform.python_version()}"
-    yield f"## Time\n\nCPU seconds in one thread, with `paper`, on {machine}.\n"
-    yield table_head("print", "CPU s")
-    for part in PRINTS:
-        begun = time.process_time()
-        report = converted(part)
-        spent = time.process_time() - begun
-        yield line(f"{part}, {report.time.after:.0f} s of print", f"{spent:.2f}")
+def speeds() -> Iterator[str]:
+    yield "## Speed\n"
+    yield f"CPU on {platform.machine()} with Python {platform.python_version()}, each converted in"
+    yield "turn with what it is compared with: slicing by CuraEngine, `gzip -9` of the input, and"
+    yield "the command that `PREVIOUS` names.\n"
+    yield table_head(*speed.HEAD)
+    yield from (line(*cells) for cells in speed.rows(PRINTERS, os.environ.get("PREVIOUS")))
     yield ""
 
 

@@ -159,7 +159,7 @@ def _check_profile(
         )
     own = firmware(profile)
     if config is None:
-        findings.unchecked = own.compared
+        findings.unchecked = own.configuration
     if printer in shipped():
         tell = findings.note if config is None else findings.problem
         source = quoted(config or own.configuration)
@@ -173,7 +173,7 @@ def _check_profile(
     if stopped := own.code().when_stopped:
         findings.note(f"after a print that was stopped midway, send {stopped}")
     if config is None:
-        findings.note(own.unchecked)
+        findings.note(f"{own.configuration} was not checked: name it with --printer-cfg")
     else:
         _check_config(findings, config, log, profile, printer)
 

@@ -131,8 +131,7 @@ class Firmware(ABC):
     name: in profiles and on the command line. table: its table in profiles. dialect: what it reads.
     decimates: its segments depend on the tolerance. shapers: names of the input shapers that every
     version has; newer_versions: those that have the shapers with parameters, too, if any do.
-    configuration: a file that `setup` reads. compared: the one that `doctor` compares with a
-    profile, if any; unchecked: what `doctor` notes where it compares none.
+    configuration: a file that `setup` reads and `doctor` compares with a profile.
     """
 
     name: ClassVar[str]
@@ -142,8 +141,6 @@ class Firmware(ABC):
     shapers: ClassVar[tuple[str, ...]] = ("zv",)
     newer_versions: ClassVar[str] = ""
     configuration: ClassVar[str]
-    compared: ClassVar[str] = ""
-    unchecked: ClassVar[str]
 
     def __init__(self, printer: Printer) -> None:
         self.printer = printer

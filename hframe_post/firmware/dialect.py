@@ -67,9 +67,10 @@ class Advance:
 
     def after(self, text: bytes) -> Advance:
         """Return what is in force after a line."""
-        change = self.reads(text)
+        if (change := self.reads(text)) is NOTHING:
+            return self
         given = {name: value for name, value in change._asdict().items() if value is not None}
-        return replace(self, **given) if given else self
+        return replace(self, **given)
 
 
 NO_ADVANCE = Advance()
@@ -97,7 +98,8 @@ def klipper_advance(text: bytes) -> AdvanceChange:
 
 def klipper_seconds(text: bytes) -> AdvanceChange:
     """Return what SET_PRESSURE_ADVANCE sets where the stream restores its own averaging."""
-    return klipper_advance(text)._replace(smooth_time=None)
+    change = klipper_advance(text)
+    return change if change is NOTHING else change._replace(smooth_time=None)
 
 
 def marlin_advance(text: bytes) -> AdvanceChange:

@@ -140,8 +140,17 @@ class ItemBuilder:
         self._mark_bytes, self.any_motion = 0, True
         self.ready.append(move)
 
+    def carry(self, text: bytes) -> bool:
+        """Add a carried line as a mark among moves; return False if it must be an item."""
+        size = self._mark_bytes + len(text) + BYTES_PER_MARK
+        if not self._count or size > MAX_MARK_BYTES:
+            return False
+        self._mark_bytes = size
+        self._marks.append(Mark(self._count, text))
+        return True
+
     def add_line(self, item: Passthrough) -> None:
-        """Add a line: as a mark among moves if it is carried, otherwise as an item.
+        """Add a line as an item.
 
         Where too many carried lines follow each other, one of them has to stop the machine: only
         then can later stages release from memory what came before it.
@@ -149,9 +158,6 @@ class ItemBuilder:
         self._mark_bytes += len(item.text) + BYTES_PER_MARK
         if self._mark_bytes > MAX_MARK_BYTES:
             item = replace(item, handling=Handling.RELEASE)
-        if item.handling is Handling.CARRY and self._count:
-            self._marks.append(Mark(self._count, item.text))
-            return
         if item.handling is Handling.RELEASE:
             self._mark_bytes = 0
         self.flush()

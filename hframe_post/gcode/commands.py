@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
-from functools import reduce
+from functools import lru_cache, reduce
 from operator import xor
 from typing import NamedTuple
 
@@ -17,6 +17,8 @@ from hframe_post.stream.types import Handling
 
 Words = dict[str, float]  # letter → number
 
+RECENT_TEXTS = 256  # whose words are known: most lines that are no moves recur
+SHORT_BYTES = 100  # of a text that is remembered
 IGNORED = "DHLPQRST"  # in moves; A, B, C, I, J, K, U, V, W may be axes
 _BLANK_OR_IGNORED = b" \t\r\v\f" + IGNORED.encode() + IGNORED.lower().encode()
 
@@ -71,19 +73,29 @@ def uncommented(text: bytes) -> bytes:
 
 def command(line: Line) -> Command | None:
     """Return the coded command (G, M or T) of a line, or None. Raises GcodeError (checksum)."""
-    body = uncommented(line.text)
+    text = line.text
+    coded, right = _coded(text) if len(text) <= SHORT_BYTES else _coded.__wrapped__(text)
+    if not right:
+        raise line.error("the checksum is wrong")
+    return coded
+
+
+@lru_cache(maxsize=RECENT_TEXTS)
+def _coded(text: bytes) -> tuple[Command | None, bool]:
+    """Return the coded command of a line's text, or None, and whether its checksum is right."""
+    body = uncommented(text)
     match = _COMMAND.match(body)
     if match is None:
-        return None
+        return None, True
     numbered, letter, code, sub = match.groups()
     arguments = body[match.end() :]
     if b"*" in arguments and (checksum := _CHECKSUM.search(arguments)) is not None:
         # Without a line number there is no checksum: it may be text, and firmware ignores it.
         if numbered and reduce(xor, body[: body.rindex(b"*")]) != int(checksum[1]):
-            raise line.error("the checksum is wrong")
+            return None, False
         arguments = arguments[: checksum.start()]
     name = f"{letter.decode().upper()}{int(code)}" + (f".{int(sub)}" if sub else "")
-    return Command(name, arguments)
+    return Command(name, arguments), True
 
 
 def name_and_arguments(line: Line) -> tuple[str, bytes]:

@@ -99,11 +99,6 @@ class SlicerSettings:
     min_speed: float | None = None
 
 
-def is_setting(line: bytes) -> bool:
-    """Return whether ``slicer_settings`` reads anything from this line."""
-    return line.startswith(_CURA) or _COMMENT.match(line) is not None
-
-
 def slicer_settings(lines: Iterable[bytes]) -> SlicerSettings:
     """Return what the comments of a file say; of several filaments, the most careful values."""
     found: dict[bytes, list[float]] = {}

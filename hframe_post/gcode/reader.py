@@ -258,7 +258,7 @@ class _Reader:
         if source == "file-all" or (source == "file" and name in self._dialect.obeyed):
             before = self._state.others
             self._state.set_limits(line, name, words)
-            if self._state.others != before:
+            if self._state.others is not before:
                 self.items.flush(before)  # they hold for all moves of an item
 
     def _apply_dwell(self, line: Line, arguments: bytes) -> None:
@@ -355,6 +355,8 @@ class _Reader:
         if unclear and self.items.any_motion and handling is Handling.RELEASE:
             # The stream has modes of its own; to leave it, those of the file must be known.
             state.set_e_mode(self._detect_absolute_e(line))
+        if handling is Handling.CARRY and self.items.carry(line.text):
+            return
         modes = state.modal_state()
         self.items.add_line(
             Passthrough(

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 from hframe_post.arrays import Z
 from hframe_post.errors import LimitError
@@ -259,17 +259,17 @@ class State:
             before = self.acceleration, self.travel_acceleration
             self.acceleration, self.travel_acceleration = self._dialect.accelerations(words, before)
             if "S" in words or "T" in words:
-                self.others = replace(self.others, travel=words.get("T", math.inf))
+                self._limit(travel=words.get("T", math.inf))
         elif name == "M205" and self._dialect.has_deviation:
-            self.others = replace(self.others, deviation=words.get("J", self.others.deviation))
+            self._limit(deviation=words.get("J", self.others.deviation))
         elif name == "M205":
             self.corner = min((words[a] for a in "XY" if a in words), default=self.corner)
         elif name == "M201":
             x, y, z, e = map(words.get, AXES, self.others.acceleration)
-            self.others = replace(self.others, acceleration=(x, y, z, e))
+            self._limit(acceleration=(x, y, z, e))
         elif name == "M203":
             x, y, z, e = map(words.get, AXES, self.others.velocity)
-            self.others = replace(self.others, velocity=(x, y, z, e))
+            self._limit(velocity=(x, y, z, e))
         else:
             self.acceleration = self.travel_acceleration = words.get("ACCEL", self.acceleration)
             self.corner = words.get("SQUARE_CORNER_VELOCITY", self.corner)
@@ -277,7 +277,12 @@ class State:
             if (slower := words.get("ACCEL_TO_DECEL")) is not None:
                 ratio = 1.0 - min(1.0, slower / self.acceleration)
             path = words.get("VELOCITY", self.others.path)
-            self.others = replace(self.others, path=path, cruise_ratio=ratio)
+            self._limit(path=path, cruise_ratio=ratio)
+
+    def _limit(self, **limits: Any) -> None:
+        """Change these of the other limits; they stay the same object where nothing changes."""
+        if any(getattr(self.others, name) != value for name, value in limits.items()):
+            self.others = replace(self.others, **limits)
 
     def modal_state(self) -> ModalState:
         e = self.position[3] - self.offset[3]

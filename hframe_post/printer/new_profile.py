@@ -98,7 +98,7 @@ def profile_text(tables: Tables, description: str) -> str:
     settings = "\n".join(line for name, table in others.items() for line in _table(name, table))
     return f"""\
 # A profile for hframe-post, in mm and s. A comment says where a value was found; what is not
-# here has its default. No command changes this file; what is measured goes into another one.
+# here has its default. No command changes a value; what is measured goes into another file.
 
 description = {json.dumps(description, ensure_ascii=False)}
 
@@ -111,14 +111,14 @@ dialect = "{dialect}"
 
 def _table(name: str, table: dict[str, Known]) -> Iterator[str]:
     usual = {each.name: each.default for each in fields(KINDS[name])} if name in KINDS else {}
-    table = {key: known for key, known in table.items() if known.value != usual.get(key)}
+    kept = [key for key, known in table.items() if known.value != usual.get(key)]
     if not table:
         return
     own = name.startswith(FIRMWARE)
     title = TABLES[name[len(FIRMWARE) :]].title if own else TITLES[name]
     yield f"{f'[{name}]':24s}# {title}"
-    for key, known in table.items():
-        yield _line(key, known)
+    for key in kept or [*table][:1]:  # that there is a table says something, too
+        yield _line(key, table[key])
     if name == "speed":
         yield MAX_ERROR
     yield ""

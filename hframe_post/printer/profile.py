@@ -30,6 +30,8 @@ from hframe_post.printer.schema import (
     digest_of,
     file_text,
     known_keys,
+    list_of_tables,
+    needed_keys,
     numbers,
     roots,
 )
@@ -284,9 +286,7 @@ def check_identified(printer: Printer) -> None:
 
 def _plant(table: dict[str, Any]) -> Plant:
     known_keys(table, (*PLANT, "Gxx", "Gyy", "Gxtheta"), "plant")
-    for key in ("Ts", "Gxx", "Gyy", *(("x_c",) if "Gxtheta" in table else ())):
-        if key not in table:
-            raise PrinterError("the key is missing", f"plant.{key}")
+    needed_keys(table, ("Ts", "Gxx", "Gyy", *(("x_c",) if "Gxtheta" in table else ())), "plant")
     if table["Ts"] != TS:
         raise PrinterError(f"must be {TS}: the clock runs in milliseconds", "plant.Ts")
     functions = {
@@ -312,24 +312,16 @@ def _bed(mass: Any, limits: Limits, kinematics: Kinematics) -> Bed | None:
 
 
 def _cross(tables: Any) -> tuple[Coupling, ...]:
-    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-        raise PrinterError("must be tables, each below [[plant.cross]]", "plant.cross")
-    if len(tables) > MAX_COUPLINGS:
-        raise PrinterError(
-            f"must be at most {MAX_COUPLINGS}, they are {len(tables)}", "plant.cross"
-        )
-    return tuple(
-        _coupling(table, f"plant.cross[{number}]") for number, table in enumerate(tables, 1)
-    )
+    found = list_of_tables(tables, "plant.cross")
+    if len(found) > MAX_COUPLINGS:
+        raise PrinterError(f"must be at most {MAX_COUPLINGS}, they are {len(found)}", "plant.cross")
+    return tuple(_coupling(table, at) for at, table in found)
 
 
 def _coupling(table: dict[str, Any], key: str) -> Coupling:
     axis_keys = ("answer", "command", "along", "centre")
     known_keys(table, (*axis_keys, *FUNCTION, *RESPONSE, *KNOWN), key)
-    needed = ("answer", "command", *(("centre",) if "along" in table else ()))
-    for name in needed:
-        if name not in table:
-            raise PrinterError("the key is missing", f"{key}.{name}")
+    needed_keys(table, ("answer", "command", *(("centre",) if "along" in table else ())), key)
     axes = {
         name: AXES[checked_value(str, table[name], {"choices": tuple(AXES)}, f"{key}.{name}")]
         for name in ("answer", "command", "along")
@@ -362,9 +354,7 @@ def _linear(table: Any, key: str, rest: float, angle: bool) -> ImpulseResponse:
         if name not in allowed:
             cause = "is of a transfer function, and deviation of a response: leave one of them out"
             raise PrinterError(cause, f"{key}.{name}")
-    for name in kind:
-        if name not in table:
-            raise PrinterError("the key is missing", f"{key}.{name}")
+    needed_keys(table, kind, key)
     try:
         if response:
             return _response(table, key, rest, MICRORAD if angle else 1.0)
@@ -394,15 +384,10 @@ def _response(table: dict[str, Any], key: str, rest: float, unit: float) -> Impu
 
 def _elsewhere(tables: Any, key: str, rest: float, unit: float) -> tuple[Elsewhere, ...]:
     """Return the responses at other x."""
-    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-        raise PrinterError(f"must be tables, each below [[{key}]]", key)
     found = []
-    for number, table in enumerate(tables, 1):
-        at = f"{key}[{number}]"
+    for at, table in list_of_tables(tables, key):
         known_keys(table, PLACE, at)
-        for name in ("x", "frequency", *RESPONSE):
-            if name not in table:
-                raise PrinterError("the key is missing", f"{at}.{name}")
+        needed_keys(table, ("x", "frequency", *RESPONSE), at)
         x = checked_value(float, table["x"], PLACES, f"{at}.x")
         frequency = checked_value(float, table["frequency"], FREQUENCY, f"{at}.frequency")
         known = {name: value for name, value in table.items() if name not in ("x", "frequency")}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, Field, asdict, field, fields, is_dataclass
 from difflib import get_close_matches
 from operator import ge, gt, le, lt
@@ -166,6 +166,20 @@ def known_keys(table: dict[str, Any], known: tuple[str, ...], path: str) -> None
             near = get_close_matches(key, known, n=1, cutoff=0.0)
             where = f"{path}.{key}" if path else key
             raise PrinterError(f"unknown key; nearest known is {near[0]!r}", where)
+
+
+def needed_keys(table: dict[str, Any], needed: Iterable[str], path: str) -> None:
+    """Raise PrinterError for the first key that a table lacks."""
+    for key in needed:
+        if key not in table:
+            raise PrinterError("the key is missing", f"{path}.{key}")
+
+
+def list_of_tables(tables: Any, path: str) -> list[tuple[str, dict[str, Any]]]:
+    """Return the tables of a list, each with its path. Raises PrinterError."""
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise PrinterError(f"must be tables, each below [[{path}]]", path)
+    return [(f"{path}[{number}]", table) for number, table in enumerate(tables, 1)]
 
 
 # ----------------------------------------------------------------------

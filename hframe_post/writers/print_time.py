@@ -61,9 +61,13 @@ SUMMARY = DeferredLine(b"; hframe-post:", 0.0, summary=True)
 
 def passed_on(line: bytes, elapsed: float) -> Output:
     """Return a line of the file as output, deferred if it depends on the print's time."""
-    if any(form.match(line) for form in (_COMMENT, _PROGRESS, _MESSAGE)):
+    if _says_time(line):
         return DeferredLine(line, elapsed)
     return line + b"\n"
+
+
+def _says_time(line: bytes) -> bool:
+    return bool(_COMMENT.match(line) or _PROGRESS.match(line) or _MESSAGE.match(line))
 
 
 def later(output: Output, seconds: float) -> Output:
@@ -165,6 +169,8 @@ def with_times(deferred: DeferredLine, before: float, after: float) -> bytes:
 def times_of(line: bytes) -> dict[str, float]:
     """Return the times (s) that a line says: "gone", "left", "all", or those of M73 by letter."""
     found = dict[str, float]()
+    if not _says_time(line):
+        return found
 
     def noted(kind: str, seconds: float) -> float:
         found[kind] = seconds

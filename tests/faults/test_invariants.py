@@ -51,7 +51,7 @@ def spoilt(xy: np.ndarray, value: float, samples: int = 1) -> None:
 
 
 STREAM: dict[str, tuple[Fault, str]] = {
-    "a command that is no number": (
+    "a command that is not a number": (
         lambda c: command(c, lambda xy: spoilt(xy, np.nan)), "line [78]: .*is not a number"),
     "endless filament": (lambda c: path(c, 3, np.inf), "is not a number"),
     "time that is repeated": (lambda c: replace(c, first=c.first - 3), "goes back in time"),

@@ -38,7 +38,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def refused(done: tuple[int, str], folder: Path, cause: str) -> None:
-    """Exit 1 with one line; the input is as it was and nothing is beside it."""
+    """Exit 1 with one line; the input is as it was and nothing is next to it."""
     status, printed = done
     assert (status, printed.count("\n")) == (1, 1), printed
     assert cause in printed

@@ -92,7 +92,6 @@ class Stub(Firmware):
     name, table = "stub", StubTable
     dialect = Dialect(frozenset({"M204"}), _accelerations, _dwell)
     configuration = "stub.txt"
-    unchecked = "the stub's settings are not checked"
 
     def motion(self, tolerance: float | None, retract_moving: bool = False) -> StubMotion:
         return StubMotion()

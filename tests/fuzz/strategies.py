@@ -51,7 +51,7 @@ LINES = (
     b"EXCLUDE_OBJECT_START NAME='a (1)'", b"EXCLUDE_OBJECT_END", b"PRINT_START A=1 B='x y'",
     b"; printing object Cube id:0 copy 0", b"M624 AQAAAAAAAAA=", b"M625", b"G29", b"G380 S2 Z1",
     b"{if layer_z > 1}G91{endif}", b"; thumbnail begin 2x2 8", b"_MACRO", b"UNHEARD_OF",
-    # what is no line
+    # what is not a line
     b"\xff\xfe\x00", b"(" * 50, b"\x1b[2J", b"%", b"\x00", b"*", b"N10", b"N10*20", b"O1000",
     b"/G1 X1", b"#1=5", b"?", b"$$", b"\xe2\x80\xa8G91", b"G1 X100\x0bY100", b"G\xa091",
     b"G1\tX100", b";" + b"x" * 100_000, b"G1 X100" + b" " * 70_000, b"\xef\xbb\xbfG91", b"a\rG91",

@@ -49,7 +49,7 @@ slow = pytest.mark.slow
 
 
 def refused(error: HframeError) -> None:
-    """Assert that an error is printable, names its line, and is no bug's."""
+    """Assert that an error is printable, names its line, and is not a bug's."""
     message = str(error)
     assert message.isprintable(), message
     assert len(message) < 6000, message

@@ -153,7 +153,7 @@ OF_TOOLS = "TR_", "TOOL_", "INDX_"
 
 
 def test_klippers_own_commands_are_no_macros() -> None:
-    """After one that may set modes the reader must find out anew what E is."""
+    """After one that may set modes the reader must find out again what E is."""
     (folder,) = KLIPPY.__path__
     text = "\n".join(path.read_text() for path in Path(folder).rglob("*.py"))
     names = set(re.findall(r"\bcmd_([A-Z][A-Z0-9_]{3,})_help\b", text))

@@ -181,7 +181,7 @@ def left_over(printer: Printer) -> list[str]:
 def test_files_of_an_older_model_are_converted_again_whatever_comes_between(
     printer: Printer,
 ) -> None:
-    """A kill in mid-conversion, two uploads at once, names that are no files of Moonraker's."""
+    """A kill in mid-conversion, two uploads at once, names that are not files of Moonraker's."""
     for path in printer.gcodes.glob("*.gcode"):  # of other tests, which would be stale, too
         path.unlink()
     printer.upload("part.gcode", PART)

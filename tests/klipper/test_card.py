@@ -1,4 +1,4 @@
-"""Converted files that Klipper's virtual_sdcard prints, pauses, repeats, cancels, begins anew."""
+"""Converted files that Klipper's virtual_sdcard prints, pauses, repeats, cancels, begins again."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ class Machine:
     def __init__(self, build: Build) -> None:
         self.build = build
         self.runs: list[Run | FixedTimeRun] = []
-        self.settings: list[str] = []  # every line that is no move
+        self.settings: list[str] = []  # every line but moves
         self.merged = 0  # blocks that were not queued
         self._queue: list[Block] = []
         self._mm = [0.0, 0.0, 0.0, 0.0]  # where the file's coordinates stand

@@ -62,7 +62,7 @@ def foreign_options(words: str, output: str) -> Iterator[str]:
 
 
 def check(cell: Cell, outcome: str, folder: Path, home: Path) -> None:
-    """Check status, last line and files of a cell's answer, and that it is no bug's."""
+    """Check status, last line and files of a cell's answer, and that it is not a bug's."""
     found = answer(cell, folder, home)
     status, last_line, files = expected(cell, outcome)
     shown = f"{cell}: status {found.status}, {found.last_line!r}\n{found.output[-2000:]}"

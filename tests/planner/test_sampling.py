@@ -257,7 +257,7 @@ def test_a_lift_passes_from_motion_and_into_it() -> None:
     assert [type(e) for e in events] == [Rest, Dwell]  # that at the beginning
     assert lift.entry == lift.leaving == pytest.approx(2.0)
     speed = np.diff(z) / TS
-    assert 2.0 <= speed[0] <= 3.0  # and half a millisecond of 1000 mm/s² beside it
+    assert 2.0 <= speed[0] <= 3.0  # and half a millisecond of 1000 mm/s² next to it
     assert 2.0 <= speed[-1] <= 3.0
     assert lift.exact == pytest.approx(lift.samples * TS)  # nothing waits for the sample
     at_rest, z_at_rest, _ = lift_of([there(), LIFT, there(50.0)], RESTS)

@@ -10,7 +10,7 @@ import pytest
 from hframe_post.firmware.base import Finding
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import KlipperSource, check_stream
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import Extruder, Printer
 from tests.printers import REAL, profile_of
 
 
@@ -47,6 +47,18 @@ def test_a_profile_made_from_it_agrees_with_it(own: Printer) -> None:
     assert own.steps is not None
     assert own.steps.belt == pytest.approx(0.0206)
     assert own.invented  # its plant is not measured
+
+
+def test_what_a_new_profile_leaves_out_has_its_default(tmp_path: Path) -> None:
+    """Also where every key of [extruder] has: Klipper smooths the flow without an advance, too."""
+    path = tmp_path / "printer.cfg"
+    path.write_text("".join(
+        line for line in REAL.read_text().splitlines(keepends=True)
+        if not line.startswith("pressure_advance")
+    ))  # fmt: skip
+    profile = profile_of(KlipperConfig(path))
+    assert profile.extruder == Extruder(advance=0.0, smooth_time=0.04)
+    assert not wrong(path, profile)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A measured model in a file of its own, beside the profile that names it."""
+"""A measured model in a file of its own, next to the profile that names it."""
 
 from __future__ import annotations
 

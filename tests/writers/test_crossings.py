@@ -1,4 +1,4 @@
-"""Where a sampled command crosses half steps, beside scipy's own splines and root finding."""
+"""Where a sampled command crosses half steps, against scipy's splines and roots."""
 
 from __future__ import annotations
 

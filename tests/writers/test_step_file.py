@@ -68,7 +68,7 @@ def at_milliseconds(path: Path, printer: Printer, samples: int) -> Array:
 def test_plant_driven_by_the_steps_prints_what_was_predicted(
     tmp_path: Path, paper: Printer, commands: Callable[[str], Samples], strategy: str
 ) -> None:
-    """G-code → CSV → positions → plant → contour error, beside that of the samples."""
+    """G-code → CSV → positions → plant → contour error, compared with the samples'."""
     report = write_steps(tmp_path / "r.csv", RECTANGLE, paper, strategy)
     whole = commands(strategy)
     stepped = at_milliseconds(tmp_path / "r.csv", paper, len(whole))

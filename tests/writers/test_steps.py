@@ -140,7 +140,7 @@ def test_noise_on_a_half_step_does_not_make_a_motor_tremble() -> None:
     assert stepped([block(path)], TABLE).counts.steps[0] == 0
 
 
-# ---------------------------------------------------------------------- lines that are no motion
+# ---------------------------------------------------------------------- lines without motion
 
 
 def moving(start: float, stop: float, n: int) -> Array:

@@ -101,8 +101,7 @@ class Klipper(Firmware):
     decimates = True
     shapers = SHAPERS
     newer_versions = "Klipper of 27 April 2026 or newer"
-    configuration = compared = "printer.cfg"
-    unchecked = "printer.cfg is not checked: name it with --printer-cfg"
+    configuration = "printer.cfg"
 
     def motion(self, tolerance: float | None, retract_moving: bool = False) -> KlipperMotion:
         code, corner = self.code(), self.printer.limits.square_corner_velocity

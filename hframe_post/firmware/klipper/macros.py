@@ -167,7 +167,12 @@ gcode:
     {{% endif %}}
 """
 _OWN_AVERAGING = ["SET_PRESSURE_ADVANCE SMOOTH_TIME={own.extruder.pressure_advance_smooth_time}"]
-_WRAPPER = """
+# What precedes the wrappers: their odd capitals look like a mistake.
+_WRAPPED = """
+# Klipper would merge [gcode_macro PAUSE] with your own. It ignores capitals in a macro's name, but
+# not in a section's, so these sections rename your macros and call them.
+"""
+_WRAPPER = """\
 [gcode_macro @section]
 description: Restore the printer's limits around a converted file, and call the former @name
 rename_existing: _HFRAME_@name
@@ -206,7 +211,8 @@ def macros(printer: Printer, config: KlipperConfig | None = None) -> str:
     )
     # Klipper's own commands refuse a macro of their name that does not rename them
     own = _own_commands(config) if config is not None else []
-    return "".join([_HEAD, "" if own else _BUILTIN, text, *map(_wrapper, own or WRAPPERS)])
+    wrappers = "\n".join(map(_wrapper, own or WRAPPERS))
+    return "".join([_HEAD, "" if own else _BUILTIN, text, _WRAPPED, wrappers])
 
 
 def _averaging(lines: Sequence[str]) -> str:

@@ -30,6 +30,14 @@ KINEMATICS = {  # ours, the safest first, by Klipper's name
     "corexz": ("corexz",),
     "cartesian": ("cartesian",),
 }
+RETRACTION = {  # by key of a profile: the option, and Klipper's default
+    "length": ("retract_length", 0.0), "speed": ("retract_speed", 20.0),
+    "return_speed": ("unretract_speed", 10.0), "extra": ("unretract_extra_length", 0.0),
+}  # fmt: skip
+EXTRUDER = {
+    "advance": ("pressure_advance", 0.0),
+    "smooth_time": ("pressure_advance_smooth_time", SMOOTH_TIME_S),
+}
 DEFAULT = "Klipper's default"
 SHAPES = re.compile(r"^\s*SET_INPUT_SHAPER\b[^\n]*SHAPER_FREQ", re.MULTILINE | re.IGNORECASE)
 
@@ -62,7 +70,11 @@ def from_klipper(config: KlipperConfig) -> Tables:
             **extruder(config, velocity, acceleration),
         },
         "retraction": _retraction(config),
-        "extruder": _advance(config),
+        "extruder": {  # also where slicers set the advance: the stream restores the averaging
+            key: _or(config, "extruder", option, default)
+            for key, (option, default) in EXTRUDER.items()
+            if config.has("extruder")
+        },
         "speed": {"acceleration": acceleration},
         "sweep": {**sweep(acceleration), **_chips(config)},
         "firmware.klipper": {
@@ -182,23 +194,11 @@ def _steps(config: KlipperConfig) -> dict[str, Known] | None:
 
 
 def _retraction(config: KlipperConfig) -> dict[str, Known]:
-    section = "firmware_retraction"
-    if not config.number(section, "retract_length", 0.0) > 0.0:
+    if not config.number("firmware_retraction", "retract_length", 0.0) > 0.0:
         return {}
     return {
-        "length": _or(config, section, "retract_length", 0.0),
-        "speed": _or(config, section, "retract_speed", 20.0),
-        "return_speed": _or(config, section, "unretract_speed", 10.0),
-        "extra": _or(config, section, "unretract_extra_length", 0.0),
-    }
-
-
-def _advance(config: KlipperConfig) -> dict[str, Known]:
-    if not config.has("extruder"):
-        return {}
-    return {  # also where slicers set the advance: the stream restores the averaging
-        "advance": _or(config, "extruder", "pressure_advance", 0.0),
-        "smooth_time": _or(config, "extruder", "pressure_advance_smooth_time", SMOOTH_TIME_S),
+        key: _or(config, "firmware_retraction", option, default)
+        for key, (option, default) in RETRACTION.items()
     }
 
 

@@ -52,10 +52,6 @@ class Marlin(Firmware):
         advance=marlin_advance,
     )  # fmt: skip
     configuration = "m503.txt"
-    unchecked = (
-        "after each change of the printer's settings save its answers to M503 and M115, and run "
-        "'hframe-post setup' with them again"
-    )
 
     def motion(self, tolerance: float | None, retract_moving: bool = False) -> MarlinMotion:
         """Return its motion. tolerance: not used, segments are as long as whole steps make them."""
