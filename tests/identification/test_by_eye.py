@@ -105,7 +105,7 @@ def test_modes_answer_straight_lines_exactly() -> None:
 
 def test_impossible_readings_are_errors() -> None:
     band = Band(100.0, 20.0)
-    with pytest.raises(IdentificationError, match="no band has a distance"):
+    with pytest.raises(IdentificationError, match="no row has a distance"):
         printed_mode([Reading(band, 0.0, 0.0, 0.0)], A, SIDE)
     with pytest.raises(IdentificationError, match="over all of the waves that you counted"):
         printed_mode([Reading(band, 1.0, 5.0, 6.0)], A, SIDE)
@@ -118,7 +118,7 @@ def test_a_form_is_read_as_it_was_written() -> None:
     assert found.acceleration == A
     assert [one.band for one in found.readings["x"]] == bands(ender())
     assert found.readings["y"][1] == Reading(bands(ender())[1], 9.5, 4.0, 5.5)
-    with pytest.raises(IdentificationError, match="x, right wall: no band"):
+    with pytest.raises(IdentificationError, match="x, right wall: no row"):
         found.modes()
     for row, message in (
         *((row, "x1 must be three numbers. A row reads like x1 = ")
