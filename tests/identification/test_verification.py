@@ -216,7 +216,7 @@ def test_motions_that_cannot_be_a_test_are_errors() -> None:
     short = [f"G1 X{100 + 20 * (k % 2)} Y100 F6000\n".encode() for k in range(8)]
     with pytest.raises(HframeError, match="no part of 5 to 40 s between two stops"):
         runs(paper, [b"G28\n", b"G90\n", *short])
-    weak = replace(paper, motors=replace(paper.motors, belt_acceleration=1000.0))
+    weak = replace(paper, motors=replace(paper.motors, belt_velocity=100.0))
     with pytest.raises(HframeError, match=r"even with 0.35 of limits.acceleration"):
         runs(weak)
 
