@@ -42,7 +42,7 @@ from hframe_post.model.strategies import Compensator
 from hframe_post.planner.bands import MotorBands, avoid_bands
 from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.motors import WithinMotors
+from hframe_post.planner.motors import WithinMotors, with_ramps
 from hframe_post.planner.pacing import Paces, PieceStart, pace
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.doubts import Doubts
@@ -116,7 +116,8 @@ class Chain:
         """
         followed = followed or self.following()
         items = items if followed is None else followed.items(items)
-        items, caps = (within or self.within_motors()).items(items), self.firmware.caps()
+        items = (within or self.within_motors()).items(items)
+        caps = with_ramps(self.firmware.caps(), self.printer.motors.stated)
         return plan(avoid_bands(items, self.bands, caps, start), caps)
 
     def within_motors(self) -> WithinMotors:
@@ -142,7 +143,8 @@ class Chain:
         options, printer = self.options, self.printer
         rules = self.firmware.motion(options.tolerance, options.retract == "moving")
         rests = stop_rules(printer.compensation.stops, options.strategy, rules.stop_rules)
-        return sample(items, printer.limits, rests, skip_slow=skip_slow)
+        limits = with_ramps(printer.limits, printer.motors.stated)
+        return sample(items, limits, rests, skip_slow=skip_slow)
 
 
 def read_ahead(items: Iterator[Item]) -> Iterator[Item]:
