@@ -132,11 +132,11 @@ def _line(key: str, known: Known) -> str:
 # What a firmware says, compared with a profile that exists.
 
 ROUNDING = 1e-3  # share, mm and so on by which two numbers may differ
-# what an owner chooses, whatever the firmware says
+# what an owner chooses or calibrates, whatever the firmware says
 CHOSEN = (
     "limits.velocity", "limits.acceleration", "limits.square_corner_velocity",
     "limits.junction_deviation", "speed.", "sweep.", "kinematics.",
-    "firmware.other_tools", "firmware.klipper.end_macro",
+    "firmware.other_tools", "firmware.klipper.end_macro", "steps.e",
 )  # fmt: skip
 
 
