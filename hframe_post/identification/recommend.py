@@ -93,7 +93,7 @@ def recommend(plant: Plant, profile: Printer, model_error: float) -> Recommendat
     updated = replace(updated, compensation=chosen)
     options = Options("racking", tuple(STRATEGIES), clamp=True)
     doubts = Doubts.from_plant(plant, model_error)
-    study = Study(plant, {model_error: printers}, name=updated.name, doubts=doubts)
+    study = Study(plant, {model_error: printers}, name=updated.name, doubts=doubts, exact=True)
     predicted = simulate(lambda: rectangle(updated), updated, options, study)
     (similar,) = predicted.model_error
     if similar.better("racking", "none") < len(printers):

@@ -228,7 +228,8 @@ class Study:
 
     plant, name: of the simulated printer, which may differ from the one compensated for. drawn:
     share of model error → random printers that differ by up to that. steps: round commands to
-    whole motor steps; None for none.
+    whole motor steps; None for none. exact: judge the commands as computed, since what lines and
+    the firmware's steps leave is the same with every window.
     """
 
     plant: Plant
@@ -236,6 +237,7 @@ class Study:
     steps: Steps | None = None
     name: str = ""
     doubts: Doubts | None = None
+    exact: bool = False
 
 
 def simulate(
@@ -251,14 +253,14 @@ def simulate(
     chain = Chain(printer, options)
     sliced = AsSliced(chain.firmware.limits())
     motion = sliced.samples(chain.parsed(lines()))
-    steps = study.steps or chain.firmware.steps
+    steps = study.steps or (None if study.exact else chain.firmware.steps)
     today = _Judged(shape(motion, shapings), printer, study, steps)
     strategies = tuple(name for name in options.strategies if name != "none")
     ours = SampleStream(lines(), printer, replace(options, predict=()), strategies)
     parts, picture = Parts(), Picture(Labels()) if options.picture else None
     if "none" in (options.predict or ()):
         today.run(parts)
-    rules = chain.firmware.motion(options.tolerance)
+    rules = None if study.exact else chain.firmware.motion(options.tolerance)
     judged = _Judged(ours, printer, study, study.steps, rules)
     judged.run(parts, picture, shapings)
     off = {

@@ -155,12 +155,9 @@ def _tried(
     trial: Trial, compensator: Compensator, samples: Iterable[Samples], printer: Printer,
     drawn: list[Plant],
 ) -> Iterator[None]:  # fmt: skip
-    chain = Chain(printer, RACKING)
-    commands = Stages(chain, compensator).compensated(samples)
+    commands = Stages(Chain(printer, RACKING), compensator).compensated(samples)
     doubts = None if drawn else Doubts.from_plant(printer.plant)
-    rules = chain.firmware.motion(RACKING.tolerance)
-    meters = [ErrorMeter(plant, rules=rules) for plant in drawn]
-    meters.insert(0, ErrorMeter(printer.plant, doubts=doubts, rules=rules))
+    meters = [ErrorMeter(printer.plant, doubts=doubts), *map(ErrorMeter, drawn)]
     streams = branches(_rated(commands, trial, printer.kinematics), len(meters))
     judged = (meter.samples(stream) for meter, stream in zip(meters, streams, strict=True))
     for _ in zip(*judged, strict=True):

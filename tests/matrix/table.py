@@ -16,7 +16,7 @@ from tests.matrix.cells import Cell
 
 # name: exit status, and the last line
 OUTCOMES = {
-    "unmeas": (1, r"Error: .* plant\.invented: this printer is not measured yet"),
+    "unmeas": (1, r"Error: .*: this printer is not measured yet"),
     "travel": (1, r"Error: line \d+: x of the path .* would be .*; 'G1 X\d+ F3000' leads 20 mm"),
     "nomove": (1, r"Error: line 9: there is not a single move in this file"),
     "failed": (1, r"0 converted, 0 skipped, 1 failed; --resume tries only those again"),

@@ -75,7 +75,7 @@ def test_more_effort_is_more_error_and_less_acceleration(trials: list[Trial]) ->
 def test_a_trial_is_what_a_simulation_tells(profiled: Printer) -> None:
     (trial,) = tune(rectangle(profiled), profiled, [profiled.compensation.windows], [])
     report = simulate(
-        lambda: rectangle(profiled), profiled, Options("racking"), Study(profiled.plant)
+        lambda: rectangle(profiled), profiled, Options("racking"), Study(profiled.plant, exact=True)
     )
     figures = report.parts.whole["racking"]
     assert trial.contour.rms == pytest.approx(figures.contour.rms, rel=1e-9)
