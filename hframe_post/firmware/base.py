@@ -120,9 +120,9 @@ class FirmwareLimits:
     durations: Durations | None = None
 
     @property
-    def belts(self) -> Array:
-        """Return the matrix (2, 2) from x, y to A, B."""
-        return np.array(self.others.belts)
+    def motors(self) -> Array:
+        """Return the matrix (3, 3) from x, y, z to A, B, z."""
+        return np.block([[np.array(self.others.belts), np.zeros((2, 1))], [0.0, 0.0, 1.0]])
 
 
 class Firmware(ABC):

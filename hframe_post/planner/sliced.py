@@ -16,7 +16,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Z, lengths
 from hframe_post.firmware.base import FirmwareLimits
-from hframe_post.native.planning import STEEP, smoothed_runs
+from hframe_post.native.planning import smoothed_runs
 from hframe_post.planner.bands import MotorBands, OuterWalls, TimeInBands
 from hframe_post.planner.lookahead import Lookahead
 from hframe_post.planner.profiles import ProfileAtRest
@@ -43,9 +43,7 @@ class AsSliced:
 
     def __init__(self, rules: FirmwareLimits, bands: MotorBands | None = None) -> None:
         self._rules = rules
-        self._lifts = rules.durations is None  # joined to motion, as Klipper does
-        steep = math.inf if self._lifts else STEEP
-        self._queue = Lookahead(rules.limits, z_share=1.0, steep=steep)
+        self._queue = Lookahead(rules.limits, z_share=1.0, steep=math.inf)
         self._last: Moves | None = None  # moves before the item
         self.seconds = self.elsewhere = 0.0
         self._bands, self._walls, self.in_bands = bands, OuterWalls(), TimeInBands()
@@ -71,7 +69,7 @@ class AsSliced:
                 self._walls.pass_by(item)
         if isinstance(item, Moves):
             ratio, self._last = item.limits.cruise_ratio, item
-        elif isinstance(item, MoveAtRest) and self._lifts and self._last and _lifts(item):
+        elif isinstance(item, MoveAtRest) and self._last and _lifts(item):
             ratio, item = 0.0, self._lift(item, self._last)
         if isinstance(item, Moves):
             self._queue.append(item)
@@ -112,8 +110,8 @@ class AsSliced:
         if self._bands is not None:
             self._add_in_bands(replace(plan, speed=speed), top, self._bands)
         if (durations := self._rules.durations) is not None:
-            lead = np.abs(np.diff(plan.points[:, :Z], axis=0) @ self._rules.belts.T).max(axis=1)
-            lead = np.add.reduceat(lead, plan.ends[:-1])
+            way = np.abs(np.diff(plan.points[:, :E], axis=0) @ self._rules.motors.T).max(axis=1)
+            lead = np.add.reduceat(way, plan.ends[:-1])
             d = np.diff(plan.s[plan.ends])
             seconds = durations(lead, d, speed[:-1], speed[1:], cruise, plan.acceleration)
         self.seconds += float(seconds.sum())
