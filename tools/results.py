@@ -79,10 +79,12 @@ def inexact() -> Iterator[str]:
 def speeds() -> Iterator[str]:
     yield "## Speed\n"
     yield f"CPU on {platform.machine()} with Python {platform.python_version()}, each converted in"
-    yield "turn with what it is compared with: slicing by CuraEngine, `gzip -9` of the input, and"
-    yield "the command that `PREVIOUS` names.\n"
-    yield table_head(*speed.HEAD)
-    yield from (line(*cells) for cells in speed.rows(PRINTERS, os.environ.get("PREVIOUS")))
+    yield "turn with slicing by CuraEngine where it is installed, with `gzip -9` of the input, and"
+    yield "with the version that `PREVIOUS` names.\n"
+    previous = os.environ.get("PREVIOUS")
+    shown = len(speed.HEAD) if previous else -1
+    yield table_head(*speed.HEAD[:shown])
+    yield from (line(*cells[:shown]) for cells in speed.rows(PRINTERS, previous))
     yield ""
 
 
