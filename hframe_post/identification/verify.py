@@ -178,7 +178,7 @@ class Verdict:
         if self.reduction <= 0.0:
             return (
                 "compensation makes this printer WORSE: the profile belongs to another printer, "
-                "or the printer has changed. Do not print with it; sweep and identify again"
+                "or the printer has changed. Do not print with it. Measure and identify again"
             )
         ratio, sd = self.coupling or (1.0, 0.0)
         if ratio < verdict.COUPLING_RATIO - 3.0 * sd:

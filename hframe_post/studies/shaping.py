@@ -29,8 +29,11 @@ from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.best_shaper import Paths, ranked
 from hframe_post.prediction.error_meter import ErrorMeter
+from hframe_post.prediction.predict import as_written, quantise
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
+from hframe_post.prediction.windows import WINDOW
 from hframe_post.printer.settings import Printer
+from hframe_post.stream.chunks import on_a_grid
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.writers.print_time import duration
 
@@ -52,8 +55,8 @@ def search(plant: Plant, paths: Paths) -> list[Shaping]:
 # ----------------------------------------------------------------------
 # Comparison of a print with input shapers to one without compensation and to this tool's.
 #
-#     firmware's own motion ──► with those of shapers ─┐
-#     our plan ──► commands of the strategies ─────────┴─► nozzle ──► contour error of each
+#     firmware's own motion ──► with those of shapers ────────┐
+#     our plan ──► commands of the strategies ──► their lines ┴─► nozzle ──► contour error of each
 #
 
 WORTH = 0.95  # of a shaper's error, below which one that needs a newer Klipper is shown
@@ -86,11 +89,15 @@ def compare_shapers(
     stages = Chain(printer, options)
     pieces = SlicedFile.from_items(stages.parsed(lines()), printer).paths
     shapings = {found.x.name: found for found in search(printer.plant, pieces)}
-    sliced, meter = AsSliced(stages.firmware.limits()), ErrorMeter(plant)
+    firmware, meter = stages.firmware, ErrorMeter(plant)
+    sliced, rules = AsSliced(firmware.limits()), firmware.motion(options.tolerance)
     by_firmware: dict[str, Shapes] = {**shapings, **by_itself(printer, LIVE)}
     today = shape(sliced.samples(stages.parsed(lines())), by_firmware)
+    if firmware.steps is not None:
+        today = quantise(today, printer.kinematics, firmware.steps)
     ours = SampleStream(lines(), printer, options, tuple(STRATEGIES)[1:])
-    for _ in chain(meter.samples(today), meter.samples(ours)):
+    written = (as_written(chunk, rules) for chunk in on_a_grid(ours, WINDOW))
+    for _ in chain(meter.samples(today), meter.samples(written)):
         pass
     durations = dict.fromkeys(STRATEGIES, ours.report().time.after) | {"none": sliced.seconds}
     durations |= {name: sliced.seconds + TS * one.reach for name, one in by_firmware.items()}

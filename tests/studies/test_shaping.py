@@ -122,14 +122,24 @@ def test_simulate_compares_input_shapers(tmp_path: Path) -> None:
     out = tmp_path / "s.json"
     done = run("simulate", "--shapers", "--json", out)
     assert done.returncode == 0
-    compared = json.loads(out.read_text())["against"]
+    report = json.loads(out.read_text())
+    compared = report["against"]
     rms = {each["name"]: each["contour_error_um"]["rms"] for each in compared}
+    for name, predicted in report["contour_error_um"].items():  # the lines count in both tables
+        assert rms[name] == predicted["rms"]
     assert list(rms.values()) == sorted(rms.values())
     assert set(list(rms)[:2]) == {"racking", "live"}  # the same model in both
     for name in KLIPPER:  # searched on this very path
         assert rms[name] < rms["none"]
     times = {each["name"]: each["print_time_s"] for each in compared}
     assert times["none"] <= min(times.values())
+
+
+@pytest.mark.slow
+def test_a_printer_with_marlin_is_not_offered_live(tmp_path: Path) -> None:
+    out = tmp_path / "s.json"
+    assert run("simulate", "--shapers", "-p", "example-ender", "--json", out).returncode == 0
+    assert "live" not in {each["name"] for each in json.loads(out.read_text())["against"]}
 
 
 @pytest.mark.parametrize(

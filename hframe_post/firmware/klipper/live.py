@@ -33,7 +33,7 @@ def live_kernel(printer: Printer) -> tuple[Kernel, Figures]:
 
 def by_itself(printer: Printer, name: str) -> dict[str, Kernel]:
     """Return the kernel under a name; nothing where there is none."""
-    if printer.firmware.klipper is None:
+    if printer.firmware.dialect != "klipper" or printer.firmware.klipper is None:
         return {}
     try:
         return {name: live_kernel(printer)[0]}

@@ -214,8 +214,8 @@ def _check_clipping(path: Path, table: Table, a: Array) -> None:
             cause = f"acceleration in the sensor's {axis} is clipped at {values[at]:.6g} mm/s²"
             raise _error(
                 path, table, at,
-                f"{cause}. Record again with a lower acceleration (ACCEL_PER_HZ of TEST_RESONANCES,"
-                " limits.acceleration of the profile for 'measure', sweep.amplitude for 'sweep') "
+                f"{cause}. Record again with a lower acceleration (ACCEL_PER_HZ of TEST_RESONANCES;"
+                " for 'measure' limits.acceleration of the profile, with Marlin sweep.amplitude) "
                 "or with a greater range of the sensor",
             )  # fmt: skip
 
