@@ -118,12 +118,9 @@ def setup(
         return
     folder.mkdir(parents=True, exist_ok=True)
     with Outputs(files_read(*files)) as outputs:
-        if text != old and before is not None and reset and not before.invented:
-            ModelOutput(outputs, target, str(target), text).write(_with_model(profile, before))
-        else:
-            if text != old:
-                outputs.open(target).write(text.encode())
-            write_kernel(outputs, target, profile)
+        _write_profile(
+            outputs, target, text if text != old else None, profile, before if reset else None
+        )
         for name, content in companions.items():
             if not _holds(folder / name, content):
                 outputs.open(folder / name).write(content.encode())
@@ -131,13 +128,24 @@ def setup(
     written = f"{target}, {_made_default(target, source.warnings)}"
     if before is not None:
         again = quoted(files[0]) + (f" --bed {bed[0]:g},{bed[1]:g}" if bed else "")
-        told = _differences(tables, before, text != old, target, again)
-        click.echo("\n".join(told))
+        click.echo("\n".join(_differences(tables, before, text != old, target, again)))
     click.echo("\n".join(_summary(source, profile, written, kind)))
     if done:
         click.echo("\n".join(["", *done, "", RESTART, CALIBRATE]))
     else:
         click.echo(source.next_steps(profile, target, quoted))
+
+
+def _write_profile(
+    outputs: Outputs, target: Path, text: str | None, profile: Printer, before: Printer | None
+) -> None:
+    """Write a profile's new text, if there is one, and its kernel. before: whose model it keeps."""
+    if text is not None and before is not None and not before.invented:
+        ModelOutput(outputs, target, str(target), text).write(_with_model(profile, before))
+        return
+    if text is not None:
+        outputs.open(target).write(text.encode())
+    write_kernel(outputs, target, profile)
 
 
 def _use(profile: Path) -> None:

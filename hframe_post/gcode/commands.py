@@ -17,7 +17,7 @@ from hframe_post.stream.types import Handling
 
 Words = dict[str, float]  # letter → number
 
-RECENT_TEXTS = 256  # whose words are known: most lines that are no moves recur
+RECENT_TEXTS = 256  # whose words are known: most lines other than moves recur
 SHORT_BYTES = 100  # of a text that is remembered
 IGNORED = "DHLPQRST"  # in moves; A, B, C, I, J, K, U, V, W may be axes
 _BLANK_OR_IGNORED = b" \t\r\v\f" + IGNORED.encode() + IGNORED.lower().encode()
