@@ -76,7 +76,7 @@ def drawn(seed: int, steppers: list[Stepper], seconds: float = 3.0) -> tuple[Any
     while time < BEGIN + seconds:
         angle, v = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(20.0, 200.0)
         way, a = np.array([np.cos(angle), np.sin(angle)]), rng.uniform(1000.0, 10000.0)
-        ramp, cruise = v / a, rng.choice([0.0, 0.002, 0.1])
+        ramp, cruise = v / a, rng.choice([0.0, 0.002, 0.1, -1e-18])  # the last by rounding
         rows.append((time, ramp, cruise, place, way, v, a))
         for stepper in steppers:
             stepper.append(time, (ramp, cruise, ramp), place, way, (0.0, v, a))

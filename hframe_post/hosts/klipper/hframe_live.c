@@ -62,11 +62,13 @@ convolve(double *result, const double *h, const double *p)
         result[j] = sum[j];
 }
 
-// Sentinels around the planner's moves last no time or forever; the first never has a place.
+// Before the planner's first move comes a sentinel at time 0 that lasts no time and has no place.
+// Its duration alone does not tell: rounding makes some moves cruise for -1e-18 s.
 static inline int
 is_first(struct move *m)
 {
-    return list_prev_entry(m, node)->move_t <= 0.0;
+    struct move *prev = list_prev_entry(m, node);
+    return prev->print_time <= 0.0 && prev->move_t <= 0.0;
 }
 
 // Fill the path up to end, where m is any move in the list.
