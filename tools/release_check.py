@@ -14,7 +14,7 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-LABELS = ("Homepage", "Repository", "Changelog")  # Moonraker shows them
+LABELS = ("Homepage", "Repository", "Changelog")  # OctoPrint and Moonraker show them
 PAGES = ("README.md", "docs/start.md")
 FROM_FOLDER = re.compile(
     r"(pipx|uv tool|pip) install (--force )?\.(?![\w/])|(not in an|in no) index"

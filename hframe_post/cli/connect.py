@@ -1,4 +1,4 @@
-"""``hframe-post connect``: lets slicers, Cura, Moonraker and Klipper use a profile."""
+"""``hframe-post connect``: lets slicers, Cura, OctoPrint, Moonraker and Klipper use a profile."""
 
 from __future__ import annotations
 
@@ -17,32 +17,24 @@ from hframe_post.cli.options import quoted, say
 from hframe_post.cli.setup import setup
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import macros
+from hframe_post.firmware.registry import firmware
 from hframe_post.printer.choice import choose
-from hframe_post.printer.profile import load, shipped
+from hframe_post.printer.profile import check_identified, load, shipped
 from hframe_post.process import program, program_words
 from hframe_post.writers.outputs import Outputs
 
-PROGRAMS = ("slicer", "cura", "moonraker", "klipper")
-
-
-def _program(text: str) -> str:
-    if text in ("octoprint", "OctoPrint"):
-        raise click.BadParameter(
-            "OctoPrint's plugin is gone: let the slicer convert ('hframe-post connect slicer' or "
-            "'cura'), then upload what it exports"
-        )
-    return str(click.Choice(PROGRAMS).convert(text, None, None))
+PROGRAMS = ("slicer", "cura", "octoprint", "moonraker", "klipper")
 
 
 @click.command()
-@click.argument("target", metavar="PROGRAM", type=_program)
+@click.argument("target", metavar="PROGRAM", type=click.Choice(PROGRAMS))
 @click.option(
     "-p", "--printer", metavar="NAME|FILE",
     help="Profile to use. Default: the default profile, whichever it is by then.",
 )  # fmt: skip
 @click.option(
     "--folder", type=click.Path(path_type=Path, file_okay=False, exists=True),
-    help="Cura's scripts folder, if it is not found.",
+    help="Cura's scripts folder, or OctoPrint's folder, if it is not found.",
 )  # fmt: skip
 @click.option(
     "--printer-cfg", "config", metavar="FILE",
@@ -60,6 +52,7 @@ def connect(
     \b
     slicer     print the line to paste into PrusaSlicer or OrcaSlicer
     cura       install a script into every version of Cura; again after updates
+    octoprint  install a plugin that converts each upload
     moonraker  on the printer's computer: measure, convert or compensate there
     klipper    print the macros that 'setup' writes to hframe.cfg
 
@@ -77,6 +70,8 @@ def connect(
         _slicer(_anywhere(printer))
     elif target == "cura":
         _cura(_anywhere(printer), folder)
+    elif target == "octoprint":
+        _octoprint(choose(printer, os.environ).profile, folder)
     else:
         click.echo(macros(load(choose(printer, os.environ).profile)), nl=False)
 
@@ -146,3 +141,39 @@ def script_folders() -> list[Path]:
 def script(program: str, printer: str) -> str:
     text = (resources.files(__package__) / f"{NAME}.py.in").read_text("utf-8")
     return text.replace("@PROGRAM@", repr(program)).replace("@PROFILE@", repr(printer))
+
+
+# ---------------------------------------------------------------------- OctoPrint
+
+PLUGIN = "hframe_post"  # its folder
+
+
+def _octoprint(printer: str, folder: Path | None) -> None:
+    profile = load(printer)
+    check_identified(profile)
+    firmware(profile).check_serial()
+    home = folder or Path.home() / ".octoprint"
+    if not home.is_dir():
+        raise HframeError(f"{home} does not exist: name OctoPrint's folder with --folder")
+    plugins = home / "plugins"
+    with Outputs() as outputs:
+        for name, text in plugin_files(program_words(), _anywhere(printer)).items():
+            (plugins / PLUGIN / name).parent.mkdir(parents=True, exist_ok=True)
+            outputs.open(plugins / PLUGIN / name).write(text.encode())
+    click.echo(f"{plugins / PLUGIN}\nRestart OctoPrint.")
+
+
+def plugin_files(command: list[str], profile: str) -> dict[str, str]:
+    """Return the plugin's files by name, for this command and profile."""
+    folder = Path(str(resources.files("hframe_post.hosts") / "octoprint"))
+    files = {
+        str(path.relative_to(folder)): path.read_text("utf-8")
+        for path in folder.rglob("*")
+        if path.is_file() and path.suffix != ".pyc"
+    }
+    own = {"COMMAND": repr(command), "PROFILE": repr(profile)}
+    files["__init__.py"] = re.sub(
+        r"^(COMMAND|PROFILE) = .*$", lambda found: f"{found[1]} = {own[found[1]]}",
+        files["__init__.py"], flags=re.MULTILINE,
+    )  # fmt: skip
+    return files

@@ -36,7 +36,7 @@ GROUPS = {  # by group: name, its function in a module of hframe_post.cli, a lin
         "simulate": ("simulate", "Predict what compensation does for a print."),
     },
     "Other programs": {
-        "connect": ("connect", "Connect a slicer, Cura or Moonraker."),
+        "connect": ("connect", "Connect a slicer, Cura, OctoPrint or Moonraker."),
     },
 }
 COMMANDS = {name: found[0] for group in GROUPS.values() for name, found in group.items()}
@@ -54,7 +54,7 @@ GONE = {  # former commands, and what replaced them
     "calibrate-marlin": "'hframe-post measure --for planner'",
     "slicer-line": "'hframe-post connect slicer'",
     "cura-script": "'hframe-post connect cura'",
-    "octoprint-plugin": "'hframe-post connect slicer': upload what the slicer exports",
+    "octoprint-plugin": "'hframe-post connect octoprint'",
 }
 MOUNTED = "the recordings show how the sensor is mounted"
 GONE_OPTIONS = {  # former options by command, and what replaced them

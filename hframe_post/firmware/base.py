@@ -223,6 +223,10 @@ class Firmware(ABC):
         """Return the motors' steps if their size matters for the print."""
         return None if self.decimates else self.printer.steps
 
+    def check_serial(self) -> None:
+        """Raise PrinterError if the profile does not allow printing over a serial line."""
+        return
+
     @property
     def belts(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the matrix from x, y to the motors A, B."""

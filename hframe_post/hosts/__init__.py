@@ -1,1 +1,1 @@
-"""Files that run inside Klipper and Moonraker, in their Python: they import nothing from here."""
+"""Files that run inside Moonraker and OctoPrint, in their Python: they import nothing from here."""

@@ -55,6 +55,7 @@ SLOW = [
     "calibrate-print --heat 210,60 -o {folder}/tower.gcode",
     "calibrate-print --compare 6% --heat 210,60 -o {folder}/squares.gcode",
     "convert {print} -o {folder}/fast.gcode --max-error 100um",
+    "connect octoprint --folder {folder}",
 ]
 
 

@@ -21,6 +21,7 @@ OUTCOMES = {
     "nomove": (1, r"Error: line 9: there is not a single move in this file"),
     "failed": (1, r"0 converted, 0 skipped, 1 failed; --resume tries only those again"),
     "marlin": (1, r"Error: .* firmware\.dialect: marlin "),
+    "baud": (1, r"Error: .* firmware\.marlin\.baud: OctoPrint prints over a serial line"),
     "klippr": (1, r"Error: .* firmware\.dialect: this profile is for klipper; only boards that"),
     "cut": (1, r"Error: .*(was cut|shows no resonance test|not two of each)"),
     "norec": (1, r"Error: .*not a Klipper accelerometer file"),
@@ -86,6 +87,9 @@ DONE = {
     "measure --for planner -o c.gcode": Done("The part .lines. is 10000", "c.gcode"),
     "connect slicer": Done("OrcaSlicer: Process"),
     "connect cura --folder {folder}": Done("Restart Cura, then: ", "there/HframePost.py"),
+    "connect octoprint --folder {folder}": Done(
+        "Restart OctoPrint.", r"(there/plugins/hframe_post/\S+ ?){4}"
+    ),
 }
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hframe_post.errors import HframeError
+from hframe_post.errors import HframeError, PrinterError
 from hframe_post.firmware.base import (
     UNLIMITED_DEVIATION,
     Firmware,
@@ -115,3 +115,13 @@ class Marlin(Firmware):
         from hframe_post.firmware.marlin.m503 import MarlinSource, is_of_marlin, text_in
 
         return MarlinSource(files) if is_of_marlin(text_in(files[0])) else None
+
+    def check_serial(self) -> None:
+        table = self.printer.firmware.marlin
+        if table is not None and not table.baud:
+            raise PrinterError(
+                "OctoPrint prints over a serial line, which starves without it and makes prints "
+                "worse. Write the speed of the connection below [firmware.marlin], such as "
+                "'baud = 115200' (docs/firmware.md)",
+                "firmware.marlin.baud", self.printer.name,
+            )  # fmt: skip
