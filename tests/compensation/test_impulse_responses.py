@@ -215,13 +215,6 @@ def test_printers_that_drift_follow_better_where_that_is_expected() -> None:
     assert squared_error(unsure(), certain, path) < squared_error(unsure(), doubting, path)
 
 
-def test_doubtful_commands_do_not_depend_on_how_the_path_is_cut() -> None:
-    plant = replace(early(), Gxx=replace(unsure(0.03, 0.2), lag=1.5))
-    whole = commanded(plant)
-    assert np.array_equal(commanded(plant, (1, 10, 500, 1500)), whole)
-    assert not np.array_equal(commanded(early()), whole)
-
-
 # ---------------------------------------------------------------------- whole plants
 
 
@@ -234,13 +227,6 @@ def test_a_two_sided_plant_is_inverted(strategy: str) -> None:
     off, without = (nozzle(plant, ORIGIN, u) - path for u in (command, path))
     assert np.sqrt(np.square(without).mean()) > 0.01  # mm
     assert np.sqrt(np.square(off).mean()) < 1e-3  # mm
-
-
-def test_commands_do_not_depend_on_how_the_path_is_cut() -> None:
-    plant = early()
-    whole = commanded(plant)
-    for cuts in ((1,), (10, 20, 21, 500, 1500), tuple(range(0, 2000, 37))):
-        assert np.array_equal(commanded(plant, cuts), whole)
 
 
 def samples_of(command: Array) -> Samples:

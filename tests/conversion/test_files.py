@@ -12,10 +12,8 @@ import pytest
 from hframe_post.conversion.conversions import SampleConversion, StepConversion
 from hframe_post.conversion.files import Target, convert, with_format
 from hframe_post.conversion.options import Kind, Options
-from hframe_post.errors import LimitError
 from hframe_post.gcode import batching
 from hframe_post.planner import sampling
-from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
 from hframe_post.writers import steps
 from hframe_post.writers.outputs import Outputs
@@ -90,12 +88,6 @@ def test_report_counts_what_is_in_the_file(paper: Printer) -> None:
     assert "steps " in report.as_text()
     assert report.as_json()["steps"]["motors"] == report.steps.motors
     assert report.filament_after == pytest.approx(report.read.filament, abs=0.0025)
-
-
-def test_clock_that_is_too_slow_names_the_line_of_the_file() -> None:
-    slow = parse('extends = "paper"\n[steps]\nclock_hz = 4000\n', "slow")
-    with pytest.raises(LimitError, match=r"line 5: speed of motor [AB]"):
-        converted(TURN, slow, "steps", "none")
 
 
 # ---------------------------------------------------------------------- the command line

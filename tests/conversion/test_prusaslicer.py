@@ -31,20 +31,15 @@ GEOMETRY = (
     "--fill-pattern gyroid --infill-first --thin-walls --gcode-resolution 0.1"
 )
 SETTINGS = [
-    "--gcode-flavor marlin", "--gcode-flavor reprap", "--gcode-flavor reprapfirmware",
-    "--gcode-flavor repetier", "--gcode-flavor teacup", "--gcode-flavor makerware",
-    "--gcode-flavor sailfish", "--gcode-flavor smoothie", "--use-relative-e-distances",
-    "--use-relative-e-distances --layer-gcode ;L[layer_num]", "--use-firmware-retraction",
-    "--use-volumetric-e", VASE, "--retract-lift 0.4 --retract-layer-change",
-    "--wipe --retract-before-wipe 50%", "--complete-objects", "--gcode-comments",
-    "--gcode-label-objects --use-relative-e-distances", "--ooze-prevention",
-    "--gcode-flavor marlin2 --remaining-times --silent-mode",
+    "--gcode-flavor marlin", "--gcode-flavor reprapfirmware", "--gcode-flavor sailfish",
+    "--gcode-flavor smoothie --gcode-comments", "--use-relative-e-distances --use-volumetric-e",
+    "--use-relative-e-distances --layer-gcode ;L[layer_num] --use-firmware-retraction", VASE,
+    "--retract-lift 0.4 --retract-layer-change --wipe --retract-before-wipe 50%",
+    "--complete-objects --retract-restart-extra 0.05", GEOMETRY, f"{MULTI} {TOWER} --wipe",
+    "--gcode-label-objects --use-relative-e-distances", "--retract-length 0 --end-gcode M84",
+    "--gcode-flavor marlin2 --remaining-times --silent-mode --machine-limits-usage emit_to_gcode",
     "--default-acceleration 2000 --perimeter-acceleration 800 --infill-acceleration 1500",
-    "--gcode-flavor marlin --default-acceleration 900 --machine-limits-usage emit_to_gcode",
-    "--gcode-flavor marlin2 --machine-limits-usage emit_to_gcode", GEOMETRY, "--retract-length 0",
-    "--retract-restart-extra 0.05", f"{MULTI} {TOWER} --wipe",
     f"{MULTI} {TOWER} --gcode-flavor marlin --layer-gcode 'G92 E0'",
-    "--end-gcode M84 --toolchange-gcode M117",
 ]  # fmt: skip
 FACES = (
     (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6),

@@ -6,7 +6,6 @@ import os
 import signal
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
@@ -124,30 +123,4 @@ def test_a_killed_worker_is_an_error(paper: Printer, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(conversions.SpanWriter, "streamed", killed)
     with pytest.raises(HframeError, match="jobs 1"):
-        converted(layers("cube.gcode", 3), paper, 2)
-
-
-class Unreadable:
-    """What cannot be unpickled: it is called without its argument.
-
-    No exception, since Dask, where a test has imported it, teaches those to be pickled.
-    """
-
-    def __init__(self, cause: str) -> None:
-        self.cause = cause
-
-    def __reduce__(self) -> tuple[type[Unreadable], tuple[()]]:
-        return Unreadable, ()
-
-
-@pytest.mark.usefixtures("short")
-def test_what_cannot_be_unpickled_is_no_killed_worker(
-    paper: Printer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def failing(self: conversions.SpanWriter, span: Span, threads: bool) -> conversions.WrittenSpan:
-        mistake: list[Any] = [Unreadable("a mistake of ours")]
-        return conversions.WrittenSpan(mistake)
-
-    monkeypatch.setattr(conversions.SpanWriter, "streamed", failing)
-    with pytest.raises(RuntimeError, match=r"cannot be read: TypeError: .*__init__"):
         converted(layers("cube.gcode", 3), paper, 2)

@@ -1,4 +1,4 @@
-"""Equal input gives equal bytes, in whatever process: jobs, hash seeds, BLAS kernels."""
+"""Equal input gives equal bytes: whatever the processes, hash seeds, BLAS kernels, processors."""
 
 from __future__ import annotations
 
@@ -7,40 +7,44 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.conftest import ROOT, SAMPLES
-from tests.gcode_tools import SPANS
+from tests.conftest import SAMPLES
+from tests.gcode_tools import strokes
 
-KERNELS = ("Prescott", "Nehalem", "Sandybridge", "Haswell")  # that any machine of ten years runs
-
-
-def converted(source: Path, jobs: int = 1, seed: int = 0, blas: str = "") -> bytes:
-    """The output of a process of its own."""
-    env = {**os.environ, "PYTHONHASHSEED": str(seed)}
-    if blas:
-        env["OPENBLAS_CORETYPE"] = blas
-    command = [sys.executable, "-m", "hframe_post", str(source), "-q", "-o", "-"]
-    done = subprocess.run(
-        [*command, "--jobs", str(jobs)], cwd=ROOT, env=env, capture_output=True, check=False
-    )
-    assert (done.returncode, done.stderr) == (0, b"")
-    return done.stdout
+OLD_PROCESSOR = {
+    "OPENBLAS_CORETYPE": "Prescott",
+    "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR",
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX2_Usable,-FMA_Usable",
+}
+pytestmark = pytest.mark.slow
 
 
-@pytest.mark.slow
-def test_neither_processes_nor_hashes_show(tmp_path: Path) -> None:
-    source = tmp_path / "part.gcode"
-    source.write_bytes(SPANS)
-    assert converted(source, jobs=2, seed=1) == converted(source)
+def convert(source: Path, output: Path, jobs: int = 1, **environment: str) -> bytes:
+    """Convert in a process of its own; return the output."""
+    command = [sys.executable, "-m", "hframe_post", source, "-o", output, "-q", "-p", "paper"]
+    subprocess.run(
+        [*map(str, command), "--force", "--jobs", str(jobs)], check=True,
+        env={**os.environ, "PYTHONHASHSEED": "0", **environment},
+    )  # fmt: skip
+    return output.read_bytes()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["cube.gcode", "rectangle.gcode"])
-def test_every_process_writes_the_same(name: str) -> None:
-    source = SAMPLES / name
-    plain = converted(source)
-    for jobs, seed in ((1, 4294967295), (2, 1), (4, 0)):
-        assert converted(source, jobs, seed) == plain, (jobs, seed)
-    for blas in KERNELS:
-        assert converted(source, blas=blas) == plain, blas
+def test_every_process_writes_the_same(tmp_path: Path) -> None:
+    source, output = SAMPLES / "cube.gcode", tmp_path / "out.gcode"
+    plain = convert(source, output)
+    assert convert(source, output, jobs=2, PYTHONHASHSEED="4294967295") == plain
+    assert convert(source, output, OPENBLAS_CORETYPE="Haswell") == plain
+    assert convert(source, output, **OLD_PROCESSOR) == plain
+
+
+def test_samples_are_equal_to_the_last_bit(tmp_path: Path) -> None:
+    source, output = tmp_path / "strokes.gcode", tmp_path / "samples.npz"
+    source.write_text("\n".join([*strokes(0, 6, 0.4), "G4 P1200", "G1 X60 Y60 E1", ""]))
+    results = []
+    for environment in ({}, OLD_PROCESSOR):
+        convert(source, output, **environment)
+        with np.load(output) as samples:
+            results.append({key: samples[key].tobytes() for key in samples.files})
+    assert results[0] == results[1]

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array, X
-from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import Elsewhere, ImpulseResponse
 from hframe_post.model.nozzle import Response, nozzle
 from hframe_post.model.plant import Plant
@@ -126,19 +125,3 @@ def test_places_may_ring_for_longer_or_shorter() -> None:
     printer = replace(plant(), Gxx=replace(G, elsewhere=(left, short)), Gxtheta=None)
     command = compensated(printer, path)
     below(left_over(printer, path, command), 5.0, "contour error of the rectangle, µm RMS")
-
-
-@pytest.mark.parametrize(
-    ("elsewhere", "cause"),
-    [
-        ((Elsewhere(MIDDLE_X + 0.5, 1.0, mode(HZ)),), "differ by 1 mm"),
-        ((Elsewhere(30.0, 3.0, mode(HZ)),), "frequency must be"),
-        ((Elsewhere(30.0, 1.0, moving()),), "one response"),
-        ((Elsewhere(30.0, 1.0, mode(HZ, 0.0)),), "same gain at rest"),
-    ],
-)
-def test_places_that_make_no_sense_are_refused(
-    elsewhere: tuple[Elsewhere, ...], cause: str
-) -> None:
-    with pytest.raises(ArgumentError, match=cause):
-        replace(mode(HZ), x=MIDDLE_X, elsewhere=elsewhere)

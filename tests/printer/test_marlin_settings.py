@@ -94,21 +94,6 @@ BOARDS = {
   M205 B20000.00 S0.00 T0.00 X10.00 Y10.00 Z0.30 E5.00
   M420 S1
 """,
-    "Creality, junction deviation": """
-echo: M92 X80.00 Y80.00 Z400.00 E418.75
-echo:  M203 X500.00 Y500.00 Z5.00 E25.00
-echo:  M201 X500.00 Y500.00 Z100.00 E5000.00
-echo:  M204 P500.00 R500.00 T500.00
-echo:  M205 B20000.00 S0.00 T0.00 J0.08
-echo:  M420 S0 Z0.00
-""",
-    "Artillery Genius, as delivered": """
-echo:  M92 X80.12 Y80.12 Z399.78 E445.00
-echo:  M203 X300.00 Y300.00 Z50.00 E40.00
-echo:  M201 X2000 Y2000 Z100 E10000
-echo:  M204 P800.00 R10000.00 T2000.00
-echo:  M205 Q20000 S0.00 T0.00 X8.00 Y8.00 Z0.30 E5.00
-""",
     "Artillery, Marlin 2.0": """
 ; Steps per unit:
  M92 X80.12 Y80.12 Z399.78 E414.26
@@ -117,14 +102,6 @@ echo:  M205 Q20000 S0.00 T0.00 X8.00 Y8.00 Z0.30 E5.00
 ; Acceleration (units/s2): P<print_accel> R<retract_accel> T<travel_accel>
   M204 P800.00 R10000.00 T2000.00
   M205 B20000.00 S0.00 T0.00 J0.03
-""",
-    "SKR, Marlin 2.1": """
-echo:  M92 X80.00 Y80.00 Z400.00 E93.00
-echo:  M203 X300.00 Y300.00 Z5.00 E25.00
-echo:  M201 X500.00 Y500.00 Z100.00 E1000.00
-echo:  M204 P500.00 R500.00 T1000.00
-echo:  M205 B20000.00 S0.00 T0.00 X8.00 Y8.00 Z0.40 E5.00
-echo:  M420 S0 Z10.00 ; Leveling OFF
 """,
     "Marlin 1.1 of 2017, one jerk for x and y": """
 echo:  M92 X80.00 Y80.00 Z400.00 E93.00
@@ -163,15 +140,6 @@ Recv: echo:  M201 X1000 Y1000 Z100 E25
 Recv: echo:  M204 P5000.00 R1000.00 T5000.00
 Recv: echo:  M205 S0.00 T0.00 B20000 X20.00 Z0.40 E5.00
 """,
-    "Anycubic i3 Mega, Marlin 2.0": """
-Recv: echo:  M92 X80.29 Y80.29 Z399.21 E425.35
-Recv: echo:  M203 X500.00 Y500.00 Z10.00 E50.00
-Recv: echo:  M201 X500.00 Y500.00 Z100.00 E5000.00
-Recv: echo:  M204 P500.00 R5000.00 T500.00
-Recv: echo:  M205 B20000.00 S0.00 T0.00 X10.00 Y10.00 Z0.40 E5.00
-Recv: echo:; Unified Bed Leveling:
-Recv: echo:  M420 S0 Z10.00 ; Leveling OFF
-""",
     "Snapmaker A350, a rotary axis": """
 Recv:   M92 X400.00 Y400.00 Z400.00 B888.89 E258.79
 Recv:   M203 X120.00 Y120.00 Z40.00 E25.00
@@ -197,15 +165,11 @@ echo:  M205 B20000.00 S0.00 T0.00 J0.02
 # steps per mm, mm/s² of path, travel and retraction, mm/s at most and at corners, mesh
 READ = {
     "Creality, Marlin 2.0, BLTouch": (80.0, 500.0, 500.0, 500.0, 500.0, 10.0, True),
-    "Creality, junction deviation": (80.0, 500.0, 500.0, 500.0, 500.0, 9.83, False),
-    "Artillery Genius, as delivered": (80.12, 800.0, 2000.0, 10000.0, 300.0, 8.0, False),
     "Artillery, Marlin 2.0": (80.12, 800.0, 2000.0, 10000.0, 300.0, 7.61, False),
-    "SKR, Marlin 2.1": (80.0, 500.0, 1000.0, 500.0, 300.0, 8.0, False),
     "Marlin 1.1 of 2017, one jerk for x and y": (80.0, 500.0, 1000.0, 500.0, 300.0, 20.0, False),
     "a clone of a Prusa, log with times": (100.0, 1250.0, 1250.0, 1500.0, 200.0, 10.0, False),
     "Prusa MK3, stealth mode too": (100.0, 1250.0, 1250.0, 1250.0, 200.0, 8.0, False),
     "CR-10S of 2017, slow filament": (80.0, 1000.0, 5000.0, 1000.0, 300.0, 20.0, False),
-    "Anycubic i3 Mega, Marlin 2.0": (80.29, 500.0, 500.0, 5000.0, 500.0, 10.0, False),
     "Snapmaker A350, a rotary axis": (400.0, 750.0, 1000.0, 1000.0, 120.0, 6.02, True),
     "Tevo, two extruders": (80.06, 800.0, 1000.0, 1500.0, 500.0, 6.22, False),
 }  # fmt: skip
