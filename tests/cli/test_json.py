@@ -43,10 +43,6 @@ def test_a_failure_has_its_status_text_and_line(outside: Path, tmp_path: Path) -
     assert summary(tmp_path / "none.gcode", "-n")["error"].endswith("No such file or directory")
 
 
-def test_success_has_its_status() -> None:
-    assert summary(RECTANGLE, "-n")["status"] == 0
-
-
 WITHOUT_INPUT: dict[str, list[str]] = {
     "convert": ["none.gcode"], "batch": ["none.gcode", "-o", "out"],
     "simulate": ["none.gcode"],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,9 @@ OLD_PROCESSOR = {
 pytestmark = pytest.mark.slow
 
 
-def convert(source: Path, output: Path, jobs: int = 1, **environment: str) -> bytes:
+def convert(
+    source: Path, output: Path, environment: Mapping[str, str] = {}, jobs: int = 1
+) -> bytes:
     """Convert in a process of its own; return the output."""
     command = [sys.executable, "-m", "hframe_post", source, "-o", output, "-q", "-p", "paper"]
     subprocess.run(
@@ -34,9 +37,9 @@ def convert(source: Path, output: Path, jobs: int = 1, **environment: str) -> by
 def test_every_process_writes_the_same(tmp_path: Path) -> None:
     source, output = SAMPLES / "cube.gcode", tmp_path / "out.gcode"
     plain = convert(source, output)
-    assert convert(source, output, jobs=2, PYTHONHASHSEED="4294967295") == plain
-    assert convert(source, output, OPENBLAS_CORETYPE="Haswell") == plain
-    assert convert(source, output, **OLD_PROCESSOR) == plain
+    assert convert(source, output, {"PYTHONHASHSEED": "4294967295"}, jobs=2) == plain
+    assert convert(source, output, {"OPENBLAS_CORETYPE": "Haswell"}) == plain
+    assert convert(source, output, OLD_PROCESSOR) == plain
 
 
 def test_samples_are_equal_to_the_last_bit(tmp_path: Path) -> None:
@@ -44,7 +47,7 @@ def test_samples_are_equal_to_the_last_bit(tmp_path: Path) -> None:
     source.write_text("\n".join([*strokes(0, 6, 0.4), "G4 P1200", "G1 X60 Y60 E1", ""]))
     results = []
     for environment in ({}, OLD_PROCESSOR):
-        convert(source, output, **environment)
+        convert(source, output, environment)
         with np.load(output) as samples:
             results.append({key: samples[key].tobytes() for key in samples.files})
     assert results[0] == results[1]

@@ -90,16 +90,6 @@ def test_what_nobody_hears_is_done_all_the_same(folder: Path, command: str) -> N
     assert b"; processed by hframe-post" in (folder / "in.gcode").read_bytes()
 
 
-def limited() -> None:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-
-
-@pytest.mark.parametrize("to", few(["", "-o out.npz", "-o out.csv.gz"], 1))
-def test_a_full_disk_is_one_line_and_no_file(folder: Path, to: str) -> None:
-    done = shell(f"$ME in.gcode -q {to}", folder, preexec_fn=limited)
-    refused(done, folder, f"{folder}: File too large; make room there")
-
-
 def test_a_full_disk_in_the_middle_of_a_print(folder: Path) -> None:
     """The stages that run ahead are stopped, and leave nothing to be complained about."""
     shutil.copy(SAMPLES / "cube.gcode", folder / "in.gcode")

@@ -217,7 +217,7 @@ def test_a_check_of_a_printer_that_did_not_drift_leaves_its_model(folder: Path) 
 @pytest.mark.parametrize(
     ("case", "message"),
     [
-        ("another printer", "Identify again"),
+        pytest.param("another printer", "Identify again", marks=pytest.mark.slow),
         ("cut off", "was cut off"),
         ("none", "without their recordings"),
         ("stale", "older than the model"),

@@ -61,10 +61,9 @@ def test_drawn_printers_become_better(seed: int) -> None:
             assert found.gains[axis] == pytest.approx(gain, abs=0.01)
 
 
-@pytest.mark.slow
 def test_the_command_line_makes_a_profile_of_strokes(tmp_path: Path) -> None:
     machine, chip, _ = drawn(4)
-    (one,) = runs(printer(machine))
+    (one,) = runs(printer(machine), seconds=12.0)
     with (tmp_path / f"m.{one.name}.csv").open("wb") as file:
         file.writelines(command_csv(one.command))
     recording = chip.record(machine, one.command, 1)

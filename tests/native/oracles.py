@@ -135,24 +135,3 @@ def distances(path: Array, nozzle: Array, at: Integers, reach: int) -> Array:
         off = to - share[:, None] * way
         least = np.minimum(least, np.sqrt(np.square(off).sum(axis=1)))
     return least
-
-
-def motion_lines(at: Integers, feeds: Integers, feed: int, decimals: tuple[int, ...]) -> str:
-    """Return the text that ``native.digits.motion_lines`` does."""
-    lines = []
-    for k, F in enumerate(feeds.tolist()):
-        before, now = at[k].tolist(), at[k + 1].tolist()
-        values = [*now[:E], now[E] - before[E], F]
-        seen = [a != b for a, b in zip(before, now, strict=True)] + [feed != F]
-        if not k and not feed:
-            seen[:Z] = True, True
-        words = zip("XYZEF", values, decimals, seen, strict=True)
-        lines.append("G1" + "".join(f" {a}{shown(v, d)}" for a, v, d, is_seen in words if is_seen))
-        feed = F
-    return "".join(f"{line}\n" for line in lines)
-
-
-def shown(units: int, decimals: int) -> str:
-    whole, fraction = divmod(abs(units), 10**decimals)
-    text = f"{whole}.{fraction:0{decimals}d}".rstrip("0").rstrip(".") if decimals else str(whole)
-    return "-" * (units < 0) + text

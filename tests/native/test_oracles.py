@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_post.firmware.klipper.code import StreamLimits
-from hframe_post.native import digits, judging, planning, ramps
+from hframe_post.native import judging, planning, ramps
 from hframe_post.native.planning import find_runs
 from hframe_post.printer.settings import Printer
 from tests.native import oracles
@@ -48,19 +48,6 @@ def test_ways_to_the_path(seed: int) -> None:
     found = np.sqrt(np.square(off).sum(axis=1))
     assert (found >= shortest - 1e-12).all()
     assert np.sqrt(np.square(found).mean() / np.square(shortest).mean()) < 1.05
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_lines_of_motion(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    n, length, places = int(rng.integers(1, 60)), int(rng.integers(1, 8)), int(rng.integers(0, 6))
-    at = rng.integers(-(10**length), 10**length + 1, (n + 1, 4)) // 10**places * 10**places
-    at[1:][rng.random((n, 4)) < 0.3] = at[0, 0]
-    given = at, rng.integers(0, 5, n), int(rng.choice([0, 7, -1])), (4, 5, 6, 5, 2)
-    text, ends = digits.motion_lines(*given)
-    assert text.decode() == oracles.motion_lines(*given)
-    assert text[: ends[0]].count(b"\n") == 1
-    assert ends[-1] == len(text)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
@@ -39,7 +39,6 @@ from tests.planner.planning import (
     cut,
     gentle_spiral,
     jerks,
-    lengths,
     line,
     move_limits,
     moves,
@@ -50,48 +49,6 @@ from tests.planner.planning import (
 )
 
 # ---------------------------------------------------------------------- reach
-
-
-def distance(v0: float, v1: float, a: float, j: float) -> float:
-    """Return the path over which v0 rises to v1, by numerical integration of the acceleration."""
-    peak = min(a, math.sqrt((v1 - v0) * j))
-    ramp = peak / j
-    flat = max((v1 - v0) / peak - ramp, 0.0)
-    v, s = v0, 0.0
-    for duration, start, end in ((ramp, 0.0, peak), (flat, peak, peak), (ramp, peak, 0.0)):
-        acceleration = np.linspace(start, end, 2001)
-        dt = duration / 2000
-        rise = np.concatenate([[0.0], np.cumsum(acceleration[1:] + acceleration[:-1]) * dt / 2])
-        s += float(np.sum(2.0 * v + rise[1:] + rise[:-1]) * dt / 2)
-        v += float(rise[-1])
-    assert v == pytest.approx(v1, rel=1e-9)
-    return s
-
-
-def reached(v0: float, length: float, a: float, j: float) -> float:
-    return float(reachable_speed(np.array([v0]), np.array([length]), np.array([a]), j)[0])
-
-
-speeds = st.floats(0.0, 500.0)
-accelerations = st.floats(2.0, 5.0).map(lambda power: 10.0**power)
-
-
-@given(speeds, lengths, accelerations, jerks)
-@example(0.0, 1e-4, 1e4, 5e7)
-@example(500.0, 1e-4, 1e2, 1e9)
-@example(0.0, 1e3, 1e5, 1e9)
-def test_reachable_speed_takes_its_length(v0: float, length: float, a: float, j: float) -> None:
-    v1 = reached(v0, length, a, j)
-    assert v1 > v0
-    assert distance(v0, v1, a, j) == pytest.approx(length, rel=1e-3)
-
-
-@given(speeds, lengths, accelerations)
-def test_reachable_speed_without_jerk_limit_is_torricellis(
-    v0: float, length: float, a: float
-) -> None:
-    expected = math.sqrt(v0 * v0 + 2.0 * a * length)
-    assert reached(v0, length, a, 1e16) == pytest.approx(expected, rel=1e-4)
 
 
 # ---------------------------------------------------------------------- junctions

@@ -65,30 +65,12 @@ def test_at_rest_each_belt_is_at_the_nearest_step(
     assert np.abs(belts - kinematics.belts(*command.T)).max() <= STEPS.belt / 2 + 1e-9
 
 
-def test_a_command_in_whole_steps_stays() -> None:
-    kinematics = Kinematics("cartesian")
-    command = np.full((10, 2), 1234 * STEPS.belt)
-    np.testing.assert_allclose(stepped(command, kinematics, STEPS), command, rtol=1e-12)
-
-
 def test_a_slow_clock_steps_once_a_sample() -> None:
     """One tick a millisecond or less: the nearest step of each sample."""
     command, kinematics = curve(200), Kinematics("cartesian")
     for clock_hz in (1000.0, 400.0):
         got = stepped(command, kinematics, replace(STEPS, clock_hz=clock_hz))
         np.testing.assert_allclose(got, np.rint(command / STEPS.belt) * STEPS.belt, atol=1e-9)
-
-
-def test_a_faster_clock_and_finer_steps_come_nearer() -> None:
-    kinematics = Kinematics("hbot")
-    command = np.arange(400)[:, None] * [0.013, 0.007]  # where a sample is the mean around it
-
-    def off(table: Steps) -> float:
-        got = stepped(command, kinematics, table) - command
-        return float(np.sqrt(np.square(got[1:-1]).mean()))
-
-    assert off(replace(STEPS, clock_hz=1e5)) < off(replace(STEPS, clock_hz=1000.0))
-    assert off(replace(STEPS, belt=STEPS.belt / 16)) < off(STEPS) / 8
 
 
 def blocks(sizes: list[int], yields: int | None = None) -> list[Samples]:
@@ -113,16 +95,6 @@ def test_cuts_change_no_bit(size: int) -> None:
         joined = np.concatenate([block.commands[name] for block in cut])
         np.testing.assert_array_equal(joined, command)
         assert not command.flags.writeable
-
-
-def test_everything_but_the_commands_is_unchanged() -> None:
-    before = blocks([50, 0, 70], yields=1)
-    after = list(quantise(before, Kinematics(), STEPS))
-    assert [(b.first, b.events) for b in after] == [(b.first, b.events) for b in before]
-    for one, other in zip(before, after, strict=True):
-        assert other.xyze is one.xyze
-        assert other.line is one.line
-        assert other.commands.keys() == one.commands.keys()
 
 
 def test_the_command_after_a_release_is_quantised_on_its_own() -> None:

@@ -55,22 +55,6 @@ def test_cuts_change_nothing_but_the_rounding_of_the_sum(errors: Array, cuts: li
     assert one.squares == pytest.approx(other.squares, rel=1e-12)
 
 
-def test_micrometres() -> None:
-    errors = np.linspace(0.001, 0.1, 1000)
-    result = statistics(errors).micrometres()
-    assert result["rms"] == pytest.approx(1e3 * np.sqrt(np.square(errors).mean()), abs=1e-4)
-    assert result["p95"] == pytest.approx(1e3 * np.quantile(errors, 0.95), rel=0.011)
-    assert result["peak"] == 100.0
-
-
-def test_size_does_not_grow_with_the_stream() -> None:
-    running = ErrorStatistics()
-    size = running.histogram.nbytes
-    for _ in range(50):
-        running.add(np.full(1000, 0.01))
-    assert (running.histogram.nbytes, running.histogram.sum()) == (size, 50_000)
-
-
 @given(CUTS)
 def test_figures_are_those_of_the_whole(cuts: list[int]) -> None:
     rng = np.random.default_rng(4)
@@ -96,7 +80,3 @@ def test_figures_of_nothing_are_zero() -> None:
     result = Figures().as_json()
     assert result["tracking_error_um"] == {"x": 0.0, "y": 0.0}
     assert result["peak_belt_speed"] == result["peak_belt_acceleration"] == 0.0
-
-
-def test_statistics_of_nothing_are_zero() -> None:
-    assert ErrorStatistics().micrometres() == {"rms": 0.0, "p95": 0.0, "peak": 0.0}

@@ -10,13 +10,10 @@ from hframe_post import library
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.tuning import tune
-from tests.conftest import few
-from tests.random_printers import cube
 
 
-@pytest.mark.parametrize("path", few(["cube", "rectangle"], 1))
-def test_tune_simulate_and_convert_agree(paper: Printer, tmp_path: Path, path: str) -> None:
-    lines = rectangle(paper) if path == "rectangle" else cube()
+def test_tune_simulate_and_convert_agree(paper: Printer, tmp_path: Path) -> None:
+    lines = rectangle(paper)
     (trial,) = tune(list(lines), paper, [paper.compensation.windows], [])
     simulated = library.simulate(lines, paper).parts.whole["racking"]
     converted = library.convert(lines, tmp_path / "out.gcode", paper).peaks

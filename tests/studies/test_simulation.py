@@ -110,18 +110,6 @@ def test_cuts_change_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
             assert one_error.rms(name) == pytest.approx(other_error.rms(name), rel=1e-6)
 
 
-def test_the_same_study_tells_the_same() -> None:
-    plant = profile.load("paper").plant
-    first, again = (
-        simulated(sample("rectangle.gcode"), Study(plant, {0.05: draws(plant, 0.05, 3, 7)}))
-        for _ in range(2)
-    )
-    assert first.as_json() == again.as_json()
-    assert first.as_text() == again.as_text()
-    other = simulated(sample("rectangle.gcode"), Study(plant, {0.05: draws(plant, 0.05, 3, 8)}))
-    assert other.model_error[0].rms("racking") != first.model_error[0].rms("racking")
-
-
 @pytest.mark.paper
 def test_racking_with_5_percent_model_error_beats_fbs_without() -> None:
     paper = profile.load("paper")

@@ -11,9 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.conversion.options import Options
-from hframe_post.gcode import batching
 from hframe_post.model.lpfbs import Window
-from hframe_post.planner import sampling
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Motors, Printer
 from hframe_post.studies.inputs import rectangle
@@ -83,18 +81,6 @@ def test_a_trial_is_what_a_simulation_tells(profiled: Printer) -> None:
     assert trial.robust == trial.contour.rms
     assert trial.velocity == figures.velocity
     assert trial.acceleration == figures.acceleration
-
-
-def test_cuts_change_no_trial(profiled: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
-    grid = candidates(profiled.compensation, (10,), (50.0,))
-    (whole,) = tune(rectangle(profiled), profiled, grid, [])
-    for moves, samples in [(1, 7), (7, 100)]:
-        monkeypatch.setattr(batching, "MOVES_PER_ITEM", moves)
-        monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
-        (cut,) = tune(rectangle(profiled), profiled, grid, [])
-        assert cut.contour.all.count == whole.contour.all.count
-        assert cut.contour.rms == pytest.approx(whole.contour.rms, rel=1e-6)
-        assert cut.acceleration == pytest.approx(whole.acceleration, rel=1e-6)
 
 
 def test_a_window_that_diverges_is_refused_and_the_others_are_tried(profiled: Printer) -> None:

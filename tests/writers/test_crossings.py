@@ -42,17 +42,6 @@ def test_cubic_is_on_the_level_where_a_step_is_made(values: list[float]) -> None
     assert at == np.floor(u[-2])
 
 
-@settings(max_examples=100)
-@given(SAMPLES)
-def test_steps_are_the_variation_of_the_rounded_samples(values: list[float]) -> None:
-    u = np.array(values)
-    interval, share, direction = crossings(u)
-    change = np.diff(np.floor(u[1:-1])).astype(int)
-    np.testing.assert_array_equal(np.bincount(interval, minlength=len(change)), np.abs(change))
-    np.testing.assert_array_equal(direction, np.sign(change)[interval])
-    assert (np.diff(interval + share) >= -1e-9).all()
-
-
 @settings(max_examples=80)
 @given(SAMPLES)
 def test_between_samples_the_command_never_turns(values: list[float]) -> None:
