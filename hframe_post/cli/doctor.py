@@ -26,7 +26,6 @@ PACKAGES = (
     "click",
     "numpy",
     "scipy",
-    "ruckig",
     "tomlkit",
     "threadpoolctl",
     "platformdirs",
