@@ -26,6 +26,7 @@ PACKAGES = (
     "click",
     "numpy",
     "scipy",
+    "ruckig",
     "tomlkit",
     "threadpoolctl",
     "platformdirs",

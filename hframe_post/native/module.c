@@ -38,6 +38,7 @@
     EACH(marlin_segment_ends)                                                                 \
     EACH(marlin_slow_ends)                                                                    \
     EACH(marlin_times)                                                                        \
+    EACH(misses)                                                                              \
     EACH(motion_lines)                                                                        \
     EACH(motion_segments)                                                                     \
     EACH(move_at_rest)                                                                        \
@@ -45,8 +46,8 @@
     EACH(path_lengths)                                                                        \
     EACH(phases)                                                                              \
     EACH(plain_moves)                                                                         \
-    EACH(profiles)                                                                            \
     EACH(product)                                                                             \
+    EACH(ramps)                                                                               \
     EACH(recursion)                                                                           \
     EACH(safe)                                                                                \
     EACH(sliding_sums)                                                                        \

@@ -335,10 +335,28 @@ LOOP(smoothed_runs, FLOATS(0, COUNT(1)), COUNT(1), INDICES(2, COUNT(6) + 1, 0, C
      OUT_FLOATS(7, 4 * (COUNT(6) + 1)), OUT_FLOATS(8, COUNT(6) + 1), OUT_FLOATS(9, COUNT(6)),
      OUT_FLOATS(10, COUNT(6)))
 
-enum {
-    PHASES = 7, /* of a run; t, j (r, 7) are their durations and jerks */
-    MOST_STEPS = 100, /* of a search; ten are many */
-};
+enum { PHASES = 7 }; /* of a run; t, j (r, 7) are their durations and jerks */
+
+/* Fill t and j with one change of speed along the whole of each length, and its acceleration (r). */
+static int64_t ramps(const double *v0, const double *v1, const double *length, int64_t r, double jerk,
+                     double *t, double *j, double *acceleration)
+{
+    for (int64_t i = 0; i < r; i++, t += PHASES, j += PHASES) {
+        double change = v1[i] - v0[i], T = 2.0 * length[i] / (v0[i] + v1[i]);
+        double root = sqrt(greater(T * T - 4.0 * fabs(change) / jerk, 0.0));
+        double a = 2.0 * fabs(change) / (T + root), ramp = a / jerk;
+        for (int k = 0; k < PHASES; k++)
+            t[k] = j[k] = 0.0;
+        t[0] = t[2] = ramp;
+        t[1] = isfinite(T) ? T - 2.0 * ramp : 0.0;
+        j[0] = copysign(jerk, change), j[2] = -j[0];
+        acceleration[i] = a;
+    }
+    return r;
+}
+
+LOOP(ramps, FLOATS(0, COUNT(3)), FLOATS(1, COUNT(3)), FLOATS(2, COUNT(3)), COUNT(3), REAL(4),
+     OUT_FLOATS(5, PHASES * COUNT(3)), OUT_FLOATS(6, PHASES * COUNT(3)), OUT_FLOATS(7, COUNT(3)))
 
 /* Acceleration, speed, path length from the start, and time from the start, when a phase begins. */
 struct phase {
@@ -359,95 +377,24 @@ static void integrate(const double *t, const double *j, double v0, struct phase 
     }
 }
 
-/* One run, from speed v0 to v1 over a length; jerks up and down differ only where nothing limits them. */
-struct wanted {
-    double v0, v1, length, cruise, up, down, jerk_up, jerk_down;
-};
-
-/* Fill three phases with a change of speed; return the way. Its slope in the greater speed goes to
- * ``slope``. */
-static double change_speed(double slower, double faster, double acceleration, double jerk, double *t,
-                           double *slope)
+/* Note which runs go backwards or miss their length by more than ``drift``; return how many. */
+static int64_t misses(const double *t, const double *j, const double *v0, const double *length,
+                      int64_t r, double drift, uint8_t *missed)
 {
-    double gain = faster - slower, full = acceleration / jerk;
-    if (gain >= acceleration * full)
-        t[0] = t[2] = full, t[1] = gain / acceleration - full;
-    else
-        t[0] = t[2] = sqrt(gain / jerk), t[1] = 0.0;
-    double seconds = t[0] + t[1] + t[2];
-    *slope = (seconds + (slower + faster) / (t[1] > 0.0 ? acceleration : jerk * t[0])) / 2.0;
-    return (slower + faster) / 2.0 * seconds;
-}
-
-/* Fill t and j with one change of speed along the whole length; return its acceleration. */
-static double ramp(struct wanted run, double jerk, double *t, double *j)
-{
-    double change = run.v1 - run.v0, T = 2.0 * run.length / (run.v0 + run.v1);
-    double root = sqrt(greater(T * T - 4.0 * fabs(change) / jerk, 0.0));
-    double a = 2.0 * fabs(change) / (T + root), part = a / jerk;
-    for (int k = 0; k < PHASES; k++)
-        t[k] = j[k] = 0.0;
-    t[0] = t[2] = part;
-    t[1] = isfinite(T) ? T - 2.0 * part : 0.0;
-    j[0] = copysign(jerk, change), j[2] = -j[0];
-    return a;
-}
-
-/* Fill t with the fastest profile: up to a peak, along, and down. The way grows with the peak, which
- * Newton's method finds; where a step leaves what is known of it, that is halved. */
-static void peaked(struct wanted run, double *t)
-{
-    double low = greater(run.v0, run.v1), high = run.cruise, peak = high, left = 0.0, up, down;
-    for (int step = 0; step < MOST_STEPS; step++) {
-        left = run.length - change_speed(run.v0, peak, run.up, run.jerk_up, t, &up)
-            - change_speed(run.v1, peak, run.down, run.jerk_down, t + 4, &down);
-        if (left >= 0.0 && peak == run.cruise)
-            break;
-        if (left < 0.0)
-            high = peak;
-        else
-            low = peak;
-        double next = peak + left / (up + down);
-        next = next > low && next < high ? next : (low + high) / 2.0;
-        if (next <= low || next >= high || fabs(next - peak) <= 1e-15 * peak)
-            break;
-        peak = next;
-    }
-    t[3] = greater(left, 0.0) / peak;
-}
-
-/* Fill the phases of r runs, each as fast as its limits allow; return how many have a profile, up to the
- * first that has none, because it would go backwards or miss its length by more than ``drift``. Runs at
- * almost cruise speed, or with almost all of the acceleration as a ramp, are one. The shortest time in
- * which an acceleration changes is ``step``. */
-static int64_t profiles(const double *v0, const double *v1, const double *length, const double *cruise,
-                        const double *most, int64_t r, double braking, double jerk, double almost,
-                        double step, double drift, double *t, double *j)
-{
-    for (int64_t i = 0; i < r; i++, t += PHASES, j += PHASES) {
-        double up = most[i], down = lesser(up, braking);
-        struct wanted run = {v0[i], v1[i], length[i], cruise[i], up, down,
-                             lesser(jerk, up / step), lesser(jerk, down / step)};
-        double taken = ramp(run, v1[i] < v0[i] ? run.jerk_down : run.jerk_up, t, j);
-        int even = v0[i] == v1[i] && v0[i] >= almost * cruise[i];
-        if (!even && taken < almost * (v1[i] < v0[i] ? down : up)) {
-            peaked(run, t);
-            j[0] = run.jerk_up, j[2] = -run.jerk_up, j[4] = -run.jerk_down, j[6] = run.jerk_down;
-        }
+    int64_t count = 0;
+    for (int64_t i = 0; i < r; i++) {
         struct phase phase[PHASES + 1];
-        integrate(t, j, v0[i], phase);
-        if (!(fabs(phase[PHASES].s - length[i]) <= drift))
-            return i;
+        integrate(t + PHASES * i, j + PHASES * i, v0[i], phase);
+        missed[i] = fabs(phase[PHASES].s - length[i]) > drift;
         for (int k = 0; k < PHASES; k++)
-            if (phase[k].v < -drift)
-                return i;
+            missed[i] |= phase[k].v < -drift;
+        count += missed[i];
     }
-    return r;
+    return count;
 }
 
-LOOP(profiles, FLOATS(0, COUNT(5)), FLOATS(1, COUNT(5)), FLOATS(2, COUNT(5)), FLOATS(3, COUNT(5)),
-     FLOATS(4, COUNT(5)), COUNT(5), REAL(6), REAL(7), REAL(8), REAL(9), REAL(10),
-     OUT_FLOATS(11, PHASES * COUNT(5)), OUT_FLOATS(12, PHASES * COUNT(5)))
+LOOP(misses, FLOATS(0, PHASES * COUNT(4)), FLOATS(1, PHASES * COUNT(4)), FLOATS(2, COUNT(4)),
+     FLOATS(3, COUNT(4)), COUNT(4), REAL(5), OUT_BYTES(6, COUNT(4)))
 
 /* speed (r + 1) and s (r + 1) at the ends of runs; samples of ``interval`` s, by a share of which a
  * point of rest may be late. Fill table (6, p) with

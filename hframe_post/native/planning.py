@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Integers
+from hframe_post.arrays import TS, Array, E, Flags, Integers
 from hframe_post.native import kernels
 
 # cosine of the turns with which an arc must fit into short moves: Marlin takes √½, with which
@@ -79,7 +79,7 @@ def junction_speeds(
 # ``planner.lookahead`` for the rules.
 
 PLATEAU = 256  # moves at cruise speed in a run
-# Shares of acceleration and jerk, and of the cruise speed at vertices, that keep profiles off the
+# Shares of acceleration and jerk, and of the cruise speed at vertices, that keep Ruckig off the
 # edge of what is feasible
 FEASIBLE, BELOW_CRUISE = 1.0 - 1e-6, 1.0 - 1e-4
 STEEP = 1.0  # rise over run above which a move starts and ends at rest
@@ -171,8 +171,6 @@ def smoothed_runs(
 # A profile has seven phases of constant jerk for each of r runs: durations t and jerks j, (r, 7).
 
 DRIFT = 1e-6  # mm by which a profile may miss its run's end through rounding
-STEP_S = 1e-9  # that acceleration takes to change at least
-ALMOST = 0.999  # share of a limit that counts as all of it
 FORGIVEN = 1e-9  # of a sample, by which a time may be after it
 
 
@@ -181,17 +179,22 @@ def samples_until(seconds: float) -> int:
     return math.ceil(seconds / TS - FORGIVEN)
 
 
-def profiles(
-    v0: Array, v1: Array, length: Array, cruise: Array, most: Array, braking: float, jerk: float
-) -> tuple[Array, Array, int]:
-    """Return durations and jerks of the fastest runs, (r, 7), and how many before one has none.
+def ramps(v0: Array, v1: Array, length: Array, jerk: float) -> tuple[Array, Array, Array]:
+    """Return one change of speed along the whole of each length, with the least acceleration.
 
-    All (r,): speeds at both ends, length, greatest speed and acceleration; braking: the greatest in
-    any run. A run without a profile cannot change its speed within its length.
+    All (r,). Returns durations and jerks of the seven phases, (r, 7), and the acceleration
+    (r,): the root of a²/j − T·a + |v1 − v0| = 0 with T = 2·length/(v0 + v1).
     """
-    (t, j), r = np.empty((2, len(v0), 7)), len(v0)
-    constants = braking, jerk, ALMOST, STEP_S, DRIFT
-    return t, j, kernels.profiles(v0, v1, length, cruise, most, r, *constants, t, j)
+    (t, j), a = np.empty((2, len(v0), 7)), np.empty(len(v0))
+    kernels.ramps(v0, v1, length, len(v0), jerk, t, j, a)
+    return t, j, a
+
+
+def misses(t: Array, j: Array, v0: Array, length: Array) -> Flags:
+    """Return which runs have a profile that goes backwards or misses their length, (r,)."""
+    missed = np.empty(len(t), bool)
+    kernels.misses(t, j, v0, length, len(t), DRIFT, missed)
+    return missed
 
 
 def phases(t: Array, j: Array, speed: Array, s: Array, start: float) -> tuple[Array, float]:

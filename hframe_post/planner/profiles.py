@@ -1,4 +1,7 @@
-"""Profiles of speed: jerk-limited along the runs of a path, and as firmware makes moves at rest."""
+"""Profiles of speed: jerk-limited along the runs of a path, and as firmware makes moves at rest.
+
+Only this module uses Ruckig.
+"""
 
 from __future__ import annotations
 
@@ -6,39 +9,146 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
+from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
 
-from hframe_post.arrays import TS, Array, E, Z
+from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import HframeError
 from hframe_post.model.constant_acceleration import Trapezoid
-from hframe_post.native.planning import move_at_rest, profiles, samples_until
+from hframe_post.native.planning import misses, move_at_rest, ramps, samples_until
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import MoveAtRest, Plan
+
+NO_JERK_LIMIT = 1e12  # mm/s³ from which on profiles are trapezoids, as firmware makes them
+STEP_S = 1e-9  # that acceleration takes to change in a trapezoid
+ALMOST = 0.999  # share of a limit that counts as all of it
+# mm in which Ruckig is asked, again where the first fails. It checks in absolute numbers, which
+# rounding fails at great accelerations in mm: it finds no profile, or one as slow as a ramp. A
+# power of two changes no digit
+UNITS = (1.0, 16.0)
 
 Profile = tuple[Array, Array]  # durations and jerks of the seven phases of every run, both (r, 7)
 
 
-def profiled(plans: Sequence[Plan], jerk: float, deceleration: float = math.inf) -> list[Profile]:
-    """Return the profile of each plan. Raises HframeError where none fits."""
-    if not plans:
-        return []
+class _Runs(NamedTuple):
+    """Runs of several plans, (r,) each: speeds at both ends, and limits."""
 
-    def joined(parts: Iterable[Array]) -> Array:
-        return np.concatenate(list(parts))
+    v0: Array
+    v1: Array
+    length: Array
+    cruise: Array
+    acceleration: Array
+    braking: Array
 
-    t, j, found = profiles(
-        joined(plan.speed[:-1] for plan in plans), joined(plan.speed[1:] for plan in plans),
-        joined(np.diff(plan.s[plan.ends]) for plan in plans),
-        joined(plan.cruise for plan in plans), joined(plan.acceleration for plan in plans),
-        deceleration, jerk,
-    )  # fmt: skip
-    if found < len(t):
-        line = np.concatenate([plan.line[plan.ends[:-1]] for plan in plans])[found]
-        raise HframeError(f"line {line}: no jerk-limited profile fits this move's limits")
-    ends = np.cumsum([len(plan.cruise) for plan in plans]).tolist()
-    cuts = [slice(*cut) for cut in pairwise([0, *ends])]
-    return [(t[cut], j[cut]) for cut in cuts]
+    @classmethod
+    def from_plans(cls, plans: Sequence[Plan], deceleration: float) -> _Runs:
+        def joined(parts: Iterable[Array]) -> Array:
+            return np.concatenate(list(parts))
+
+        most = joined(plan.acceleration for plan in plans)
+        return cls(
+            joined(plan.speed[:-1] for plan in plans),
+            joined(plan.speed[1:] for plan in plans),
+            joined(np.diff(plan.s[plan.ends]) for plan in plans),
+            joined(plan.cruise for plan in plans),
+            most,
+            np.minimum(most, deceleration),
+        )
+
+    def without_choice(self, acceleration: Array) -> Flags:
+        """Flag runs at one speed, or with as much acceleration as a ramp over all of them needs."""
+        one_speed = (self.v0 == self.v1) & (self.v0 >= ALMOST * self.cruise)
+        most = np.where(self.v1 < self.v0, self.braking, self.acceleration)
+        return np.asarray(one_speed | (acceleration >= ALMOST * most))
+
+    def trapezoids(self) -> Profile:
+        """Return profiles without a limit on jerk: full acceleration, cruise, full braking."""
+        v0, v1, length, cruise, a, b = self
+        reached = (2.0 * length + v0 * v0 / a + v1 * v1 / b) / (1.0 / a + 1.0 / b)
+        top = np.minimum(cruise, np.sqrt(reached))
+        up, down = np.maximum(top - v0, 0.0) / a, np.maximum(top - v1, 0.0) / b
+        ramped = (top + v0) / 2.0 * up + (top + v1) / 2.0 * down
+        step_up, step_down = np.minimum(STEP_S, up / 2.0), np.minimum(STEP_S, down / 2.0)
+        cruised = np.maximum(length - ramped, 0.0) / np.maximum(top, 1e-12)
+        t = np.stack([
+            step_up, up - step_up, step_up, cruised, step_down, down - step_down, step_down,
+        ], axis=1)  # fmt: skip
+        j = np.zeros_like(t)
+        for phase, way in ((0, a), (2, -a), (4, -b), (6, b)):
+            j[:, phase] = way / np.maximum(t[:, phase], 1e-30)
+        return t, j
+
+    def missed_by(self, t: Array, j: Array) -> Flags:
+        return misses(t, j, self.v0, self.length)
+
+
+class Profiler:
+    """Profiles of runs: in closed form where the limits leave no choice, else from Ruckig."""
+
+    def __init__(self, jerk: float, deceleration: float = math.inf) -> None:
+        self._jerk, self._deceleration = jerk, deceleration
+        self._ruckig, self._input, self._trajectory = Ruckig(1), InputParameter(1), Trajectory(1)
+        self._input.current_position = [0.0]
+        self._input.current_acceleration = [0.0]
+        self._input.target_acceleration = [0.0]
+
+    def profiles(self, plans: Sequence[Plan]) -> list[Profile]:
+        """Return the profile of each plan. Raises HframeError where none fits.
+
+        Runs that leave no choice (one speed, or all of the length needed to change it) have a
+        closed form; close to that edge Ruckig's arithmetic fails or overshoots.
+        """
+        if not plans:
+            return []
+        runs = _Runs.from_plans(plans, self._deceleration)
+        ends = np.cumsum([len(plan.cruise) for plan in plans]).tolist()
+        cuts = [slice(*cut) for cut in pairwise([0, *ends])]
+        if self._jerk >= NO_JERK_LIMIT:
+            t, j = runs.trapezoids()
+            return [(t[cut], j[cut]) for cut in cuts]
+        ramp_t, ramp_j, acceleration = ramps(runs.v0, runs.v1, runs.length, self._jerk)
+        t, j = ramp_t.copy(), ramp_j.copy()
+        self._search(runs, np.flatnonzero(~runs.without_choice(acceleration)), t, j)
+        wrong = runs.missed_by(t, j)
+        if wrong.any():
+            t[wrong], j[wrong] = ramp_t[wrong], ramp_j[wrong]
+            wrong = runs.missed_by(t, j)
+        if wrong.any():
+            lines = np.concatenate([plan.line[plan.ends[:-1]] for plan in plans])
+            line = lines[int(np.argmax(wrong))]
+            raise HframeError(f"line {line}: no jerk-limited profile fits this move's limits")
+        return [(t[cut], j[cut]) for cut in cuts]
+
+    def _search(self, runs: _Runs, chosen: Integers, t: Array, j: Array) -> None:
+        """Replace the ramps t, j (r, 7) of the chosen runs by Ruckig's profiles."""
+        ramp = (1.0 - 1e-9) * t.sum(axis=1)
+        problems = np.stack([*runs[:-1], -runs.braking], axis=1)
+        for unit in UNITS:
+            if not len(chosen):
+                break
+            self._input.max_jerk = [self._jerk / unit]
+            solved = [self._solve(*row) for row in (problems[chosen] / unit).tolist()]
+            t[chosen], j[chosen] = (np.array(p) for p in zip(*solved, strict=True))
+            j[chosen] *= unit
+            slow = (ramp[chosen] > 0.0) & (t[chosen].sum(axis=1) >= ramp[chosen])
+            chosen = chosen[slow | runs.missed_by(t, j)[chosen]]
+
+    def _solve(
+        self, v0: float, v1: float, length: float, cruise: float, most: float, least: float
+    ) -> tuple[list[float], list[float]]:
+        problem = self._input
+        problem.current_velocity, problem.target_velocity = [v0], [v1]
+        problem.target_position = [length]
+        problem.max_velocity = [cruise]
+        problem.max_acceleration, problem.min_acceleration = [most], [least]
+        try:
+            self._ruckig.calculate(problem, self._trajectory)
+        except RuckigError:
+            return [0.0] * 7, [0.0] * 7
+        profile = self._trajectory.profiles[0][0]
+        return profile.t, profile.j
 
 
 @dataclass(frozen=True, slots=True)

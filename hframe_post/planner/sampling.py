@@ -19,7 +19,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E
 from hframe_post.native.planning import follow, path_lengths, phases, samples_until
 from hframe_post.planner.output import Output
-from hframe_post.planner.profiles import Profile, ProfileAtRest, TravelRetraction, profiled
+from hframe_post.planner.profiles import Profile, ProfileAtRest, Profiler, TravelRetraction
 from hframe_post.planner.stopping import Change, State, Stopping
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
@@ -105,6 +105,7 @@ class _Sampler:
 
     def __init__(self, limits: Limits, rules: StopRules, size: int, skip_slow: bool) -> None:
         self._limits, self._rules, self._skip_slow = limits, rules, skip_slow
+        self._profiler = Profiler(limits.jerk, limits.deceleration)
         self._profiles: deque[Profile] = deque()  # of the next plans
         self.output = Output(size)
         self._stopping = Stopping(rules)
@@ -120,8 +121,7 @@ class _Sampler:
         """Yield the same items; find the profiles of many plans at once, ahead of ``run``."""
         for items in _in_lists(planned):
             plans = [item for item in items if isinstance(item, Plan)]
-            limits = self._limits
-            self._profiles += profiled(plans, limits.jerk, limits.deceleration)
+            self._profiles += self._profiler.profiles(plans)
             yield from items
 
     def run(self, plan: Plan) -> Iterator[Samples]:

@@ -40,7 +40,7 @@ CASES = {path.name.split(".")[0]: path for path in FILES}
 
 def made_with() -> str:
     """Return what decides how numbers are rounded."""
-    packages = (f"{name} {version(name)}" for name in ("numpy", "scipy"))
+    packages = (f"{name} {version(name)}" for name in ("numpy", "ruckig", "scipy"))
     return ", ".join([platform.machine(), *platform.libc_ver(), *packages])
 
 
