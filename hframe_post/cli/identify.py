@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -86,7 +85,6 @@ def identify(
 
     Give the folder with the recordings: those of 'measure' with their commands, Klipper's
     (TEST_RESONANCES with OUTPUT=raw_data), or Shake&Tune's. One sensor on the nozzle is enough.
-    Shake&Tune's CREATE_VIBRATIONS_PROFILE shows the motor speeds that outer walls should avoid.
 
     \b
     Example:
@@ -129,31 +127,7 @@ def identify(
         found.notes = report.origin()
         return found
 
-    bands = not nozzle and _are_vibrations(files)
-    find = (lambda: _bands(recordings, profile, output is not None)) if bands else model
-    publish(find, sources, source, output, json_file, report_file, text)
-
-
-def _are_vibrations(files: Iterable[Path]) -> bool:
-    """Return whether the recordings are of constant speeds, but for Shake&Tune's axes map."""
-    from hframe_post.identification.recordings.names import parsed
-
-    return {parsed(path.name).other for path in files} - {"axes map"} == {"vibrations"}
-
-
-def _bands(recordings: tuple[Path, ...], profile: Printer, written: bool) -> Findings:
-    """Return the bands of motor speed that shake the nozzle, and the profile that avoids them."""
-    from hframe_post.identification.bands import BandsReport, shaking
-
-    motors, aside = shaking(recordings, profile.kinematics)
-    report = BandsReport.from_motors(motors)
-    found = Findings(report, aside=[f"{one.label}: {one.reason}" for one in aside])
-    if report.avoid:
-        avoid = tuple((float(low), float(high)) for low, high in report.avoid)
-        found.printer = replace(profile, speed=replace(profile.speed, avoid=avoid))
-    elif written:
-        found.fault = IdentificationError("no band was found, so the profile was not changed")
-    return found
+    publish(model, sources, source, output, json_file, report_file, text)
 
 
 def _profile_source(

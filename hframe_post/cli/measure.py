@@ -40,8 +40,8 @@ def _chip(text: str) -> str:
 def _purpose(text: str) -> str:
     if text == "bands":
         raise click.BadParameter(
-            "bands is gone: record CREATE_VIBRATIONS_PROFILE of Shake&Tune, and give its folder to "
-            "'hframe-post identify'"
+            "bands is gone: Shake&Tune's CREATE_VIBRATIONS_PROFILE shows them; write them as avoid "
+            "under [speed]"
         )
     choices = click.Choice(["identify", "check", "verify", "planner"])
     return str(choices.convert(text, None, None))

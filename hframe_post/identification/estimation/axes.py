@@ -161,34 +161,27 @@ def fit_racking(whole: FrequencyResponse, x: Fit, gain: float, in_time: bool) ->
 def fit_unknown_start(axes: Mapping[str, Excited]) -> dict[str, Fit]:
     """Return the responses of recordings whose start and gain are unknown: all delay is theirs.
 
-    Where a response that begins with its command explains a recording, the printer is late at low
-    speed by what the damping of its modes explains, and the rest is the recording's start. Of other
-    printers even that is unknown (``unknown_start``). If one axis is of these, all are: they are
-    then assumed not to be late, and one of each would pull x and y apart. Raises
-    IdentificationError.
+    Where a linear response explains a recording, the printer is late at low speed by what the
+    damping of its modes explains, and the rest is the recording's start. Of other printers even
+    that is unknown (``unknown_start``). If one axis is of these, all are: they are then assumed not
+    to be late, and one of each would pull x and y apart. Raises IdentificationError.
     """
-    fits = dict[str, Fit]()
-    for name, axis in axes.items():
-        found = _from_its_damping(axis)
-        if found is None:
-            return {each: _with_an_ideal_mode(one) for each, one in axes.items()}
-        fits[name] = found
-    return fits
+    ideal = {name: _with_an_ideal_mode(axis) for name, axis in axes.items()}
+    if any(one.residual > LINEAR for one in ideal.values()):
+        return ideal
+    damped = {name: _from_its_damping(axis) for name, axis in axes.items()}
+    linear = all(one.residual <= LINEAR for one in damped.values())
+    return damped if linear else ideal
 
 
-def _from_its_damping(axis: Excited) -> Fit | None:
-    """Return the response that is as late at low speed as the damping of its modes explains.
-
-    None if no linear model explains the recording.
-    """
+def _from_its_damping(axis: Excited) -> Fit:
+    """Return the response that is as late at low speed as the damping of its modes explains."""
     whole = average(axis.runs)
     gain, late = unknown_start.gain_and_delay(whole)
     late -= EARLY
     scaled = replace(whole, H=whole.H / gain)
     rough = known_start.estimated(advanced(scaled, late), UNCALIBRATED)
     in_time = advanced(scaled, late)
-    if share_left(rough.response(whole.hz), in_time, whole.power) > LINEAR:
-        return None
     if not any(mode.zeta < RINGS for mode in rough.modes):  # too stiff to ring, so in time with it
         late += rough.G.lag * TS
         found = known_start.estimated(advanced(scaled, late), UNCALIBRATED)
@@ -202,8 +195,7 @@ def _from_its_damping(axis: Excited) -> Fit | None:
     assumed = advanced(_assumed_below(rough.resonance_hz, in_time, modes), modes.delay)
     found = known_start.estimated(assumed, (modes.gain, GAIN_BY_MODES))
     found = replace(found, gain=gain * found.gain, delay=late)
-    fit = _described(found, whole, (late - NEAR, late + NEAR))
-    return fit if fit.residual < LINEAR else None
+    return _described(found, whole, (late - NEAR, late + NEAR))
 
 
 def _assumed_below(

@@ -34,8 +34,7 @@ STROKES, CHECK, VERIFY = "measure", "check", "verify"  # how the names of their 
 WAITING = 120.0  # s before and after the motion, in a recording that was started by hand
 UNUSABLE = {
     "axes map": "a test of the sensor's axes, which the other recordings show as well",
-    "vibrations": "a test at constant speeds, which excites no band of frequencies; 'hframe-post "
-    "identify' reads them alone",
+    "vibrations": "a test at constant speeds, which excites no band of frequencies",
     "constant frequency": "a test at a constant frequency, which excites no band of frequencies",
 }
 EXPLICIT = "or name it with its command: 'hframe-post identify --nozzle COMMAND RECORDING'"
