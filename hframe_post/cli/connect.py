@@ -53,7 +53,7 @@ def connect(
     slicer     print the line to paste into PrusaSlicer or OrcaSlicer
     cura       install a script into every version of Cura; again after updates
     octoprint  install a plugin that converts each upload
-    moonraker  on the printer's computer: measure, convert or compensate there
+    moonraker  on the printer's computer: measure and compensate there
     klipper    print the macros that 'setup' writes to hframe.cfg
 
     \b

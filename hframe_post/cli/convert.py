@@ -23,12 +23,10 @@ from hframe_post.cli.options import (
     printer_option,
     progress_bar,
     say,
-    verbose_option,
 )
-from hframe_post.conversion.options import Options, first_line
+from hframe_post.conversion.options import Options
 from hframe_post.errors import LeftAloneError, one_line
 from hframe_post.printer.choice import verification_as_text
-from hframe_post.printer.profile import check_identified, played_by
 from hframe_post.stream.running import keep_memory
 from hframe_post.writers.outputs import Outputs
 
@@ -38,9 +36,7 @@ OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
 
 
 @click.command()
-@click.argument(
-    "source", metavar="IN.GCODE", required=False, type=click.Path(path_type=Path, allow_dash=True)
-)
+@click.argument("source", metavar="IN.GCODE", type=click.Path(path_type=Path, allow_dash=True))
 @click.argument("more", nargs=-1, metavar="")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
@@ -59,18 +55,11 @@ OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
     help="Report for a browser (.html), or a text.",
 )  # fmt: skip
 @click.option("-n", "--dry-run", is_flag=True, help="Print the summary, but write no G-code.")
-@click.option(
-    "--stamp", is_flag=True, hidden=True,
-    help="Convert nothing; print the line with which a file begins that is converted with these "
-    "settings.",
-)  # fmt: skip
-@verbose_option
 @help_all_option
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary and no progress bar.")
 def convert(
-    source: Path | None, more: tuple[str, ...], output: Path | None, printer: str,
-    options: Options, json_file: Path | None, report_file: Path | None, dry_run: bool, stamp: bool,
-    quiet: bool,
+    source: Path, more: tuple[str, ...], output: Path | None, printer: str,
+    options: Options, json_file: Path | None, report_file: Path | None, dry_run: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert a sliced file. '-' is standard input, or output.
 
@@ -82,11 +71,6 @@ def convert(
       hframe-post in.gcode -o out.gcode -p my.toml
       hframe-post in.gcode --report report.html
     """
-    if stamp:
-        _print_stamp(printer, options)
-        return
-    if source is None:
-        raise click.MissingParameter(param=click.get_current_context().command.params[0])
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
     html = report_file is not None and report_file.suffix == ".html"
     _check_usage(more, [to_stdout, str(json_file) == "-", str(report_file) == "-"])
@@ -146,16 +130,6 @@ def _check_usage(more: tuple[str, ...], to_stdout: list[bool]) -> None:
         )
     if to_stdout.count(True) > 1:
         raise click.UsageError("only one of output, JSON and report can go to standard output")
-
-
-def _print_stamp(printer: str, options: Options) -> None:
-    profile = library.load_printer(printer)
-    if options.firmware is not None:
-        profile = played_by(profile, options.firmware)
-    options = options.resolved(profile)
-    if options.strategy != "none" and not options.force:
-        check_identified(profile)
-    click.echo(first_line(profile, options), nl=False)
 
 
 @contextmanager

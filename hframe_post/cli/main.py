@@ -62,6 +62,8 @@ GONE_OPTIONS = {  # former options by command, and what replaced them
     ("batch", "--scheduler"): "run 'hframe-post batch' on each machine with its share of the files",
     ("batch", "-d"): "-o names the folder",
     ("batch", "--directory"): "-o names the folder",
+    ("convert", "-v"): "a terminal shows a bar",
+    ("convert", "--verbose"): "a terminal shows a bar",
     ("calibrate-print", "--advance-lines"): "slicers print such a pattern, as OrcaSlicer does",
     ("calibrate-print", "--advance"): "write extruder.advance into the profile",
     ("check", "--gcode"): "write the run with 'hframe-post measure --for check -o CHECK.GCODE'",

@@ -10,7 +10,7 @@ import re
 import shlex
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.klipper.printer_cfg import HEADING, KlipperConfig
 from hframe_post.hosts import klipper, moonraker
-from hframe_post.hosts.moonraker.disk import NAME
+from hframe_post.hosts.moonraker.recordings import NAME
 from hframe_post.process import program
 from hframe_post.writers.outputs import Outputs
 
@@ -42,9 +42,8 @@ FORMERLY = "# added by hframe-post setup --moonraker"
 INCLUDE = f"{ADDED}\n[include {FILE}]\n"
 LIVE = "hframe_live"
 LIVE_SECTION = f"{ADDED}: compensation in Klipper\n[{LIVE}]\nkernel: printer.kernel\n"
-LEAVE = "uploads: leave\n"  # of our section of moonraker.conf
 LIVE_QUESTION = (
-    "Compensate inside Klipper, on files as they are sliced? Otherwise each upload is converted"
+    "Compensate inside Klipper, on files as they are sliced? Otherwise the slicer converts them"
 )
 RESTART = (
     "Restart Klipper and Moonraker, while nothing is printed: in the power menu of Mainsail or "
@@ -87,20 +86,37 @@ class Moonraker:
 
     def choose_live(self) -> None:
         """Ask, on a terminal, whether Klipper itself compensates; it does where it can."""
-        if self._klippy is None or not Path(klipper.__file__).is_file():
-            return
-        known = "\n".join(_with_includes(self._config))
-        converts = re.search(rf"^\[{NAME}\]", known, re.MULTILINE) is not None
-        self._live = KlipperConfig(self._printer).has(LIVE) or not converts
-        if sys.stdin.isatty():
-            self._live = click.confirm(LIVE_QUESTION, default=self._live)
+        self._live = self._klippy is not None
+        if self._live and sys.stdin.isatty():
+            self._live = click.confirm(LIVE_QUESTION, default=True)
 
     def connecting(self, profile: Path) -> list[Change]:
         """Return the changes that connect a profile. Raises HframeError."""
-        files = self._components / "file_manager/file_manager.py"
-        if not files.is_file() or "register_gcode_processor" not in files.read_text("utf-8"):
-            raise HframeError("this Moonraker is older than February 2025: update it first")
+        common = self._components.with_name("common.py")
+        if not common.is_file() or "class RequestType" not in common.read_text("utf-8"):
+            raise HframeError("this Moonraker is older than December 2023: update it first")
         self._check_link()
+        here = profile.absolute().parent == self._printer.absolute().parent
+        found = (self._with_command(profile), self._with_sections(here))
+        return [change for change in found if change is not None]
+
+    def disconnecting(self) -> list[Change]:
+        """Return the changes that undo all that ``connecting`` did but the profile."""
+        changes = []
+        text = _text(self._config)
+        if SECTIONS.search(text):
+            done = f"section [{NAME}] removed"
+            changes.append(Change(self._config, text, SECTIONS.sub("\n", text), done))
+        text, macros = _text(self._printer), self._printer.with_name(FILE)
+        new, gone = _without(text, {LIVE: LIVE_SECTION, f"include {FILE}": INCLUDE})
+        if gone:
+            changes.append(Change(self._printer, text, new, f"{' and '.join(gone)} removed"))
+            if f"[include {FILE}]" in gone and macros.is_file():
+                changes.append(Change(macros, "", None, "removed"))
+        return changes
+
+    def _with_command(self, profile: Path) -> Change | None:
+        """Return the change of moonraker.conf that lets the component run hframe-post."""
         ours = program()
         command = f"{ours} -p {shlex.quote(str(profile.absolute()))}"
         installed = metadata.distribution("hframe-post")
@@ -114,44 +130,19 @@ class Moonraker:
             if lines and not re.search(rf"^\[{name}\]", known, re.MULTILINE):
                 new = f"{new.rstrip()}\n\n[{name}]\n{lines}"
                 added.append(f"section [{name}] added")
-        header = f"\n[{NAME}]\n"
-        if self._klippy is not None and self._live != (LEAVE in new) and header in new:
-            new = new.replace(LEAVE, "") if LEAVE in new else new.replace(header, header + LEAVE)
-            added.append(LEAVE.strip() if self._live else "uploads are converted")
-        changes = [Change(self._config, text, new, ", ".join(added))] if added else []
-        here = profile.absolute().parent == self._printer.absolute().parent
-        config = KlipperConfig(self._printer)
-        missing = [
-            text
-            for wanted, section, text in (
-                (here and self._live, LIVE, LIVE_SECTION),
-                (here, f"include {FILE}", INCLUDE),
-            )
-            if wanted and not config.has(section)
-        ]
-        if missing:
-            old = _text(self._printer)
-            done = " and ".join(re.findall(r"^\[.+\]", "".join(missing), re.MULTILINE)) + " added"
-            changes.append(Change(self._printer, old, _with_sections(old, missing), done))
-        return changes
+        return Change(self._config, text, new, ", ".join(added)) if added else None
 
-    def disconnecting(self) -> list[Change]:
-        """Return the changes that undo all that ``connecting`` did but the profile."""
-        changes = []
-        text = _text(self._config)
-        if SECTIONS.search(text):
-            done = f"section [{NAME}] removed"
-            changes.append(Change(self._config, text, SECTIONS.sub("\n", text), done))
-        text, macros = _text(self._printer), self._printer.with_name(FILE)
-        new, gone = text, list[str]()
-        for section, ours in ((LIVE, LIVE_SECTION), (f"include {FILE}", INCLUDE)):
-            new, count = re.subn(_any_end(ours), "", new, count=1)
-            gone += [f"[{section}]"] * count
-        if gone:
-            changes.append(Change(self._printer, text, new, f"{' and '.join(gone)} removed"))
-            if f"[include {FILE}]" in gone and macros.is_file():
-                changes.append(Change(macros, "", None, "removed"))
-        return changes
+    def _with_sections(self, here: bool) -> Change | None:
+        """Return the change of printer.cfg. here: whether the profile is next to it."""
+        config, text = KlipperConfig(self._printer), _text(self._printer)
+        wanted = {LIVE: LIVE_SECTION} if self._live else {}
+        wanted[f"include {FILE}"] = INCLUDE
+        missing = {name: each for name, each in wanted.items() if here and not config.has(name)}
+        new, gone = (text, []) if self._live else _without(text, {LIVE: LIVE_SECTION})
+        if missing:
+            new = _with_lines(new, missing.values())
+        done = [f"[{name}] added" for name in missing] + [f"{each} removed" for each in gone]
+        return Change(self._printer, text, new, ", ".join(done)) if done else None
 
     def link(self, create: bool) -> list[str]:
         """Link our modules into Moonraker and Klipper, or remove the links; say what was done."""
@@ -238,7 +229,7 @@ def make(changes: Sequence[Change], outputs: Outputs) -> list[str]:
     return [f"{change.path}: {change.done}" for change in changes]
 
 
-def _with_sections(text: str, sections: Sequence[str]) -> str:
+def _with_lines(text: str, sections: Iterable[str]) -> str:
     """Return printer.cfg with sections as the last lines before what SAVE_CONFIG wrote."""
     saved = HEADING.search(text)
     at = len(text) if saved is None else saved.start()
@@ -247,6 +238,15 @@ def _with_sections(text: str, sections: Sequence[str]) -> str:
     gap = "" if not before or before.endswith("\n") else end
     added = "".join(f"{end}{each.replace(chr(10), end)}" for each in sections)
     return f"{before}{gap}{added}{text[at:]}"
+
+
+def _without(text: str, sections: Mapping[str, str]) -> tuple[str, list[str]]:
+    """Return printer.cfg without those of these sections that were added, and their names."""
+    gone = list[str]()
+    for name, ours in sections.items():
+        text, count = re.subn(_any_end(ours), "", text, count=1)
+        gone += [f"[{name}]"] * count
+    return text, gone
 
 
 def _any_end(lines: str) -> str:

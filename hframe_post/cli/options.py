@@ -191,19 +191,17 @@ def position(text: str) -> tuple[float, float]:
 
 STEPS = 200  # of a bar
 PATIENCE_S = 2.0  # s of work, after which a terminal shows a bar
-START = time.monotonic()
-_VERBOSE = "hframe_post.verbose"  # in a context's meta
 
 
 @contextmanager
 def progress_bar(source: Path | None, quiet: bool) -> Iterator[Callable[[int], object] | None]:
-    """Show how much of a file was read: a bar on a terminal, or lines with ``-v``.
+    """Show how much of a file was read in a bar on a terminal.
 
     Yields the function to call with each number of bytes read; None if nothing is shown.
     """
     size = source.stat().st_size if source is not None and source.is_file() else 0
     if source is None or quiet or not size or not sys.stderr.isatty():
-        yield _log_progress(size) if size and _is_verbose() else None
+        yield None
         return
     with bar(size, source.name) as advance:
         yield advance
@@ -258,36 +256,6 @@ def shown_working(quiet: bool = False) -> Iterator[None]:
         done.set()
         ticking.join()
         click.echo("\r\x1b[K", err=True, nl=False)
-
-
-def _log_progress(size: int) -> Callable[[int], None]:
-    done = 0
-
-    def advance(length: int) -> None:
-        nonlocal done
-        before, done = done, done + length
-        if (tenth := 10 * done // size) > 10 * before // size:
-            _print_log(f"{10 * tenth} % is read")  # from a thread, which has no context
-
-    return advance
-
-
-def _is_verbose() -> bool:
-    return bool(click.get_current_context().meta.get(_VERBOSE))
-
-
-def _set_verbose(context: click.Context, _: click.Parameter, verbose: bool) -> None:
-    context.meta[_VERBOSE] = verbose
-
-
-verbose_option = click.option(
-    "-v", "--verbose", is_flag=True, expose_value=False, callback=_set_verbose,
-    help="Log how much is read.",
-)  # fmt: skip
-
-
-def _print_log(text: str) -> None:
-    click.echo(f"{time.monotonic() - START:9.3f} s  {text}", err=True)
 
 
 def write_kernel(outputs: Outputs, profile: Path, printer: Printer) -> None:

@@ -228,8 +228,8 @@ def moonraker(config: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "[server]\nport: 7125\n\n[history]\n# no [hframe_post]\n"
     )
     components = config.parent / "moonraker/moonraker/components"
-    (components / "file_manager").mkdir(parents=True)
-    (components / "file_manager/file_manager.py").write_text("def register_gcode_processor(): 0\n")
+    components.mkdir(parents=True)
+    components.with_name("common.py").write_text("class RequestType: ...\n")
     config.with_name("printer.toml").write_text((ROOT / "tests/measured.toml").read_text())
     return components
 
@@ -275,7 +275,7 @@ def test_klipper_itself_compensates_where_it_is_found(config: Path, moonraker: P
         assert link.resolve() == ROOT / "hframe_post/hosts/klipper"
         assert (klipper / ".git/info/exclude").read_text() == "/klippy/extras/hframe_live\n"
         assert config.read_text().count("\n[hframe_live]\nkernel: printer.kernel\n") == 1
-        assert conf.read_text().count("[hframe_post]\nuploads: leave\n") == 1
+        assert conf.read_text().count("[hframe_post]\ncommand: ") == 1
     assert read(config.with_name("printer.kernel").read_bytes())["kinematics"] == "corexy"
     said = run(
         "doctor", "-p", config.with_name("printer.toml"), "--printer-cfg", config
@@ -286,20 +286,19 @@ def test_klipper_itself_compensates_where_it_is_found(config: Path, moonraker: P
     assert not link.is_symlink()
 
 
-def test_who_converts_uploads_goes_on_to_until_he_says_otherwise(
-    config: Path, moonraker: Path
-) -> None:
-    conf = config.with_name("moonraker.conf")
-    set_up(config, "--moonraker")
-    (config.parent / "kalico/klippy/extras").mkdir(parents=True)
-    (config.parent / "kalico/klippy/plugins").mkdir()
-    set_up(config, "--moonraker")
+def test_an_owner_may_leave_the_compensation_to_the_slicer(config: Path, moonraker: Path) -> None:
+    (config.parent / "kalico/klippy/plugins").mkdir(parents=True)
+    (config.parent / "kalico/klippy/extras").mkdir()
+    link = config.parent / "kalico/klippy/plugins/hframe_live"
+    at_a_terminal(b"n\ny\n", "setup", str(config), "--moonraker")
+    assert not link.is_symlink()
     assert "hframe_live" not in config.read_text()
     at_a_terminal(b"y\ny\n", "setup", str(config), "--moonraker")
-    assert (config.parent / "kalico/klippy/plugins/hframe_live").is_symlink()
-    assert "uploads: leave" in conf.read_text()
+    assert link.is_symlink()
+    assert "[hframe_live]" in config.read_text()
     at_a_terminal(b"n\ny\n", "setup", str(config), "--moonraker")
-    assert "uploads: leave" not in conf.read_text()
+    assert not link.is_symlink()  # and Klipper would not start with a section of it
+    assert "hframe_live" not in config.read_text()
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from hframe_post.hosts.moonraker.originals import CONVERTING
 from tests.command_line import run
 from tests.conftest import ROOT
 from tests.klipper.batch import dictionary
@@ -111,13 +110,8 @@ class Printer(Server):
         else:
             shutil.copy(ROOT / "tests/measured.toml", self.profile)
             self.set_up("--moonraker")
-        self.as_set_up = self.config.read_text()
-        # while the gate exists, conversions wait: no test depends on who is faster
-        self.gate = folder / "gate"
-        waits = " ".join(waiting_for(self.gate))
-        self.config.write_text(
-            self.as_set_up.replace("command: ", f"{options}command: {waits} ", 1)
-        )
+        as_set_up = self.config.read_text()
+        self.config.write_text(as_set_up.replace("command: ", f"{options}command: ", 1))
 
     def set_up(self, *options: str) -> str:
         config = self.data / "config"
@@ -127,15 +121,6 @@ class Printer(Server):
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         return done.stdout.decode()
-
-    def converted(self, content: bytes) -> bytes:
-        """Return what the command line makes of a file. With a page it predicts the whole print."""
-        source, target = self.home / "by_hand.gcode", self.home / "converted.gcode"
-        source.write_bytes(content)
-        page = self.home / "by_hand.html"
-        done = run(source, "-o", target, "-p", self.profile, "--report", page)
-        assert done.returncode == 0, done.stderr
-        return target.read_bytes()
 
     def start_klipper(self) -> None:
         messages = self.data / "messages.json"
@@ -149,13 +134,12 @@ class Printer(Server):
             PYTHONPATH=str(ROOT), TMPDIR=str(self.data),
         )  # fmt: skip
 
-    def start_moonraker(self, *before: str) -> None:
-        """Start it and wait until it answers. before: words of the command before its own."""
+    def start_moonraker(self) -> None:
+        """Start it and wait until it answers."""
         code = str(self.components.parents[1])
         self._start(
-            "moonraker", [*before, self._python, "-m", "moonraker"], "-d", self.data,
-            PYTHONPATH=code,
-        )  # fmt: skip
+            "moonraker", [self._python, "-m", "moonraker"], "-d", self.data, PYTHONPATH=code
+        )
         until(lambda: "hframe_post" in self.get("/server/info")["components"])
 
     def _start(self, name: str, command: list[Any], *arguments: Any, **environment: str) -> None:
@@ -165,13 +149,10 @@ class Printer(Server):
                 stderr=output, env={**os.environ, **environment}, start_new_session=True,
             )  # fmt: skip
 
-    def kill(self, name: str, alone: bool = False) -> None:
-        """Kill a program with all that it started, as systemd does, or alone."""
+    def kill(self, name: str) -> None:
+        """Kill a program with all that it started, as systemd does."""
         process = self._processes.pop(name)
-        if alone:
-            process.kill()
-        else:
-            os.killpg(process.pid, signal.SIGKILL)
+        os.killpg(process.pid, signal.SIGKILL)
         process.wait()
 
     def stop(self) -> None:
@@ -184,20 +165,11 @@ class Printer(Server):
 
     # ------------------------------------------------------------------ requests
 
-    def upload(self, name: str, content: bytes, *path: str, **form: str) -> Any:
-        """Upload a file, and wait until it is converted, also where that takes long."""
-        answer, there = super().upload(name, content, *path, **form), self.gcodes / name
-        until(lambda: not there.exists() or CONVERTING.encode() not in there.read_bytes()[:200])
-        return answer
-
     def get(self, path: str) -> Any:
         return self.request("GET", path)["result"]
 
     def post(self, path: str) -> Any:
         return self.request("POST", path)["result"]
-
-    def metadata(self, name: str) -> Any:
-        return self.get(f"/server/files/metadata?filename={quote(name)}")
 
     def console(self) -> list[str]:
         return [

@@ -69,7 +69,7 @@ SHAPER_FREQ_Z={{own.input_shaper.shaper_freq_z|default(0)}}
     {{% endif %}}
 @own_averaging
 
-# The next three ask hframe-post in Moonraker: 'hframe-post connect moonraker' connects it
+# The next two ask hframe-post in Moonraker: 'hframe-post connect moonraker' connects it
 [gcode_macro HFRAME_CALIBRATE]
 description: Measure this printer; where the bed moves, AXIS=Y once the sensor is on the bed
 gcode:
@@ -77,8 +77,7 @@ gcode:
     {{action_raise_error("no accelerometer is configured in printer.cfg")}}
     {{% endif %}}
     {{action_respond_info("{_ASKED}")}}
-    {{action_call_remote_method("hframe_calibrate", axis=params.AXIS|default("")|upper,
-        recordings=params.RECORDINGS|default(""))}}
+    {{action_call_remote_method("hframe_calibrate", axis=params.AXIS|default("")|upper)}}
 
 [gcode_macro HFRAME_CHECK]
 description: Measure in 20 s what has drifted; FILENAME=check.gcode prints that file instead
@@ -89,12 +88,6 @@ gcode:
     {{action_respond_info("{_ASKED}")}}
     {{action_call_remote_method("hframe_check")}}
     {{% endif %}}
-
-[gcode_macro HFRAME_CONVERT]
-description: Convert the files of an older model again, or FILENAME; CANCEL=1 ends that
-gcode:
-    {{action_call_remote_method("hframe_convert", filename=params.FILENAME|default(""), \
-cancel=params.CANCEL|default(""))}}
 
 [gcode_macro HFRAME_TOWER]
 description: Before a print: 5 mm compensated in Klipper, 5 mm bare, 5 mm with the input shaper

@@ -12,15 +12,15 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-DUTIES = ("upload", "again", "stale", "tidy", "prepare", "conclude")
-MEMORY_BYTES = 1_000_000_000  # bytes of data of a process: 370 MB are the most that any has needed
+DUTIES = ("prepare", "conclude")
+MEMORY_BYTES = 1_000_000_000  # of data of a process; 370 MB are the most that any has needed
 
 
 def main(duty: str, settings: str, *words: str) -> int:
     """Run a duty and return its exit status."""
     here = Path(__file__).resolve().parent
     sys.path[0] = str(here.parent)
-    duties = import_module(f"{here.name}.duties")
+    duties = import_module(f"{here.name}.recordings")
     _stand_back()
     return int(getattr(duties, duty)(duties.Settings.from_json(settings), *words))
 

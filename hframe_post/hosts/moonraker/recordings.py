@@ -6,19 +6,24 @@ one axis stay until it is recorded again, so that the sensor may be moved in bet
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
 import shutil
+import socket
+import subprocess
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from .conversion import Interface, Settings, said
-from .disk import FOLDER, FailureError, cause
-
+NAME = "hframe_post"
+FOLDER = ".hframe_post"  # in the folder of G-code, from which Klipper prints
+ENDPOINT = "/server/hframe_post/report"
 WRITING = {  # the words of a command before the file of G-code
     "calibration": ("measure", "-q", "--times", "2", "-o"),
     "check": ("measure", "-q", "--for", "check", "-o"),
@@ -40,25 +45,24 @@ def prepare(settings: Settings, kind: str, axis: str = "") -> int:
 
     axis: X or Y where one sensor records both, in two places. Exit status 1: said why not.
     """
-    folder, interface = settings.folder / kind, Interface(settings.socket)
+    folder = settings.folder / kind
     try:
         program, profile = settings.program_and_profile()
         if kind == "calibration" and axis != "Y":
             shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(exist_ok=True)
-        os.utime(folder)  # the time of the last check
         if kind == "calibration" or not _is_written(folder, profile):
             command, *words = WRITING[kind]
             target = str(folder / f"{JOBS[kind]}.gcode")
-            said([*program, command, "-p", str(profile), *words, target], MEASURING_S)
+            _run([*program, command, "-p", str(profile), *words, target], MEASURING_S)
     except (FailureError, OSError) as error:
-        interface.report(f"nothing is measured: {cause(error)}", failed=True)
+        settings.report(f"nothing is measured: {_cause(error)}", failed=True)
         return 1
     jobs = sorted(folder.glob("*.gcode"))
     if len(jobs) > 1:
         jobs = [job for job in jobs if job.stem.endswith(f"-{(axis or 'X').lower()}")]
     elif axis:
-        interface.report("this printer's sensors record x and y at once, so AXIS does nothing")
+        settings.report("this printer's sensors record x and y at once, so AXIS does nothing")
     print(json.dumps({"job": f"{FOLDER}/{kind}/{jobs[0].name}"}))
     return 0
 
@@ -68,16 +72,15 @@ def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
 
     job: as ``prepare`` prints it. began: s since 1970. Exit status 0: the profile was written.
     """
-    interface = Interface(settings.socket)
     try:
         folder = settings.folder / kind
         _fetch(settings, Path(settings.gcodes, job), float(began))
         program, profile = settings.program_and_profile()
         if kind == "calibration":
             for axis in _missing(folder):
-                interface.report(f"recorded. {OTHER_PLACE[axis]}")
+                settings.report(f"recorded. {OTHER_PLACE[axis]}")
                 return 1
-        interface.report("recorded. The model is computed, which may take some minutes")
+        settings.report("recorded. The model is computed, which may take some minutes")
         inputs = [path for path in sorted(folder.glob("*.csv")) if _is_wanted(folder, path)]
     except (FailureError, OSError, ValueError) as error:
         return _refused(settings, kind, error)
@@ -85,8 +88,8 @@ def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
 
 
 def _refused(settings: Settings, kind: str, error: Exception) -> int:
-    reason = f"the model was not changed: {cause(error)}"
-    Interface(settings.socket).report(reason, failed=True)
+    reason = f"the model was not changed: {_cause(error)}"
+    settings.report(reason, failed=True)
     return 1
 
 
@@ -99,17 +102,16 @@ def _updated(
     words = {"calibration": ["identify", "--report", str(page)], "check": ["check"]}[kind]
     result = ("-p", str(profile), "--json", str(summary), "-o", str(profile))
     try:
-        said([*program, *words, *result, *map(str, inputs)], MEASURING_S)
+        _run([*program, *words, *result, *map(str, inputs)], MEASURING_S)
         known = json.loads(summary.read_text("utf-8"))
     except (FailureError, OSError, ValueError) as error:
         return _refused(settings, kind, error)
-    interface = Interface(settings.socket)
     result_lines = {"calibration": _identified, "check": _checked}[kind](known)
     plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
     lines = [*result_lines, f"the model is written into {profile}{plots}"]
     if profile.with_suffix(".kernel").is_file():
         lines.append("with [hframe_live] in printer.cfg, restart Klipper: it takes this model")
-    interface.report("\n".join(lines))  # at once: some consoles show the newest message first
+    settings.report("\n".join(lines))  # at once: some consoles show the newest message first
     return 0
 
 
@@ -202,3 +204,94 @@ def _checked(found: Mapping[str, Any]) -> Iterator[str]:
         moved = f"moved from {before:.1f} to {now:.1f} Hz" if one["drifted"] else "has not drifted"
         old, new = (f"{100.0 * share:.0f} %" for share in one["unexplained"])
         yield f"{AXES[name]}: the main resonance {moved}, unexplained {old} → {new}"
+
+
+# ----------------------------------------------------------------------
+# The section of moonraker.conf, the program that it names, and the console.
+
+
+class FailureError(Exception):
+    """The reason why nothing is measured."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the component passes to its processes.
+
+    gcodes: the folder of G-code. socket: Moonraker's. command: that runs hframe-post with the
+    profile. recordings: the folder into which Klipper writes those of accelerometers.
+    """
+
+    gcodes: str
+    socket: str
+    command: list[str]
+    recordings: str
+
+    @classmethod
+    def from_json(cls, text: str) -> Settings:
+        return cls(**json.loads(text))
+
+    def as_json(self) -> str:
+        return json.dumps(asdict(self))
+
+    @property
+    def folder(self) -> Path:
+        return Path(self.gcodes) / FOLDER
+
+    def program_and_profile(self) -> tuple[list[str], Path]:
+        """Return the command's words before -p, and the profile after it. Raises FailureError."""
+        for option in ("-p", "--printer"):
+            if option in self.command[1:-1]:
+                place = self.command.index(option)
+                return self.command[:place], Path(self.command[place + 1])
+        raise FailureError(
+            f"command in [{NAME}] of moonraker.conf names no profile. Add -p and the profile's path"
+        )
+
+    def report(self, text: str, failed: bool = False) -> None:
+        """Show a message in the console of the web interface, through Moonraker's socket."""
+        request = {
+            "jsonrpc": "2.0", "method": ENDPOINT.strip("/").replace("/", "."), "id": 1,
+            "params": {"text": f"hframe-post: {text}", "failed": failed},
+        }  # fmt: skip
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as connection:
+            connection.settimeout(10.0)
+            connection.connect(self.socket)
+            connection.sendall(json.dumps(request).encode() + b"\x03")
+            connection.recv(4096)
+
+
+def _run(command: Sequence[str], seconds: float) -> None:
+    """Run a command of hframe-post, which ends when its standard input closes.
+
+    Raises FailureError.
+    """
+    try:
+        process = subprocess.Popen(
+            command, text=True, errors="replace",
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            env={**os.environ, "HFRAME_POST_CHILD": "1"},
+        )  # fmt: skip
+    except OSError as error:
+        raise FailureError(
+            f"{command[0]} cannot be run: {error.strerror}. Correct command in [{NAME}] of "
+            "moonraker.conf"
+        ) from None
+    limit = threading.Timer(seconds, process.kill)
+    limit.start()
+    with process:
+        assert process.stdout is not None
+        last = "".join(process.stdout).rstrip().rpartition("\n")[2]
+        status = process.wait()
+    limit.cancel()
+    if status < 0:
+        raise FailureError(f"{' '.join(command[:2])} took more than {seconds:.0f} s")
+    if status != 0:
+        raise FailureError(last.removeprefix("Error: ") or f"hframe-post ended with {status}")
+
+
+def _cause(error: Exception) -> str:
+    """Return what is wrong, and where."""
+    if isinstance(error, OSError) and error.strerror:
+        return ": ".join(str(part) for part in (error.filename, error.strerror) if part)
+    return str(error)
