@@ -1,7 +1,7 @@
 """Commands that dwell while the machine retracts, lifts or waits, and lose no time by it.
 
 Where a strategy's command would go on settling and leading during a stop, it is replaced around
-the stop by the one of ``model.stop``. A stop longer than LONGEST is treated as two: the command
+the stop by the one of ``stop_solver``. A stop longer than LONGEST is treated as two: the command
 comes to rest on the path, and later sets out from there. So are the ends of a stretch, where the
 machine must be at rest where the file believes it to be.
 
@@ -19,8 +19,8 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Z, moved
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.stop import StopSolver
 from hframe_post.model.stop_cost import BESIDE, BEYOND, Stop, Surroundings
+from hframe_post.model.stop_solver import StopSolver
 from hframe_post.model.strategies import Compensator, strategy
 from hframe_post.native.stop import NEAREST
 from hframe_post.printer.settings import STOPS, Motors, Travel

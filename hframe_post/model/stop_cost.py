@@ -1,6 +1,6 @@
 """What a stop is judged by: the nozzle's distance to the path, most of all while it extrudes.
 
-Symbols are those of ``model.stop``.
+Symbols are those of ``model.stop_solver``.
 """
 
 from __future__ import annotations

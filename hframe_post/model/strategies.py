@@ -28,9 +28,8 @@ import numpy as np
 
 from hframe_post.arrays import Array, X, Y, moved
 from hframe_post.errors import ArgumentError, HframeError
-from hframe_post.model.along_x import SolversAlongX
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.lpfbs import Lpfbs, Window
+from hframe_post.model.lpfbs import Lpfbs, SolversAlongX, Window
 from hframe_post.model.nozzle import Coupled
 from hframe_post.model.plant import HEAVIER, Coupling, Plant
 from hframe_post.model.rounds import order, rounds_needed

@@ -1,4 +1,4 @@
-/* The least squares of one stop, with the symbols of model/stop.py.
+/* The least squares of one stop, with the symbols of model/stop_solver.py.
  *
  * The columns are those of p, x and y in turn, and then the residual. A row in time has a prefix of
  * columns that are not zero, and these are ``begun`` at it; products skip the rest. Rows of a matrix

@@ -1,4 +1,4 @@
-"""The least squares of one stop. Symbols are those of ``model.stop``.
+"""The least squares of one stop. Symbols are those of ``model.stop_solver``.
 
 p is (k, 2): the weights of k splines, in the order in which these begin, for x and y. In matrices
 x and y alternate, so that a row in time has a prefix of columns only.

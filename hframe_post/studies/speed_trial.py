@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers
+from hframe_post.model.nozzle import Plants
 from hframe_post.model.plant import Plant
-from hframe_post.model.responses import Plants
 from hframe_post.planner.pacing import ADJUSTED, FIRST_LAYERS, NAMES, UNCHANGED
 from hframe_post.prediction.error_meter import Lines
 from hframe_post.prediction.predict import Judgement, judge_each

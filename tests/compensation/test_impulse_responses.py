@@ -16,9 +16,8 @@ from hframe_post.errors import ArgumentError
 from hframe_post.model.filters import stream_filter
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Lpfbs, Window
-from hframe_post.model.nozzle import nozzle
+from hframe_post.model.nozzle import Plants, nozzle
 from hframe_post.model.plant import Bed, Coupling, Plant
-from hframe_post.model.responses import Plants
 from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.prediction.predict import judge, predict
 from hframe_post.printer.profile import load

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hframe_post.model.nozzle import Response
-from hframe_post.model.responses import Plants
+from hframe_post.model.nozzle import Plants, Response
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.uncertainty import draws
 from tests.coupled import coupled_plant
