@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -54,43 +53,6 @@ def test_speeds_give_the_time_asked(seed: int, period: float) -> None:
     np.testing.assert_allclose(
         Ramped.from_moves(delta, rest, STREAM.row).durations(v, 0.0), T, rtol=1e-6
     )
-
-
-def test_segments_of_mixed_length_get_the_time_asked() -> None:
-    delta, T, rest = smooth(2, 1e-3, 240)
-    cuts = np.concatenate([[0], np.cumsum(np.tile([1, 2, 4, 8], 16))])
-    delta = np.stack([delta[a:b].sum(axis=0) for a, b in pairwise(cuts)])
-    T, rest = np.diff(cuts) * 1e-3, np.zeros(len(cuts), dtype=bool)
-    v = Ramped.from_moves(delta, rest, STREAM.row).speeds(T, 60.0)
-    np.testing.assert_allclose(
-        Ramped.from_moves(delta, rest, STREAM.row).durations(v, 60.0), T, rtol=1e-6
-    )
-
-
-def alone(delta: tuple[float, float, float, float], v: float) -> float:
-    """Duration of one segment from rest to rest."""
-    rest = np.ones(2, dtype=bool)
-    return float(
-        Ramped.from_moves(np.array([delta]), rest, STREAM.row).durations(np.array([v]), 0.0)[0]
-    )
-
-
-def test_retraction_limits_speed_and_acceleration() -> None:
-    assert alone((100.0, 0.0, 0.0, -50.0), 60.0) == pytest.approx(100.0 / 60.0 + 60.0 / 4000.0)
-    assert alone((100.0, 0.0, 0.0, -50.0), 500.0) == pytest.approx(100.0 / 120.0 + 120.0 / 4000.0)
-    assert alone((100.0, 0.0, 0.0, 50.0), 500.0) == pytest.approx(
-        100.0 / 500.0 + 500.0 / STREAM.acceleration
-    )
-
-
-def test_neighbour_before_the_first_segment_counts() -> None:
-    delta, T = np.array([[0.1, 0.0, 0.0, 0.0]]), np.array([1e-3])
-    rest = np.zeros(2, dtype=bool)
-    rolling = Ramped.from_moves(delta, rest, STREAM.row).durations(np.array([100.0]), 100.0)
-    slower = Ramped.from_moves(delta, rest, STREAM.row).durations(np.array([100.0]), 80.0)
-    assert rolling[0] == pytest.approx(1e-3)
-    assert slower[0] == pytest.approx(1e-3 + 20.0**2 / (2 * STREAM.acceleration) / 100.0)
-    assert Ramped.from_moves(delta, rest, STREAM.row).speeds(T, 80.0)[0] > 100.0
 
 
 def test_a_leap_that_no_ramp_makes_in_time_is_made_up_for() -> None:

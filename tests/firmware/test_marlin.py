@@ -172,27 +172,6 @@ def test_modes_of_the_file_come_back(
     assert end[end.index(b"G1 F2475") + 1 :] == expected
 
 
-def test_modes_of_the_stream_outlast_those_of_the_file(marlin: Printer) -> None:
-    lines = [
-        b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X110 E1\n", b"G90\n", b"M83\n",
-        b"G1 X120 E1\n", b"G91\n", b"G1 X10 E1\n", b"G90\n", b"M82\n", b"G92 E0\n", b"G1 X140 E1\n",
-    ]  # fmt: skip
-    text = converted(lines, marlin)[0]
-    absolute = relative_e = None
-    seen = 0
-    for line in text.split(b"M205 B0")[1].split(b"M400")[0].splitlines()[1:]:
-        if line in (b"G90", b"G91"):
-            absolute, relative_e = line == b"G90", line == b"G91"
-        elif line in (b"M82", b"M83"):
-            relative_e = line == b"M83"
-        elif line.startswith(b"G1"):
-            assert absolute
-            assert relative_e
-            seen += 1
-    assert seen > 20
-    assert played_filament(text) == pytest.approx(4.0, abs=1e-5)
-
-
 def test_filament_is_counted_on_where_it_was_relative(marlin: Printer) -> None:
     """G90 makes E absolute: of what the file has fed, not of what the stream has counted."""
     text = (

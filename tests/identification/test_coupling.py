@@ -134,9 +134,8 @@ def off(found: Complex, true: Complex) -> float:
     return float(np.linalg.norm(found - true) / np.linalg.norm(true))
 
 
-@pytest.mark.parametrize(
-    "angle", [0.2, *(pytest.param(each, marks=pytest.mark.slow) for each in (0.05, -0.4))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("angle", [0.05, -0.4])
 def test_coupling_of_shared_modes_is_found_with_its_size(angle: float) -> None:
     printer = Coupled(angle=angle)
     found = coupling(printer, printer)

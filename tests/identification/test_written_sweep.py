@@ -61,11 +61,10 @@ def motion(text: bytes, planner: str = "2.1", jerk: bool = False) -> Array:
 @pytest.mark.parametrize(
     ("planner", "jerk"),
     few(
-        [("2.1", True), ("2.1", False), ("2.0", True), ("2.0", False), ("2.1-dev", True),
-         ("2.1-dev", False), ("ft-motion", False)], 2,
+        [("2.1", True), ("2.0", False), ("2.1-dev", False), ("ft-motion", False)], 1,
     ),
 )  # fmt: skip
-@pytest.mark.parametrize("acceleration", few([1500.0, 500.0, 5000.0], 1))
+@pytest.mark.parametrize("acceleration", few([1500.0, 500.0], 1))
 def test_a_board_plays_the_command(planner: str, jerk: bool, acceleration: float) -> None:
     """What a sweep is compared to is within a step of 12.5 µm, from start to end."""
     one, lines = played(ender(planner, acceleration, jerk), at(0, 110.0, 110.0), 10.0)
@@ -121,7 +120,7 @@ def record(folder: Path, name: str, kind: str, seed: int) -> None:
     np.savetxt(recordings / f"{name}.csv", rows, "%.6f", ",", header="time,x,y,z", comments="")
 
 
-@pytest.mark.parametrize("drift", few([0.01, -0.018], 1))
+@pytest.mark.parametrize("drift", few([0.01, -0.018], 0))
 def test_a_clock_that_is_far_off_is_found(drift: float) -> None:
     printer = ender(acceleration=3000.0)
     assert printer.steps is not None

@@ -158,12 +158,6 @@ def rms(x: Array) -> float:
     return float(np.sqrt(np.square(x).mean())) if len(x) else 0.0
 
 
-@pytest.mark.slow
-@pytest.mark.klipper
-def test_cube_is_played_as_intended(tmp_path: Path) -> None:
-    check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 3))
-
-
 @pytest.mark.klipper
 @pytest.mark.skipif(BEFORE_2024, reason="each G4 takes Klipper of 2023 two milliseconds more")
 def test_lifts_pass_into_motion_as_intended(tmp_path: Path) -> None:

@@ -65,13 +65,12 @@ def motion(run: Playback, seconds: float) -> Array:
     return np.column_stack([run.position(t), run.extruded(t)])
 
 
-@pytest.mark.parametrize("strategy", ["racking", "none"])
 def test_slow_motion_is_written_as_if_every_sample_of_it_had_been_computed(
-    strategy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Within 10 ms: at 20 mm/min the last digit of a place is 3 ms."""
     short, computed = (tmp_path / name for name in ("short.gcode", "computed.gcode"))
-    texts = both(strategy, monkeypatch)
+    texts = both("racking", monkeypatch)
     assert texts[0] != texts[1]
     for file, text in zip((short, computed), texts, strict=True):
         file.write_bytes(text)
