@@ -59,17 +59,12 @@ def retraction(k: int) -> list[str]:
     ]
 
 
-def layer(k: int) -> list[str]:
-    return [f";LAYER:{k}", f"G1 Z{0.2 + 0.05 * (k % 5000):.2f} F600", sides(k)]
-
-
 def labelled(k: int) -> list[str]:
     return [f"EXCLUDE_OBJECT_START NAME=p_{k}", sides(k), f"EXCLUDE_OBJECT_END NAME=p_{k}"]
 
 
 CONSTRUCTS: dict[str, Callable[[], Iterator[str]]] = {
     "ten hours of waiting": lambda: iter(["G4 P36000000"]),
-    "a lift of an hour and a half": lambda: iter(["G1 Z100 F1"]),
     "40 minutes of lifts": lambda: (f"G1 Z{20 - 19.8 * (k % 2)} F60" for k in range(120)),
     "800 000 comments": lambda: repeat("; a comment that is neither long nor short", 800_000),
     "100 000 macros": lambda: repeat("A_MACRO OF=mine", 100_000),
@@ -80,9 +75,8 @@ CONSTRUCTS: dict[str, Callable[[], Iterator[str]]] = {
         f"G1 X{150 - 0.001 * (k % 40_000):.3f} E0.00001" for k in range(400_000)
     ),
     "4000 objects": lambda: chain.from_iterable(map(labelled, range(4000))),
-    "4000 layers": lambda: chain.from_iterable(map(layer, range(4000))),
-    "40 000 retractions": lambda: chain.from_iterable(map(retraction, range(20_000))),
-    "20 000 circles": lambda: (f"G2 X150 Y100 I-{5 + k % 9} E1" for k in range(20_000)),
+    "20 000 retractions": lambda: chain.from_iterable(map(retraction, range(10_000))),
+    "10 000 circles": lambda: (f"G2 X150 Y100 I-{5 + k % 9} E1" for k in range(10_000)),
 }
 
 

@@ -16,7 +16,7 @@ from hframe_post.arrays import Array
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.printer.profile import load
-from hframe_post.writers.print_time import DeferredLine
+from tests import gcode_tools
 from tests.conftest import few
 
 from .head import head
@@ -96,9 +96,7 @@ def converted(name: str) -> str:
 
 def converted_text(text: str) -> str:
     lines = [line.encode() + b"\n" for line in text.splitlines()]
-    conversion = GcodeConversion(lines, load("paper"), Options("racking"))
-    out = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
-    return out.decode()
+    return gcode_tools.converted(lines, load("paper"))[0].decode()
 
 
 @cache
@@ -191,8 +189,7 @@ def test_a_release_right_after_a_copied_move_restores_the_users_limits(then: str
     text = SLICES["Klipper's commands"].splitlines()
     at = [k for k, line in enumerate(text) if line == "EXCLUDE_OBJECT_START NAME=B"][1] + 3
     file = [line.encode() + b"\n" for line in [*text[:at], then]]
-    conversion = GcodeConversion(file, load("paper"), Options("racking"))
-    out = b"".join(o for o in conversion if isinstance(o, bytes)).decode().splitlines()
+    out = gcode_tools.converted(file, load("paper"))[0].decode().splitlines()
     before = out[: max(k for k, line in enumerate(out) if line == then)]
     assert [line for line in before if line.startswith("SET_VELOCITY_LIMIT")][-1].split()[2] == (
         "ACCEL=10000"

@@ -7,13 +7,11 @@ from typing import Any
 
 import pytest
 
-from hframe_post.conversion.conversions import GcodeConversion
-from hframe_post.conversion.options import Options
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.print_time import DeferredLine
 from tests.conftest import few
+from tests.gcode_tools import converted
 from tests.printers import profile_of
 
 from .console import typed
@@ -98,8 +96,7 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Printer:
 def files(machine: Printer) -> dict[str, bytes]:
     """Return a converted print, and the same with an error in mid-stream."""
     lines = [line.encode() + b"\n" for line in ["M104 S200", *strokes(25)]]
-    conversion = GcodeConversion(lines, machine, Options("racking"))
-    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    text, _ = converted(lines, machine)
     rows = text.splitlines(keepends=True)
     half = len(rows) // 2
     broken = [*rows[:half], b"G1 X9999\n", *rows[half:]]
@@ -133,8 +130,7 @@ def test_the_shaper_comes_back_though_the_profile_knows_none(
     assert unaware.firmware.klipper is not None
     assert unaware.firmware.klipper.shaper_freq_x == 0.0
     lines = [line.encode() + b"\n" for line in ["M104 S200", *strokes(25)]]
-    conversion = GcodeConversion(lines, unaware, Options("racking"))
-    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion)
+    text, _ = converted(lines, unaware)
     assert text.count(b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 ") == text.count(b"SET_INPUT_SHAPER")
     script = [PRINT, ("in mid-print", ""), ("stopped", "")]
     host = sections("Klipper's own", machine, tmp_path)

@@ -280,7 +280,7 @@ def interrupted(kind: str, rows: list[bytes], at: int) -> list[bytes]:
 @pytest.mark.klipper
 @pytest.mark.parametrize("kind", ["pause", "cancel", "object"])
 @pytest.mark.parametrize(
-    "moment", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 10))]
+    "moment", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 4))]
 )
 def test_whatever_stops_a_print_and_whenever_no_motor_is_asked_for_more_than_it_holds(
     kind: str, moment: int, labelled: list[bytes], tmp_path: Path

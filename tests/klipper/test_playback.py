@@ -11,7 +11,6 @@ import pytest
 
 from hframe_post.arrays import TS, Array
 from hframe_post.conversion import spans
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.conversion.report import Report
@@ -19,8 +18,8 @@ from hframe_post.firmware.klipper.code import StreamLimits
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Extruder, Printer
-from hframe_post.writers.print_time import DeferredLine
 from tests.conftest import SAMPLES
+from tests.gcode_tools import converted
 from tests.quantities import below, near
 
 from .host import BEFORE_2024, Playback, play
@@ -69,13 +68,12 @@ def lines_played(
 ) -> Played:
     printer = printer or profile.load("paper")
     blocks = list(SampleStream(iter(lines), printer, options).computed())
-    output = GcodeConversion(iter(lines), printer, options)
-    text = b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in output)
+    text, report = converted(lines, printer, options)
     file = folder / "converted.gcode"
     file.write_bytes(text)
     command = np.concatenate([b.commands[options.strategy] for b in blocks])
     z_e = np.concatenate([b.xyze[:, 2:] for b in blocks])
-    return Played(command, z_e, play(file, workdir=folder), output.report(), text)
+    return Played(command, z_e, play(file, workdir=folder), report, text)
 
 
 def offset_between(run: Played, first: int, last: int, guess: float) -> float:

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain, Stages
 from hframe_post.planner import sampling
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer import profile
-from hframe_post.writers.print_time import DeferredLine
+from tests.gcode_tools import converted
 
 from .host import Playback, play
 
@@ -47,16 +46,11 @@ G1 X95 Y90 E0.3 F6000
 """.splitlines(keepends=True)
 
 
-def converted(strategy: str) -> bytes:
-    output = GcodeConversion(iter(PRINT), profile.load("paper"), Options(strategy))
-    return b"".join(o.line + b"\n" if isinstance(o, DeferredLine) else o for o in output)
-
-
-def both(strategy: str, monkeypatch: pytest.MonkeyPatch) -> tuple[bytes, bytes]:
+def both(monkeypatch: pytest.MonkeyPatch) -> tuple[bytes, bytes]:
     """Return the stream as it is written, and from samples of all motion."""
-    short = converted(strategy)
+    short, _ = converted(PRINT, profile.load("paper"))
     monkeypatch.setattr(sampling, "FEWEST", 1 << 60)
-    return short, converted(strategy)
+    return short, converted(PRINT, profile.load("paper"))[0]
 
 
 def motion(run: Playback, seconds: float) -> Array:
@@ -70,7 +64,7 @@ def test_slow_motion_is_written_as_if_every_sample_of_it_had_been_computed(
 ) -> None:
     """Within 10 ms: at 20 mm/min the last digit of a place is 3 ms."""
     short, computed = (tmp_path / name for name in ("short.gcode", "computed.gcode"))
-    texts = both("racking", monkeypatch)
+    texts = both(monkeypatch)
     assert texts[0] != texts[1]
     for file, text in zip((short, computed), texts, strict=True):
         file.write_bytes(text)
