@@ -66,8 +66,8 @@ def labelled(k: int) -> list[str]:
 CONSTRUCTS: dict[str, Callable[[], Iterator[str]]] = {
     "ten hours of waiting": lambda: iter(["G4 P36000000"]),
     "40 minutes of lifts": lambda: (f"G1 Z{20 - 19.8 * (k % 2)} F60" for k in range(120)),
-    "800 000 comments": lambda: repeat("; a comment that is neither long nor short", 800_000),
-    "100 000 macros": lambda: repeat("A_MACRO OF=mine", 100_000),
+    "300 000 comments": lambda: repeat("; a comment that is neither long nor short", 300_000),
+    "40 000 macros": lambda: repeat("A_MACRO OF=mine", 40_000),
     "M73 in a print that never stops": lambda: (
         line for k in range(5300) for line in (sides(k), *repeat("M73 P5 R10", 8))
     ),

@@ -80,8 +80,9 @@ def test_a_layer_can_be_slowed() -> None:
 
 
 def test_what_lies_as_low_as_the_first_layer_keeps_what_the_file_has() -> None:
-    """The first layer of a second object, whatever the slicer counts."""
+    """The first layer of a second object, whatever the slicer counts, and not as low as a lift."""
     text = [line.encode() for line in PRINT]
+    text.insert(text.index(b";LAYER:1\n"), b"G0 X11 Z3 F9000\n")
     text += [b";LAYER:0\n", b";TYPE:FILL\n", b"G1 X5 Z0.2 E0.5\n", b"G1 X9 Z0.21 E0.5\n"]
     items = pace(read(text, ReadOptions(FIRMWARES["klipper"].dialect)), Paces({"infill": FILL}))
     (moves,) = (item for item in items if isinstance(item, Moves))
