@@ -39,14 +39,14 @@ def test_the_responses_are_those_of_the_printer_with_its_delay() -> None:
 
 
 STEP = 0.0206  # mm of belt
-LINEAR, MOVING = (2, 6, 14, 26), (19,)
-FRICTION, PLAY, SECOND, THIRD = (1, 31), (3, 33), (5,), (7, 27)
+LINEAR, MOVING = (2, 6, 14), (19,)
+FRICTION, PLAY, SECOND, THIRD = 1, 3, 5, 7
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [*LINEAR, *MOVING, *FRICTION, *PLAY, *SECOND, *THIRD])
+@pytest.mark.parametrize("seed", [*LINEAR, *MOVING, FRICTION, PLAY, SECOND, THIRD])
 def test_drawn_printers_become_better(seed: int) -> None:
-    """Each fault comes once or twice; linear ones are as good as by their exact model."""
+    """Each fault comes once; linear ones are as good as by their exact model."""
     machine, chip, fault = drawn(seed)
     found = identified(machine, struck(machine, chip, seed, step=STEP))
     assert found.refusal is None

@@ -14,9 +14,9 @@ from tests.resonance_recordings import MOTIONS, SENSORS, drawn_sensor, linear_pr
 PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)  # mm of x, of an H-bot that racks
 
 
-# each sensor with each motion, and an H-bot with each motion
+# each sensor and each motion, and an H-bot
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [*range(9), 18])
+@pytest.mark.parametrize("seed", [0, 4, 8, 18])
 def test_modes_and_rectangle(seed: int) -> None:
     machine = linear_printer(seed)
     chip = drawn_sensor(seed, tuple(SENSORS)[seed % 3])

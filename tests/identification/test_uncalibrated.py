@@ -17,14 +17,17 @@ from hframe_post.identification.estimation.uncalibrated import (
     direction,
     uncalibrated_responses,
 )
-from hframe_post.identification.gather import from_folders
+from hframe_post.identification.gather import Gathered, from_folders
 from hframe_post.identification.identify import Identified, MeasurementSettings, Run, identify
+from hframe_post.identification.pages import identification_page
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
 from hframe_post.identification.recordings.clock import acceleration, self_aligned
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
+from hframe_post.identification.report import IdentificationReport
 from hframe_post.printer.settings import Travel
 from tests.conftest import few
-from tests.identification.test_coupling import Coupled
+from tests.coupled_printers import Coupled
+from tests.page.pages import data_of
 from tests.recordings import write_klipper
 from tests.resonance_recordings import (
     BELTS,
@@ -214,6 +217,26 @@ def coupled_run(printer: Coupled, direction: tuple[float, float], seed: int = 1)
     t = np.asarray(np.arange(len(a)) * TS, dtype=np.float64)
     recording = Recording(t, np.asarray(a, dtype=np.float64), False)
     return Run("test", test.command(), recording, rough_clock=(1.0, 0.0))
+
+
+@pytest.mark.slow
+def test_only_what_two_recordings_share_is_compensated() -> None:
+    machine = Coupled((46.0, 33.0), (0.05, 0.08), 0.2, delay=0.0)
+    settings = MeasurementSettings((3.0, 100.0), racks=False)
+    x, again = (coupled_run(machine, X, seed=seed) for seed in (1, 2))
+    assert not identify([x], settings).plant(140.0).cross
+    found = identify([x, again, coupled_run(machine, Y)], settings)
+    (cross,) = found.plant(140.0).cross
+    assert (cross.answer, cross.command) == (1, 0)
+    hz = np.arange(10.0, 90.0)
+    true = machine.response(hz)[:, 1, 0]
+    off = np.abs(cross.G.response(2.0 * np.pi * TS * hz) - true)
+    assert off.max() < 0.1 * np.abs(true).max()
+    report = IdentificationReport(found, found.plant(140.0), None, Gathered([], [], []))
+    shown = data_of(identification_page(report, "a printer"))["sections"][2]
+    assert shown["title"] == "Coupling: what x does to y"
+    labels = [line["label"].split(" at ")[0] for line in shown["charts"][0]["lines"]]
+    assert labels == ["recording 1", "recording 2", "compensated"]
 
 
 @pytest.mark.slow
