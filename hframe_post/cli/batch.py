@@ -72,11 +72,7 @@ def batch(
     stamped = first_line(profile, options.resolved(profile))
     if options.strategy != "none" and not options.force:
         check_identified(profile)
-    try:
-        files, packed = with_targets(sources, folder)
-        todo = jobs_for(files, stamped if resume else b"")
-    except HframeError as error:
-        raise click.UsageError(str(error)) from None
+    todo, packed = _jobs(sources, folder, stamped if resume else b"")
     folder.mkdir(parents=True, exist_ok=True)
     converter = Converter(jobs, printer, options)
     compensates = (options.strategy or profile.compensation.strategy) != "none"
@@ -95,6 +91,17 @@ def batch(
     results.say(results.as_text())
     interruption.end()
     context.exit(status)
+
+
+def _jobs(
+    sources: Sequence[Path], folder: Path, first_line: bytes
+) -> tuple[list[Job], Sequence[Path]]:
+    """Return what to convert, and the files among it that are packed."""
+    try:
+        files, packed = with_targets(sources, folder)
+        return jobs_for(files, first_line), packed
+    except HframeError as error:
+        raise click.UsageError(str(error)) from None
 
 
 FORESEEN = 0.05  # share of the bytes that must be done before what is left can be estimated

@@ -13,12 +13,13 @@ from pathlib import Path
 import click
 from platformdirs import user_data_path
 
+from hframe_post.cli.moonraker import RESTART, Moonraker, agreed, find_printer_cfg, make
 from hframe_post.cli.options import quoted, say
-from hframe_post.cli.setup import setup
+from hframe_post.cli.setup import NewProfile
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.registry import firmware
-from hframe_post.printer.choice import choose
+from hframe_post.printer.choice import PROFILE, choose
 from hframe_post.printer.profile import check_identified, load, shipped
 from hframe_post.process import program, program_words
 from hframe_post.writers.outputs import Outputs
@@ -42,9 +43,8 @@ PROGRAMS = ("slicer", "cura", "octoprint", "moonraker", "klipper")
     help="printer.cfg for moonraker, if it is not found.",
 )  # fmt: skip
 @click.option("--remove", is_flag=True, help="Undo 'connect moonraker'.")
-@click.pass_context
 def connect(
-    context: click.Context, target: str, printer: str | None, folder: Path | None,
+    target: str, printer: str | None, folder: Path | None,
     config: Path | None, remove: bool,
 ) -> None:  # fmt: skip
     """Let another program run hframe-post.
@@ -64,8 +64,7 @@ def connect(
     if target != "moonraker" and (remove or config is not None):
         raise click.UsageError("--remove and --printer-cfg are for 'connect moonraker'")
     if target == "moonraker":
-        files = () if config is None else (config,)
-        context.invoke(setup, files=files, connected=not remove)
+        (_disconnect if remove else _connect)(config or find_printer_cfg())
     elif target == "slicer":
         _slicer(_anywhere(printer))
     elif target == "cura":
@@ -82,6 +81,37 @@ def _anywhere(printer: str | None) -> str:
         return ""
     load(printer)  # raises before anything is written
     return printer if printer in shipped() else str(Path(printer).absolute())
+
+
+# ---------------------------------------------------------------------- Moonraker
+
+CALIBRATE = (
+    "Then mount the accelerometer, clear the bed, heat as for a print, and type on the console of "
+    "Mainsail or Fluidd: HFRAME_CALIBRATE"
+)
+
+
+def _connect(printer_cfg: Path) -> None:
+    moonraker = Moonraker(printer_cfg)
+    moonraker.choose_live()
+    made = NewProfile((printer_cfg,), printer_cfg.parent / PROFILE)
+    changes, done = moonraker.connecting(made.target), list[str]()
+    if not agreed(changes):
+        click.echo("nothing was changed")
+        return
+    made.write(lambda outputs: done.extend([*make(changes, outputs), *moonraker.link(True)]))
+    click.echo("\n".join([*made.conclude(), "", *done, "", RESTART, CALIBRATE]))
+
+
+def _disconnect(printer_cfg: Path) -> None:
+    moonraker = Moonraker(printer_cfg)
+    changes = moonraker.disconnecting()
+    if not agreed(changes):
+        click.echo("nothing was changed")
+        return
+    with Outputs() as outputs:
+        done = [*make(changes, outputs), *moonraker.link(create=False)]
+    click.echo("\n".join([*done, "", RESTART]))
 
 
 # ---------------------------------------------------------------------- slicers

@@ -72,35 +72,28 @@ def convert(
       hframe-post in.gcode --report report.html
     """
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
-    html = report_file is not None and report_file.suffix == ".html"
+    html = report_file if report_file and report_file.suffix == ".html" else None
     _check_usage(more, [to_stdout, str(json_file) == "-", str(report_file) == "-"])
     profile, choice = library.load_printer(printer), chosen_printer()
     name_in_slicer = os.environ.get(OUTPUT_NAME)
-    head = [choice.as_text(), *verification_as_text(profile)]
     # the paper's printer may be shown, but not in place: so do slicers what they print
     if choice.demonstrates and output is not None and name_in_slicer is None:
         options = replace(options, force=True)
-    if name_in_slicer:
-        head.insert(0, f"file             {one_line(name_in_slicer)}")
+    head = [f"file             {one_line(name_in_slicer)}"] if name_in_slicer else []
+    head += [choice.as_text(), *verification_as_text(profile)]
+    target = None if dry_run else "-" if to_stdout else output or source
     keep_memory()
     with (
-        _leaving_alone(source, None if dry_run else output, json_file, html, quiet),
+        _leaving_alone(source, None if dry_run else output, json_file, html is not None, quiet),
         Outputs(files_read(source, printer)) as outputs,
         progress_bar(source, quiet) as advance,
     ):
         write_json = open_json(outputs, json_file)
         text_file = outputs.open(dashed(report_file)) if report_file and not html else None
         report = library.convert(
-            dashed(source) or sys.stdin.buffer,
-            None if dry_run else "-" if to_stdout else output or source,
-            profile,
-            options,
-            page=report_file if html else None,
-            title=one_line(Path(name_in_slicer or source).name),
-            notes=head,
-            outputs=outputs,
-            progress=advance,
-        )
+            dashed(source) or sys.stdin.buffer, target, profile, options, page=html, notes=head,
+            title=one_line(Path(name_in_slicer or source).name), outputs=outputs, progress=advance,
+        )  # fmt: skip
         report = replace(report, notices=(*cut_off(source), *report.notices))
         write_json({**choice.as_json(), **report.as_json()})
         text = report.summary(head)

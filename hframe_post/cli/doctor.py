@@ -139,17 +139,8 @@ def _check_profile(
     findings: _Findings, choice: Choice, config: Path | None, log: Path | None
 ) -> None:
     """Check a profile and what goes with it."""
-    printer = choice.profile
-    try:
-        profile = load(printer)
-        prepared(profile)  # raises where the compensation would be unstable
-    except HframeError as error:
-        findings.problem(str(error))
-        if "unknown key" in str(error):
-            findings.note(
-                f"hframe-post {__version__} does not know that key. If a newer version wrote the "
-                "profile, install that version; if an older one did, see CHANGELOG.md"
-            )
+    printer, profile = choice.profile, _loaded(findings, choice.profile)
+    if profile is None:
         return
     findings.ok(f"profile {printer} ({choice.why}): {profile.description or 'no description'}")
     if profile.invented:
@@ -176,6 +167,22 @@ def _check_profile(
         findings.note(f"{own.configuration} was not checked: name it with --printer-cfg")
     else:
         _check_config(findings, config, log, profile, printer)
+
+
+def _loaded(findings: _Findings, name: str) -> Printer | None:
+    """Return a profile that can be used; None: it was said why not."""
+    try:
+        profile = load(name)
+        prepared(profile)  # raises where the compensation would be unstable
+    except HframeError as error:
+        findings.problem(str(error))
+        if "unknown key" in str(error):
+            findings.note(
+                f"hframe-post {__version__} does not know that key. If a newer version wrote the "
+                "profile, install that version; if an older one did, see CHANGELOG.md"
+            )
+        return None
+    return profile
 
 
 def _check_config(

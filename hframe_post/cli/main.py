@@ -72,6 +72,8 @@ GONE_OPTIONS = {  # former options by command, and what replaced them
     ("doctor", "--report"): "its output says all",
     ("doctor", "--history"): "the console says what each check has found",
     ("identify", "--axes"): MOUNTED,
+    ("setup", "--moonraker"): "'hframe-post connect moonraker'",
+    ("setup", "--no-moonraker"): "'hframe-post connect moonraker --remove'",
 }
 UNBROKEN = "\N{NON-BREAKING HYPHEN}"
 _GIVEN = "hframe_post.given"  # the command line in the context's meta

@@ -195,7 +195,7 @@ PATIENCE_S = 2.0  # s of work, after which a terminal shows a bar
 
 @contextmanager
 def progress_bar(source: Path | None, quiet: bool) -> Iterator[Callable[[int], object] | None]:
-    """Show how much of a file was read in a bar on a terminal.
+    """Show on a terminal how much of a file was read, once that has taken two seconds.
 
     Yields the function to call with each number of bytes read; None if nothing is shown.
     """
@@ -203,36 +203,22 @@ def progress_bar(source: Path | None, quiet: bool) -> Iterator[Callable[[int], o
     if source is None or quiet or not size or not sys.stderr.isatty():
         yield None
         return
-    with bar(size, source.name) as advance:
-        yield advance
+    began, done, shown = time.monotonic(), 0, list[Any]()
 
-
-@contextmanager
-def bar(length: float, label: str) -> Iterator[Callable[[float], object]]:
-    """Show a progress bar on a terminal once the work has taken two seconds.
-
-    Yields the function to call with the part of ``length`` that was done since the last call.
-    """
-    began, done = time.monotonic(), 0.0
-    shown: Any = None
-
-    def advance(part: float) -> None:
-        nonlocal done, shown
-        done += part
-        if shown is None and sys.stderr.isatty() and time.monotonic() - began > PATIENCE_S:
-            shown = click.progressbar(
-                length=STEPS, label=label, file=sys.stderr, item_show_func=None
-            )  # fmt: skip
-            shown.__enter__()
-        if shown is not None:
-            shown.update(int(STEPS * min(done / length, 1.0)) - shown.pos)
+    def advance(length: int) -> None:
+        nonlocal done
+        done += length
+        if not shown and time.monotonic() - began > PATIENCE_S:
+            bar = click.progressbar(length=STEPS, label=source.name, file=sys.stderr)
+            shown.append(bar.__enter__())
+        for bar in shown:
+            bar.update(min(STEPS * done // size, STEPS) - bar.pos)
 
     try:
         yield advance
-        advance(0.0)
     finally:
-        if shown is not None:
-            shown.render_finish()
+        for bar in shown:
+            bar.render_finish()
 
 
 @contextmanager

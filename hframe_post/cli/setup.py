@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from hframe_post.cli.model_output import ModelOutput
-from hframe_post.cli.moonraker import RESTART, Moonraker, agreed, find_printer_cfg, make
 from hframe_post.cli.options import files_read, number, quoted, write_kernel
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Source
@@ -25,10 +24,6 @@ from hframe_post.printer.profile import load, parse, text_of
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.outputs import Outputs
 
-CALIBRATE = (
-    "Then mount the accelerometer, clear the bed, heat as for a print, and type on the console of "
-    "Mainsail or Fluidd: HFRAME_CALIBRATE"
-)
 KINDS = ("cartesian", "corexy", "hbot", "hybrid-corexy", "corexz")
 TWO_BELTS = "corexy (two belts, which cross) or hbot (one long belt in the shape of an H)"
 QUESTION = f"The firmware treats two kinds of printer alike. Is yours {TWO_BELTS}?"
@@ -47,7 +42,7 @@ def _size(text: str) -> tuple[float, float]:
 
 @click.command()
 @click.argument(
-    "files", metavar="PRINTER.CFG|M503.TXT [HEADERS]", nargs=-1,
+    "files", metavar="PRINTER.CFG|M503.TXT [HEADERS]", nargs=-1, required=True,
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
 )  # fmt: skip
 @click.option(
@@ -63,14 +58,13 @@ def _size(text: str) -> tuple[float, float]:
     "--bed", type=_size, metavar="X,Y",
     help="Width and depth of the bed in mm, where Marlin's answers leave them open.",
 )  # fmt: skip
-@click.option("--moonraker/--no-moonraker", "connected", default=None, hidden=True)
 @click.option(
     "--reset", is_flag=True,
     help=f"Overwrite {PROFILE}. Your changes in it are lost; the measured model stays.",
 )  # fmt: skip
 def setup(
     files: tuple[Path, ...], folder: Path | None, kinematics: str | None,
-    bed: tuple[float, float] | None, connected: bool | None, reset: bool,
+    bed: tuple[float, float] | None, reset: bool,
 ) -> None:  # fmt: skip
     """Make this printer's profile from Klipper's printer.cfg or from Marlin's answer to M503.
 
@@ -86,82 +80,78 @@ def setup(
       hframe-post setup other.toml
     """
     if len(files) == 1 and files[0].suffix == ".toml":
-        _use(files[0])
+        load(str(files[0]))  # raises before anything is written
+        set_default(os.path.abspath(files[0]))
+        click.echo(f"profile          {files[0]}, from now on the default")
         return
-    if not files and connected is None:
-        raise click.MissingParameter(param=click.get_current_context().command.params[0])
-    files = files or (find_printer_cfg(),)
-    if connected is False:
-        _disconnect(Moonraker(files[0]))
-        return
-    moonraker = Moonraker(files[0]) if connected else None
-    if moonraker is not None:
-        moonraker.choose_live()
-    folder = folder or (files[0].parent if moonraker else Path())
-    source = source_of(files)
-    if source.alone and (len(files) > 1 or bed is not None):
-        raise click.UsageError(source.alone)
-    target = folder / PROFILE
-    old = text_of(str(target)) if target.exists() else ""
-    before = parse(old, "printer", str(target)) if old else None
-    kind = _kinematics(source, kinematics, before)
-    tables = {"kinematics": {"type": kind}, **source.tables(str(kind.value), bed or _bed(source))}
-    text = profile_text(tables, f"made from {files[0].name}")
-    if old and not reset:
-        text = _of_kind(old, kinematics, target) if kinematics else old
-    # raises before anything is written
-    profile = parse(text, target.stem, str(target if old else files[0]))
-    companions = source.companions(profile)
-    changes = moonraker.connecting(target) if moonraker is not None else []
-    if not agreed(changes):
-        click.echo("nothing was changed")
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    with Outputs(files_read(*files)) as outputs:
-        _write_profile(
-            outputs, target, text if text != old else None, profile, before if reset else None
+    made = NewProfile(files, (folder or Path()) / PROFILE, kinematics, bed, reset)
+    made.write()
+    click.echo("\n".join(made.conclude()))
+    click.echo(made.source.next_steps(made.printer, made.target, quoted))
+
+
+class NewProfile:
+    """A printer's profile, made from its firmware's files: what is written, and what is said of it.
+
+    target: its file. kinematics, bed: as the owner says, if at all. reset: overwrite the target,
+    but for its model. Raises HframeError, before anything is written.
+    """
+
+    def __init__(
+        self, files: tuple[Path, ...], target: Path, kinematics: str | None = None,
+        bed: tuple[float, float] | None = None, reset: bool = False,
+    ) -> None:  # fmt: skip
+        self.source, self.target, self._files, self._bed = source_of(files), target, files, bed
+        if self.source.alone and (len(files) > 1 or bed is not None):
+            raise click.UsageError(self.source.alone)
+        self._old = text_of(str(target)) if target.exists() else ""
+        self._before = parse(self._old, "printer", str(target)) if self._old else None
+        self._kind = _kinematics(self.source, kinematics, self._before)
+        own = self.source.tables(str(self._kind.value), bed or _bed(self.source))
+        self._tables = {"kinematics": {"type": self._kind}, **own}
+        self._text = profile_text(self._tables, f"made from {files[0].name}")
+        if self._old and not reset:
+            self._text = _of_kind(self._old, kinematics, target) if kinematics else self._old
+        of = target if self._old else files[0]
+        self.printer = parse(self._text, target.stem, str(of))
+        self._companions = self.source.companions(self.printer)
+        self._keeps_model = reset
+
+    def write(self, more: Callable[[Outputs], None] = lambda _: None) -> None:
+        """Write the profile, its kernel and what the printer needs next to its own files.
+
+        more: opens other files, which appear together with these.
+        """
+        folder = self.target.parent
+        folder.mkdir(parents=True, exist_ok=True)
+        with Outputs(files_read(*self._files)) as outputs:
+            self._write_profile(outputs)
+            for name, content in self._companions.items():
+                if not _holds(folder / name, content):
+                    outputs.open(folder / name).write(content.encode())
+            more(outputs)
+
+    def _write_profile(self, outputs: Outputs) -> None:
+        target, before = self.target, self._before if self._keeps_model else None
+        if self._text != self._old:
+            if before is not None and not before.invented:
+                model = ModelOutput(outputs, target, str(target), self._text)
+                model.write(_with_model(self.printer, before))
+                return
+            outputs.open(target).write(self._text.encode())
+        write_kernel(outputs, target, self.printer)
+
+    def conclude(self) -> list[str]:
+        """Make the profile the default; return a summary, and where an older one differs."""
+        written = f"{self.target}, {_made_default(self.target, self.source.warnings)}"
+        found = list(_summary(self.source, self.printer, written, self._kind))
+        if self._before is None:
+            return found
+        again = quoted(self._files[0]) + (
+            f" --bed {self._bed[0]:g},{self._bed[1]:g}" if self._bed else ""
         )
-        for name, content in companions.items():
-            if not _holds(folder / name, content):
-                outputs.open(folder / name).write(content.encode())
-        done = [*make(changes, outputs), *moonraker.link(create=True)] if moonraker else []
-    written = f"{target}, {_made_default(target, source.warnings)}"
-    if before is not None:
-        again = quoted(files[0]) + (f" --bed {bed[0]:g},{bed[1]:g}" if bed else "")
-        click.echo("\n".join(_differences(tables, before, text != old, target, again)))
-    click.echo("\n".join(_summary(source, profile, written, kind)))
-    if done:
-        click.echo("\n".join(["", *done, "", RESTART, CALIBRATE]))
-    else:
-        click.echo(source.next_steps(profile, target, quoted))
-
-
-def _write_profile(
-    outputs: Outputs, target: Path, text: str | None, profile: Printer, before: Printer | None
-) -> None:
-    """Write a profile's new text, if there is one, and its kernel. before: whose model it keeps."""
-    if text is not None and before is not None and not before.invented:
-        ModelOutput(outputs, target, str(target), text).write(_with_model(profile, before))
-        return
-    if text is not None:
-        outputs.open(target).write(text.encode())
-    write_kernel(outputs, target, profile)
-
-
-def _use(profile: Path) -> None:
-    load(str(profile))  # raises before anything is written
-    set_default(os.path.abspath(profile))
-    click.echo(f"profile          {profile}, from now on the default")
-
-
-def _disconnect(moonraker: Moonraker) -> None:
-    changes = moonraker.disconnecting()
-    if not agreed(changes):
-        click.echo("nothing was changed")
-        return
-    with Outputs() as outputs:
-        done = [*make(changes, outputs), *moonraker.link(create=False)]
-    click.echo("\n".join([*done, "", RESTART]))
+        changed = self._text != self._old
+        return [*_differences(self._tables, self._before, changed, self.target, again), *found]
 
 
 def _bed(source: Source) -> tuple[float, float] | None:

@@ -16,6 +16,7 @@ from hframe_post.cli.options import (
     dashed,
     files_read,
     help_all_option,
+    page_option,
     printer_option,
     progress_bar,
     share,
@@ -59,10 +60,7 @@ from hframe_post.writers.outputs import Outputs
     help="Compare with input shapers at their best, and print settings.",
 )  # fmt: skip
 @json_option
-@click.option(
-    "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.HTML", help="Write a report for a browser.",
-)  # fmt: skip
+@page_option
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary and no progress bar.")
 def simulate(
     source: Path | None, printer: str, options: Options, plant_file: str | None,
@@ -78,10 +76,7 @@ def simulate(
     Example:
       hframe-post simulate in.gcode -p my.toml --model-error 5%
     """
-    if report_file is not None and (source is None or str(source) == "-"):
-        raise click.UsageError("--report reads the file twice: name a file")
-    if shapers and str(source) == "-":
-        raise click.UsageError("--shapers reads the file several times: name a file")
+    _check_usage(source, report_file, shapers)
     profile = library.load_printer(printer)
     simulated = library.load_printer(plant_file) if plant_file else profile
     with (
@@ -90,8 +85,7 @@ def simulate(
     ):
         write_json = open_json(outputs, json_file)
         printed = rectangle(profile) if source is None else dashed(source) or sys.stdin.buffer
-        choice = chosen_printer()
-        head = [choice.as_text()]
+        head = [(choice := chosen_printer()).as_text()]
         report = library.simulate(
             printed, profile, options, simulated=simulated, progress=advance,
             model_error=shares, draws=draws, seed=seed, steps=steps,
@@ -107,3 +101,10 @@ def simulate(
         write_json(summary)
     if not quiet:
         click.echo(text, err=str(json_file) == "-")
+
+
+def _check_usage(source: Path | None, report_file: Path | None, shapers: bool) -> None:
+    if report_file is not None and (source is None or str(source) == "-"):
+        raise click.UsageError("--report reads the file twice: name a file")
+    if shapers and str(source) == "-":
+        raise click.UsageError("--shapers reads the file several times: name a file")

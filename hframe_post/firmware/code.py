@@ -64,10 +64,6 @@ class Code(ABC):
         corner: speed through a right angle.
         """
 
-    @abstractmethod
-    def set_acceleration(self, acceleration: float) -> str:
-        """Return a line that changes the acceleration, mm/s², and no other limit."""
-
     def corner_range(self, acceleration: float) -> tuple[float, float]:
         """Return the speeds through a right angle between which ``set_limits`` can choose."""
         return 0.0, math.inf

@@ -220,6 +220,12 @@ def test_answers_of_marlin_make_a_profile_without_macros(tmp_path: Path) -> None
 # ---------------------------------------------------------------------- Moonraker
 
 
+def connect(config: Path, *options: str) -> str:
+    done = run("connect", "moonraker", "--printer-cfg", config, *options)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.decode()
+
+
 @pytest.fixture
 def moonraker(config: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Moonraker as far as setup looks at it, and a measured profile; the components folder."""
@@ -241,7 +247,7 @@ def test_moonraker_is_connected_and_disconnected_without_a_trace(
     former = moonraker / "hframe_post.py"  # of earlier versions
     former.symlink_to("/gone/moonraker.py")
     before = conf.read_text()
-    printed = set_up(config, "--moonraker")
+    printed = connect(config)
     assert not former.is_symlink()
     assert "sudo systemctl restart klipper moonraker" in printed
     assert link.resolve() == ROOT / "hframe_post/hosts/moonraker"
@@ -249,18 +255,18 @@ def test_moonraker_is_connected_and_disconnected_without_a_trace(
     assert connected.startswith(before)
     assert f"[hframe_post]\ncommand: {program()} -p {config.parent}/printer.toml\n" in connected
     conf.write_text(connected.replace("printer.toml", "printer.toml --limits printer"))
-    set_up(config, "--moonraker")
+    connect(config)
     assert conf.read_text().count("\n[hframe_post]\n") == 1
     assert "--limits printer" in conf.read_text()  # what was changed by hand stays
     moved, gone = conf.read_text(), "/gone/bin/hframe-post"
     conf.write_text(moved.replace(f"command: {program()}", f"command: {gone}"))
-    assert f"command corrected, because {gone} is gone" in set_up(config, "--moonraker")
+    assert f"command corrected, because {gone} is gone" in connect(config)
     assert conf.read_text() == moved
     conf.write_text(conf.read_text() + "\n[timelapse]\n")
-    set_up(config, "--no-moonraker")
+    connect(config, "--remove")
     assert conf.read_text() == before + "\n[timelapse]\n"
     assert not link.is_symlink()
-    set_up(config, "--no-moonraker")
+    connect(config, "--remove")
     assert conf.read_text() == before + "\n[timelapse]\n"
 
 
@@ -270,7 +276,7 @@ def test_klipper_itself_compensates_where_it_is_found(config: Path, moonraker: P
     (klipper / ".git/info").mkdir(parents=True)
     before = config.read_text(), conf.read_text()
     for _ in range(2):
-        set_up(config, "--moonraker")
+        connect(config)
         link = klipper / "klippy/extras/hframe_live"
         assert link.resolve() == ROOT / "hframe_post/hosts/klipper"
         assert (klipper / ".git/info/exclude").read_text() == "/klippy/extras/hframe_live\n"
@@ -281,7 +287,7 @@ def test_klipper_itself_compensates_where_it_is_found(config: Path, moonraker: P
         "doctor", "-p", config.with_name("printer.toml"), "--printer-cfg", config
     ).stdout.decode()
     assert "printer.kernel: hframe-post" in said
-    set_up(config, "--no-moonraker")
+    connect(config, "--remove")
     assert (config.read_text(), conf.read_text()) == before
     assert not link.is_symlink()
 
@@ -290,13 +296,13 @@ def test_an_owner_may_leave_the_compensation_to_the_slicer(config: Path, moonrak
     (config.parent / "kalico/klippy/plugins").mkdir(parents=True)
     (config.parent / "kalico/klippy/extras").mkdir()
     link = config.parent / "kalico/klippy/plugins/hframe_live"
-    at_a_terminal(b"n\ny\n", "setup", str(config), "--moonraker")
+    at_a_terminal(b"n\ny\n", "connect", "moonraker", "--printer-cfg", str(config))
     assert not link.is_symlink()
     assert "hframe_live" not in config.read_text()
-    at_a_terminal(b"y\ny\n", "setup", str(config), "--moonraker")
+    at_a_terminal(b"y\ny\n", "connect", "moonraker", "--printer-cfg", str(config))
     assert link.is_symlink()
     assert "[hframe_live]" in config.read_text()
-    at_a_terminal(b"n\ny\n", "setup", str(config), "--moonraker")
+    at_a_terminal(b"n\ny\n", "connect", "moonraker", "--printer-cfg", str(config))
     assert not link.is_symlink()  # and Klipper would not start with a section of it
     assert "hframe_live" not in config.read_text()
 
@@ -308,15 +314,15 @@ def test_macros_are_included_above_what_klipper_saved_and_taken_out_again(
     saved = "#*# <---------------------- SAVE_CONFIG ---------------------->\n#*# [probe]\n"
     before = (config.read_text() + "\n" + saved).replace("\n", end).encode()
     config.write_bytes(before)
-    printed = set_up(config, "--moonraker")
+    printed = connect(config)
     assert f"+[include hframe.cfg]{end}".strip() in printed
     lines = config.read_text().splitlines()
     assert lines[lines.index("[include hframe.cfg]") + 1].startswith("#*# <---")
     assert config.with_name("printer.cfg.before-hframe-post").read_bytes() == before
     files = {each: each.read_bytes() for each in config.parent.rglob("*") if each.is_file()}
-    assert "added" not in set_up(config, "--moonraker")
+    assert "added" not in connect(config)
     assert files == {each: each.read_bytes() for each in config.parent.rglob("*") if each.is_file()}
-    set_up(config, "--no-moonraker")
+    connect(config, "--remove")
     assert config.read_bytes() == before
     assert not config.with_name("hframe.cfg").exists()
 
@@ -325,23 +331,23 @@ def test_macros_are_included_above_what_klipper_saved_and_taken_out_again(
 def test_the_printers_files_are_found_and_a_question_is_answered_once(
     config: Path, moonraker: Path
 ) -> None:
-    done = run("setup", "--moonraker")
+    done = run("connect", "moonraker")
     assert b"Name it: hframe-post connect moonraker --printer-cfg" in done.stderr
     folder = config.parent / "printer_data/config"
     folder.mkdir(parents=True)
     for name in ("printer.cfg", "moonraker.conf"):
         (folder / name).write_bytes(config.with_name(name).read_bytes())
     before = {path: path.read_bytes() for path in folder.iterdir()}
-    asked, status = at_a_terminal(b"\nn\n", "setup", "--moonraker")
+    asked, status = at_a_terminal(b"\nn\n", "connect", "moonraker")
     assert asked.count(b"Make these changes?") == 1
     assert status == 0
     assert before == {path: path.read_bytes() for path in folder.iterdir()}
-    asked, _ = at_a_terminal(b"\ny\n", "setup", "--moonraker")
+    asked, _ = at_a_terminal(b"\ny\n", "connect", "moonraker")
     assert b"HFRAME_CALIBRATE" in asked
     assert (folder / "printer.toml").is_file()
     assert (moonraker / "hframe_post").is_symlink()
     shutil.copytree(folder, config.parent / "second_data/config")
-    assert b"there are several printer.cfg: " in run("setup", "--moonraker").stderr
+    assert b"there are several printer.cfg: " in run("connect", "moonraker").stderr
 
 
 def at_a_terminal(typed: bytes, *arguments: str) -> tuple[bytes, int]:

@@ -69,14 +69,14 @@ class StubCode(Code):
         return [line.encode() for line in lines]
 
     def end(self, state: ModalState, at: Array) -> list[bytes]:
-        limits = self.set_acceleration(self.table.acceleration)
+        limits = self._acceleration(self.table.acceleration)
         place = coordinates(state.offset, at[:E] - state.offset)
         return [line.encode() for line in [limits, *place, *modes(state)]]
 
     def set_limits(self, velocity: float, acceleration: float, corner: float) -> list[str]:
-        return [f"M203 X{plain(velocity, 0)}", self.set_acceleration(acceleration)]
+        return [f"M203 X{plain(velocity, 0)}", self._acceleration(acceleration)]
 
-    def set_acceleration(self, acceleration: float) -> str:
+    def _acceleration(self, acceleration: float) -> str:
         return f"M204 S{plain(acceleration, 0)}"
 
 

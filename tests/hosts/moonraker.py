@@ -106,17 +106,17 @@ class Printer(Server):
         (self.data / "config/hframe.cfg").touch()
         self.profile = self.data / "config/printer.toml"
         if sensor:
-            self.set_up("--moonraker", "--kinematics", kinematics)
+            self.set_up()
         else:
             shutil.copy(ROOT / "tests/measured.toml", self.profile)
-            self.set_up("--moonraker")
+            self.set_up()
         as_set_up = self.config.read_text()
         self.config.write_text(as_set_up.replace("command: ", f"{options}command: ", 1))
 
-    def set_up(self, *options: str) -> str:
-        config = self.data / "config"
+    def set_up(self) -> str:
+        config = self.data / "config/printer.cfg"
         done = run(
-            "setup", config / "printer.cfg", "-o", config, *options,
+            "connect", "moonraker", "--printer-cfg", config,
             HOME=str(self.home), XDG_CONFIG_HOME=str(self.home / ".config"),
         )  # fmt: skip
         assert done.returncode == 0, done.stderr

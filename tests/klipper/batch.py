@@ -281,7 +281,7 @@ def klippy_module(name: str) -> Any:
 
 
 def offer_live(folder: Path) -> None:
-    """Let klippy find our extras module as ``setup --moonraker`` links it."""
+    """Let klippy find our extras module as ``connect moonraker`` links it."""
     link = folder / "live" / "hframe_live"
     if KLIPPER:
         link = Path(KLIPPER) / "klippy" / "extras" / link.name

@@ -103,9 +103,6 @@ class KlipperCode(Code):
             f"SQUARE_CORNER_VELOCITY={plain(corner, 2)}",
         ]
 
-    def set_acceleration(self, acceleration: float) -> str:
-        return f"SET_VELOCITY_LIMIT ACCEL={plain(acceleration, 0)}"
-
 
 def table_of(printer: Printer) -> KlipperTable:
     """Return Klipper's own limits. Raises PrinterError if the profile has none."""

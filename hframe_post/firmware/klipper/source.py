@@ -58,13 +58,14 @@ def from_klipper(config: KlipperConfig) -> Tables:
     """Return the settings that a printer.cfg decides. Raises HframeError if a number is missing."""
     velocity = _needed(config, "printer", "max_velocity")
     acceleration = _needed(config, "printer", "max_accel")
-    corner = corner_in(config)
+    path = {
+        "velocity": velocity, "acceleration": acceleration,
+        "square_corner_velocity": _or(config, "printer", "square_corner_velocity", 5.0),
+    }  # fmt: skip
     tables: Tables = {
         "travel": {axis: _range(config, axis) for axis in "xy"},
         "limits": {
-            "velocity": velocity,
-            "acceleration": acceleration,
-            "square_corner_velocity": corner,
+            **path,
             "z_velocity": _or(config, "printer", "max_z_velocity", velocity),
             "z_acceleration": _or(config, "printer", "max_z_accel", acceleration),
             **extruder(config, velocity, acceleration),
@@ -77,16 +78,7 @@ def from_klipper(config: KlipperConfig) -> Tables:
         },
         "speed": {"acceleration": acceleration},
         "sweep": {**sweep(acceleration), **_chips(config)},
-        "firmware.klipper": {
-            "velocity": velocity,
-            "acceleration": acceleration,
-            "square_corner_velocity": corner,
-            "minimum_cruise_ratio": _or(
-                config, "printer", "minimum_cruise_ratio", config.cruise_ratio()
-            ),
-            **_shaper(config),
-            "end_macro": Known(END_MACRO, "of hframe.cfg: restores what printer.cfg sets"),
-        },
+        "firmware.klipper": {**path, **_own(config)},
     }
     if (steps := _steps(config)) is not None:
         tables["steps"] = steps
@@ -95,11 +87,6 @@ def from_klipper(config: KlipperConfig) -> Tables:
     if config.missing:  # a file that was not found may set it
         return {name: table for name, table in tables.items() if table}
     return tables
-
-
-def corner_in(config: KlipperConfig) -> Known:
-    """Return Klipper's speed through a right angle."""
-    return _or(config, "printer", "square_corner_velocity", 5.0)
 
 
 def _chips(config: KlipperConfig) -> dict[str, Known]:
@@ -202,12 +189,20 @@ def _retraction(config: KlipperConfig) -> dict[str, Known]:
     }
 
 
-def _shaper(config: KlipperConfig) -> dict[str, Known]:
-    return {
+def _own(config: KlipperConfig) -> dict[str, Known]:
+    """Return what the stream restores at its end, in addition to the path's limits."""
+    shaper = {
         key: _or(config, "input_shaper", key, 0.0)
         for key in (f"shaper_freq_{axis}" for axis in "xyz")
         # a file that was not found may set it
         if not config.missing or config.text("input_shaper", key)
+    }
+    return {
+        "minimum_cruise_ratio": _or(
+            config, "printer", "minimum_cruise_ratio", config.cruise_ratio()
+        ),
+        **shaper,
+        "end_macro": Known(END_MACRO, "of hframe.cfg: restores what printer.cfg sets"),
     }
 
 

@@ -183,9 +183,6 @@ class MarlinCode(Code):
         return ["M400", "M593 F0", TRAPEZOIDS, "M493 S0", f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
                 f"M204 P{a} T{a}", f"M205 {corners}"]  # fmt: skip
 
-    def set_acceleration(self, acceleration: float) -> str:
-        return f"M204 P{plain(acceleration, 0)}"
-
     def corner_range(self, acceleration: float) -> tuple[float, float]:
         if self.table.classic_jerk:
             return 0.0, math.inf
