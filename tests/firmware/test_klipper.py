@@ -71,6 +71,14 @@ def test_a_leap_that_no_ramp_makes_in_time_is_made_up_for() -> None:
     below(-late[2:].min(), 0.05 * 2e-3, "time made up in a segment, s")
 
 
+def test_a_lift_from_motion_is_slowed_to_be_in_time_by_a_tenth_at_most() -> None:
+    motion, way = KlipperMotion(RESTORE, STREAM), ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 2.0, 0.0))
+    own = motion.stroke(way, 10.0, 0.3, 0.0, entry=2.0).seconds
+    for wanted, taken in ((1.05 * own, 1.05), (3.0 * own, 1.1)):
+        stroke = motion.stroke(way, 10.0, 0.3, wanted, entry=2.0)
+        assert stroke.seconds == pytest.approx(taken * own)
+
+
 # ---------------------------------------------------------------------- commands
 
 RESTORE = KlipperTable(300.0, 3000.0)

@@ -18,10 +18,10 @@ from hframe_post.errors import GcodeError, PrinterError
 from hframe_post.firmware.marlin.code import MarlinCode
 from hframe_post.firmware.marlin.motion import MarlinMotion
 from hframe_post.firmware.marlin.planner import GENERATIONS
-from hframe_post.firmware.motion import Way
+from hframe_post.firmware.motion import Stroke, Way
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.native.whole_steps import without_reversals
+from hframe_post.native.whole_steps import Blocks, without_reversals
 from hframe_post.printer.firmware_tables import MARLIN_PLANNERS
 from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
@@ -132,6 +132,24 @@ def test_strokes_last_as_long_as_they_were_planned_to(marlin: Printer, planner: 
         assert stroke.seconds == pytest.approx(planned, abs=1e-3)
         assert 0.5 * speed < stroke.speed < speed
         assert mine.stroke(stroked, speed, planned, 0.0, *corners).speed == speed
+
+
+def test_what_follows_a_late_stroke_is_no_faster_than_it_allows() -> None:
+    stroke = Stroke(40.0, 0.1, fastest=50.0, cruise=0.2)
+    assert stroke.time_of_next(1.0, 0.01) == pytest.approx(1.0 / 50.0)
+
+
+@pytest.mark.parametrize("planner", GENERATIONS)
+def test_blocks_reach_the_speeds_that_their_acceleration_allows(
+    marlin: Printer, planner: str
+) -> None:
+    """Three of 1 mm at 1000 mm/s² and 60 mm/s, from rest to rest."""
+    blocks = Blocks(np.full(3, 80.0), np.ones(3), np.full(3, 80_000.0))
+    joint, v = np.array([0.0, 60.0, 60.0, 0.0]), np.full(3, 60.0)
+    v_s, v_e, _ = motion(with_own(marlin, planner=planner)).planner.stroke(blocks, joint, v)
+    reached = np.sqrt(2.0 * 1000.0)
+    np.testing.assert_allclose(v_e[:2], reached, rtol=0.03)
+    np.testing.assert_allclose(v_s[1:], reached, rtol=0.03)
 
 
 def test_turning_back_is_a_stop_and_going_on_is_none(marlin: Printer) -> None:

@@ -63,25 +63,19 @@ OWNERS = {
 }  # fmt: skip
 
 
-def settle(owner: Owner, home: Path, measured: bool) -> None:
-    """Make the owner's folder: configuration, profile and, if measured, recordings.
-
-    measured: whether `identify` finds the plant; otherwise it is the printer's true one.
-    """
+def settle(owner: Owner, home: Path, records: bool) -> None:
+    """Make the owner's folder: configuration, profile with the printer's true plant, recordings."""
     shutil.copytree(FILES / owner.name, home)
     with chdir(home):
         _done("setup", *owner.configuration)
         if owner.belt_acceleration is not None:
             lower_belts(owner.belt_acceleration)
-        if not measured:
-            windows, exact = load(PROFILE).compensation.windows, owner.machine.exact()
-            text = with_plant(PROFILE, exact, windows, [], 0.05, None, date(2026, 6, 1))
-            Path(PROFILE).write_bytes(text.encode())
-            return
-        Path("recordings").mkdir()
-        (record_tests if owner.has_klipper else record_sweeps)(owner)
-        more = ("--printer-cfg", "printer.cfg") if owner.has_klipper else ("-p", PROFILE)
-        _done("identify", "recordings", *more, "-o", PROFILE)
+        if records:
+            Path("recordings").mkdir()
+            (record_tests if owner.has_klipper else record_sweeps)(owner)
+        windows, exact = load(PROFILE).compensation.windows, owner.machine.exact()
+        text = with_plant(PROFILE, exact, windows, [], 0.05, None, date(2026, 6, 1))
+        Path(PROFILE).write_bytes(text.encode())
 
 
 def lower_belts(limit: float) -> None:

@@ -26,17 +26,14 @@ def homes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return homes
 
 
-def home_of(printer: str, homes: Path, measured: bool) -> Path:
-    """Return the folder of an owner, made by the first who asks; the Voron's for others.
-
-    measured: by `identify`; otherwise the profile has the printer's true plant.
-    """
+def home_of(printer: str, homes: Path, records: bool) -> Path:
+    """Return the folder of an owner, made by the first who asks; the Voron's for others."""
     owner = OWNERS.get(printer, OWNERS["voron"])
-    home = homes / ("measured" if measured else "known") / owner.name
+    home = homes / ("recorded" if records else "known") / owner.name
     with (homes / f"{home.parent.name}-{owner.name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not home.exists():
-            settle(owner, home, measured)
+            settle(owner, home, records)
     return home
 
 
@@ -76,14 +73,14 @@ def check(cell: Cell, outcome: str, folder: Path, home: Path) -> None:
 
 @pytest.mark.parametrize(("cell", "outcome"), cells(fast=True), ids=str)
 def test_an_owner_gets_an_answer(cell: Cell, outcome: str, tmp_path: Path, homes: Path) -> None:
-    check(cell, outcome, tmp_path / "here", home_of(cell.printer, homes, measured=False))
+    check(cell, outcome, tmp_path / "here", home_of(cell.printer, homes, records=False))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("cell", "outcome"), cells(fast=False), ids=str)
 def test_every_owner_gets_one(cell: Cell, outcome: str, tmp_path: Path, homes: Path) -> None:
-    measured = cell.words.startswith("identify")
-    check(cell, outcome, tmp_path / "here", home_of(cell.printer, homes, measured))
+    home = home_of(cell.printer, homes, records=cell.words.startswith("identify"))
+    check(cell, outcome, tmp_path / "here", home)
 
 
 def test_every_command_has_its_cells() -> None:
