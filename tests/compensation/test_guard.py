@@ -311,10 +311,10 @@ def test_a_clamped_command_stands_where_the_machine_pauses() -> None:
     path[:, 0] += np.interp(np.arange(1000), [350, 400, 450, 500], [0.0, 0.25, 0.25, 0.5])
     path[:, 1] += np.interp(np.arange(1000), [340, 355], [0.0, 0.1])
     action = Passthrough(0, b"M117", Handling.REST, ModalState(True, False, 0.0, 0.0, (0, 0, 0)))
-    dwelling = replace(chunk(path, path, first=300), events=(Dwell(720, 20, action),))
+    dwelling = replace(chunk(path, path, first=300), events=(Dwell(701, 47, action),))
     result, clamp = clamped(dwelling, LIMITS)
     assert clamp.clamped.samples > 0
-    np.testing.assert_array_equal(result[419:440], path[419:440])
+    np.testing.assert_array_equal(result[400:448], path[400:448])
 
 
 @pytest.mark.parametrize("cut", [pytest.param(1, marks=pytest.mark.slow), 7, 100, 399])

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hframe_post.errors import PrinterError
 from hframe_post.firmware.marlin.calibration import Calibration, calibration
 from hframe_post.printer.profile import load
 from tests.command_line import run
@@ -79,7 +80,6 @@ def test_command_writes_the_file_and_prints_the_table(tmp_path: Path) -> None:
     assert out.read_bytes().count(b"M31\n") == 3
     assert out.read_bytes().index(b"M494 T0 X0 Y0 Z0 E0\n") < out.read_bytes().index(b"G1 ")
     assert b"(its seconds - 19.1 at 115200 baud or 8.8 at 250000 baud)" in done.stderr
-    assert (
-        run("measure", "--for", "planner", "-o", tmp_path / "no.gcode", "-p", "paper").returncode
-        == 1
-    )
+    with pytest.raises(PrinterError) as refused:
+        calibration(load("paper"))
+    assert refused.value.key == "firmware.dialect"

@@ -18,6 +18,7 @@ from hframe_post.writers.print_time import (
     commented,
     later,
     passed_on,
+    times_of,
     with_times,
     write_output,
 )
@@ -69,6 +70,11 @@ def test_times_change_by_as_much_as_the_print_and_keep_their_form(
     assert isinstance(deferred, DeferredLine)
     assert with_times(deferred, 1000.0, 1100.0) == printed
     assert with_times(deferred, 1000.0, 1000.0) == line
+
+
+def test_times_of_modes_are_told_apart_by_their_letter() -> None:
+    assert times_of(b"M73 P10 R85 ; S3") == {"R": 5100.0}
+    assert times_of(b"M73 Q10 S60") == {"S": 3600.0}
 
 
 def test_at_the_end_nothing_is_left_and_a_faster_print_takes_some_time() -> None:
