@@ -13,29 +13,37 @@ from pathlib import Path
 import hframe_post as hp
 from examples.paper import results as paper
 from examples.paper import tables
-from tests.benchmarks import speed
+from tests.benchmarks import accuracy, speed
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "sample_gcode"
-PRINTS = ("cube", "prism")  # the rectangle is too large for a small bed
-OWNERS = ROOT / "tests" / "benchmarks" / "owners"  # as `identify` wrote them from recordings
-PRINTERS = (
-    str(OWNERS / "corexy-3000.toml"), str(OWNERS / "corexy-10000.toml"), "example-ender", "paper",
-)  # fmt: skip
-OFF = (0.05, 0.1, 0.2)  # shares by which random printers differ from the model
+OFF = (0.05, 0.1, 0.2)  # shares by which random printers differ from the paper's
 HEAD = """\
 # Results
 
-`make results` computes this page: the predicted contour error of the sample prints on two
-measured printers and two shipped profiles, the time of conversions, and the paper's
-rectangle. The profiles' plants are exact here; [identify.md](identify.md#how-far-to-trust-it) says
-what is left on real printers.
+`make results` computes this page: what conversions leave and take on four owners' printers, the
+time of conversions, and the paper's rectangle.
+"""
+OWNERS = """\
+## Owners' printers
+
+The profiles are as `identify` wrote them: two CoreXY printers with Klipper, of published
+recordings, whose max_accel is 3 000 and 10 000 mm/s²; a simulated bed-slinger with Marlin and
+500 mm/s²; a simulated H-bot with Klipper and 3 000 mm/s², which racks as the paper's. *cube* is
+in `sample_gcode`; `make results SLICES="a.gcode b.gcode"` adds other prints.
+
+Contour error while extruding, RMS µm. *None* and *best shaper*: the file as sliced, as the
+firmware plays it by itself, without and with the input shaper that leaves least on this printer.
+*Converted*: as this tool writes it, if the model is exact; *5 % off*, *10 % off*: the median of
+eight printers that differ from the model by up to that. *Time*: what the conversion changes, as
+its summary says it; *played*: the same, if Klipper's own host or a simulated Marlin board plays
+both files.
 """
 
 
 def rows() -> Iterator[str]:
     yield HEAD
-    yield from errors()
+    yield from owners()
     yield from inexact()
     yield from speeds()
     yield "## The paper's rectangle\n"
@@ -44,29 +52,17 @@ def rows() -> Iterator[str]:
     yield tables.time_response(paper.time_responses(printer, paper.path(printer)))
 
 
-def errors() -> Iterator[str]:
-    yield "## Contour error\n"
-    yield "While extruding, RMS µm: as the firmware plays the sliced file, without compensation and"
-    yield "with the best input shaper; as converted. The time is what the conversion changes.\n"
-    yield table_head("print", "printer", "mm/s²", "none", "best shaper", "converted", "time")
-    for part in PRINTS:
-        for name in PRINTERS:
-            printer, found = hp.load_printer(str(name)), converted(part, name)
-            errors = {
-                key: f"{each.micrometres()['rms']:.1f}" for key, each in found.contour.items()
-            }
-            acceleration, change = (
-                printer.limits.acceleration,
-                f"{100.0 * found.time.change:+.1f} %",
-            )
-            rms = (errors[each] for each in ("none", "shaper", "racking"))
-            yield line(part, Path(name).stem, f"{acceleration:.0f}", *rms, change)
+def owners() -> Iterator[str]:
+    yield OWNERS
+    yield table_head(*accuracy.HEAD)
+    more = [Path(name) for name in os.environ.get("SLICES", "").split()]
+    yield from (line(*cells) for cells in accuracy.rows([SAMPLES / "cube.gcode", *more]))
     yield ""
 
 
 def inexact() -> Iterator[str]:
-    yield "## An inexact model\n"
-    yield "The rectangle on the paper's printer: 50 random printers that differ by up to a share.\n"
+    yield "## The paper's printer with an inexact model\n"
+    yield "The rectangle on 50 random printers that differ from the model by up to a share.\n"
     yield table_head("off by up to", "median µm", "worst µm")
     printer = hp.load_printer("paper")
     found = hp.simulate(SAMPLES / "rectangle.gcode", printer, model_error=OFF, draws=50)
@@ -84,15 +80,8 @@ def speeds() -> Iterator[str]:
     previous = os.environ.get("PREVIOUS")
     shown = len(speed.HEAD) if previous else -1
     yield table_head(*speed.HEAD[:shown])
-    yield from (line(*cells[:shown]) for cells in speed.rows(PRINTERS, previous))
+    yield from (line(*cells[:shown]) for cells in speed.rows(accuracy.PROFILES, previous))
     yield ""
-
-
-def converted(part: str, name: str = "paper") -> hp.Report:
-    target = ROOT / "build" / f"{part}.gcode"
-    target.parent.mkdir(exist_ok=True)
-    options = hp.Options(force=True)
-    return hp.convert(SAMPLES / f"{part}.gcode", target, hp.load_printer(name), options)
 
 
 def table_head(*names: str) -> str:
