@@ -12,7 +12,6 @@ from typing import Any
 
 import click
 
-from hframe_post.batch.jobs import Converter, Job, State, jobs_for, run, with_targets
 from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.options import (
     chosen_printer,
@@ -24,6 +23,7 @@ from hframe_post.cli.options import (
 )
 from hframe_post.conversion.options import Options, first_line
 from hframe_post.errors import HframeError
+from hframe_post.jobs import Converter, Job, State, jobs_for, run, with_targets
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.process import Interruption
 from hframe_post.writers.outputs import Outputs

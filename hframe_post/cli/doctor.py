@@ -71,17 +71,11 @@ class _Findings:
     metavar="FILE", help="Compare Klipper's printer.cfg, with its includes and macros, or Marlin's "
     "answers to M503, with the profile.",
 )  # fmt: skip
-@click.option(
-    "--klippy-log", "log", type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    metavar="FILE", help="Klipper's log, which shows its version. Default: klippy.log next to "
-    "printer.cfg, or in the folder logs next to that of printer.cfg.",
-)  # fmt: skip
 @click.pass_context
 def doctor(
     context: click.Context,
     requested: str | None,
     config: Path | None,
-    log: Path | None,
 ) -> None:
     """Check the installation, the profile, printer.cfg, and what the slicers use.
 
@@ -99,7 +93,7 @@ def doctor(
     except HframeError as error:
         (findings.note if config is None else findings.problem)(str(error))
     else:
-        _check_profile(findings, choice, config, log)
+        _check_profile(findings, choice, config)
     n = findings.problems
     unchecked = f", but {findings.unchecked} was not checked" if findings.unchecked else ""
     click.echo(f"{n} problem{'s' * (n > 1)}" if n else f"no problems found{unchecked}")
@@ -135,9 +129,7 @@ def _check_folders(findings: _Findings) -> None:
             findings.problem(f"files cannot be written in {place}: {error.strerror or error}")
 
 
-def _check_profile(
-    findings: _Findings, choice: Choice, config: Path | None, log: Path | None
-) -> None:
+def _check_profile(findings: _Findings, choice: Choice, config: Path | None) -> None:
     """Check a profile and what goes with it."""
     printer, profile = choice.profile, _loaded(findings, choice.profile)
     if profile is None:
@@ -166,7 +158,7 @@ def _check_profile(
     if config is None:
         findings.note(f"{own.configuration} was not checked: name it with --printer-cfg")
     else:
-        _check_config(findings, config, log, profile, printer)
+        _check_config(findings, config, profile, printer)
 
 
 def _loaded(findings: _Findings, name: str) -> Printer | None:
@@ -185,13 +177,11 @@ def _loaded(findings: _Findings, name: str) -> Printer | None:
     return profile
 
 
-def _check_config(
-    findings: _Findings, path: Path, log: Path | None, profile: Printer, name: str
-) -> None:
-    """Compare printer.cfg with a profile of this name; log: Klipper's, which shows its version."""
+def _check_config(findings: _Findings, path: Path, profile: Printer, name: str) -> None:
+    """Compare printer.cfg with a profile of this name."""
     try:
         source = source_of([path])
-        differences = list(source.findings(profile, *_remedies(path, name), log))
+        differences = list(source.findings(profile, *_remedies(path, name)))
     except HframeError as error:
         findings.problem(str(error))
         return

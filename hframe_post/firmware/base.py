@@ -58,13 +58,11 @@ class Source(ABC):
         bed: width and depth, mm, if the owner said them.
         """
 
-    def findings(
-        self, profile: Printer, remedy: str, again: str, log: Path | None
-    ) -> Iterator[Finding]:
+    def findings(self, profile: Printer, remedy: str, again: str) -> Iterator[Finding]:
         """Yield what is wrong with the printer for files that are converted with a profile.
 
-        remedy: what to do where both differ; again: how companions are written again; log: of the
-        firmware's host. Raises HframeError, OSError.
+        remedy: what to do where both differ; again: how companions are written again. Raises
+        HframeError, OSError.
         """
         yield from self.differing(profile, remedy)
 

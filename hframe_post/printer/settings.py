@@ -24,14 +24,11 @@ MAX_RAMP_S = 60.0  # s
 # mm/s³ of the path: real slices take the time that the firmware needs (docs/reliability.md)
 JERK = 1e7
 MAX_PREVIEW_SAMPLES = 2000  # samples; the matrix of a window has as many rows and columns
-MAX_END_HZ = 200.0  # of a sweep: five samples per period, joined by straight lines
-MIN_END_HZ = 30.0  # Hz, above which printers resonate
-MIN_SWEEP_S, MAX_SWEEP_S = 1.0, 900.0  # s of a sweep
+SWEEP_S = 1.0, 900.0  # least and greatest duration of a sweep
 CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")  # of an accelerometer in Klipper's commands
 # share by which printers differ from their model a day after it was measured, and the exponent of
 # its growth with the days: the figures are in docs/identify.md
-DRIFT_IN_A_DAY, DRIFT_GROWTH = 0.03, 0.2
-MAX_DRIFT_SHARE = 0.2
+DRIFT_IN_A_DAY, DRIFT_GROWTH, MAX_DRIFT_SHARE = 0.03, 0.2, 0.2
 MAX_ADVANCE_S, MAX_SMOOTHING_S = 10.0, 0.2  # s
 # Compensation moves harder than the path: a cube at max_accel and a higher jerk, on simulated
 # printers with modes from 18 to 55 Hz, needs up to 2.5 times max_accel. The acceleration that a
@@ -221,7 +218,8 @@ class Sweep:
     accelerometers that record the axes, empty where unknown.
     """
 
-    end_hz: float = positive(120.0)
+    # above resonances of printers; at most five samples per period, joined by straight lines
+    end_hz: float = within(30.0, 200.0, default=120.0)
     rate_hz_per_s: float = positive(3.4)
     amplitude: float = positive(5000.0)
     chip_x: str = ""
@@ -234,15 +232,11 @@ class Sweep:
                     f"{chip!r} is not a chip's name: for [adxl345 hotend] in printer.cfg write "
                     "hotend"
                 )
-        if not 0.0 < self.amplitude < math.inf:
-            raise ArgumentError("amplitude must be above 0")
-        if not MIN_END_HZ <= self.end_hz <= MAX_END_HZ:
-            raise ArgumentError(f"end_hz must be {MIN_END_HZ:g} to {MAX_END_HZ:g}")
-        seconds = self.end_hz / self.rate_hz_per_s if self.rate_hz_per_s > 0.0 else 0.0
-        if not MIN_SWEEP_S <= seconds <= MAX_SWEEP_S:
+        (least, most), seconds = SWEEP_S, self.end_hz / self.rate_hz_per_s
+        if not least <= seconds <= most:
             raise ArgumentError(
-                f"at {self.rate_hz_per_s:g} Hz/s a sweep takes {seconds:.0f} s; {MIN_SWEEP_S:g} to "
-                f"{MAX_SWEEP_S:g} s are possible"
+                f"at {self.rate_hz_per_s:g} Hz/s a sweep takes {seconds:.0f} s; {least:g} to "
+                f"{most:g} s are possible"
             )
 
 

@@ -106,7 +106,7 @@ def test_profiles(text: bytes) -> None:
 def _configured(path: Path) -> None:
     own, source = profile_of(KlipperConfig(path)), KlipperSource(path)
     for each in (own, load("paper")):
-        list(source.findings(each, "change it", "write it", None))
+        list(source.findings(each, "change it", "write it"))
 
 
 def _answered(path: Path) -> None:

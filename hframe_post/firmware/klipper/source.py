@@ -13,7 +13,6 @@ from hframe_post.firmware.base import Finding, Source
 from hframe_post.firmware.klipper.live import check_live
 from hframe_post.firmware.klipper.macros import FILE, check_macros, macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.firmware.klipper.version import check_version
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
 from hframe_post.printer.new_profile import (
     Known,
@@ -237,9 +236,7 @@ class KlipperSource(Source):
     def missing(self) -> str:
         return "the include that finds no file" if self._config.missing else ""
 
-    def findings(
-        self, profile: Printer, remedy: str, again: str, log: Path | None
-    ) -> Iterator[Finding]:
+    def findings(self, profile: Printer, remedy: str, again: str) -> Iterator[Finding]:
         config = self._config
         for text in self.warnings:
             yield Finding(text == config.unsaved, text)
@@ -247,7 +244,6 @@ class KlipperSource(Source):
         yield from check_stream(config, profile)
         yield from check_live(config, profile)
         yield from check_macros(config, profile, again)
-        yield from check_version(config, log)
 
     def companions(self, profile: Printer) -> dict[str, str]:
         return {FILE: macros(profile, self._config)}

@@ -14,6 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from . import recordings
 from .recordings import ENDPOINT, FOLDER, NAME, Settings
 
 PROCESS_S = 4 * 3600.0  # timeout of a process
@@ -106,7 +107,7 @@ class HframePost:
     async def _run(self, duty: str, *words: str) -> tuple[int, str]:
         """Run a duty as a process; return its exit status and what it printed."""
         process = await asyncio.create_subprocess_exec(
-            sys.executable, str(Path(__file__).resolve().parent), duty, self._words, *words,
+            sys.executable, recordings.__file__, duty, self._words, *words,
             stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
         )  # fmt: skip
         self._processes.add(process)

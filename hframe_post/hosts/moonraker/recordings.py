@@ -2,6 +2,8 @@
 
 Both kinds have a folder in FOLDER, with the G-code, the exact commands and the recordings. Those of
 one axis stay until it is recorded again, so that the sensor may be moved in between.
+
+``component`` runs this file as a process: ``python recordings.py DUTY SETTINGS WORD...``.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import re
 import shutil
 import socket
 import subprocess
+import sys
 import threading
 import time
 from collections import Counter
@@ -24,6 +27,7 @@ from typing import Any
 NAME = "hframe_post"
 FOLDER = ".hframe_post"  # in the folder of G-code, from which Klipper prints
 ENDPOINT = "/server/hframe_post/report"
+MEMORY_BYTES = 1_000_000_000  # of data of a process; 370 MB are the most that any has needed
 WRITING = {  # the words of a command before the file of G-code
     "calibration": ("measure", "-q", "--times", "2", "-o"),
     "check": ("measure", "-q", "--for", "check", "-o"),
@@ -295,3 +299,26 @@ def _cause(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return ": ".join(str(part) for part in (error.filename, error.strerror) if part)
     return str(error)
+
+
+# ----------------------------------------------------------------------
+# The process.
+
+
+def _stand_back() -> None:
+    """Give precedence to Klipper, which may be printing. Holds for all that is started, too."""
+    import resource  # which Windows has not, where setup reads this file
+
+    os.nice(10)
+    _, most = resource.getrlimit(resource.RLIMIT_DATA)
+    memory = MEMORY_BYTES if most == resource.RLIM_INFINITY else min(MEMORY_BYTES, most)
+    resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+    with contextlib.suppress(OSError):  # the first that Linux ends if memory runs out
+        Path("/proc/self/oom_score_adj").write_text("1000")
+
+
+if __name__ == "__main__":
+    _stand_back()
+    duty, own, *words = sys.argv[1:]
+    run = prepare if duty == "prepare" else conclude
+    sys.exit(run(Settings.from_json(own), *words))

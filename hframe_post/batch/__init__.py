@@ -1,1 +1,0 @@
-"""Conversion of many files, in processes of their own."""
