@@ -73,6 +73,7 @@ GONE_OPTIONS = {  # former options by command, and what replaced them
     ("doctor", "--report"): "its output says all",
     ("doctor", "--history"): "the console says what each check has found",
     ("identify", "--axes"): MOUNTED,
+    ("measure", "--motion"): "the run is a rectangle and a zigzag",
     ("setup", "--moonraker"): "'hframe-post connect moonraker'",
     ("setup", "--no-moonraker"): "'hframe-post connect moonraker --remove'",
 }

@@ -14,7 +14,6 @@ import click
 
 from hframe_post.arrays import X, Y
 from hframe_post.cli.options import files_read, position, printer_option, quoted, say
-from hframe_post.gcode.lines import lines_of
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.printer.settings import CHIP_NAME
 from hframe_post.writers.outputs import Outputs
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
 HEIGHT = 10.0  # mm, at which a motion is played; the line G1 Z10 of the G-code
-ONLY_FOR = {"places": "identify", "times": "identify", "motion": "verify"}
+ONLY_FOR = {"places": "identify", "times": "identify"}
 
 
 def _chip(text: str) -> str:
@@ -70,14 +69,10 @@ def _purpose(text: str) -> str:
     "--times", type=click.IntRange(1, 10), default=1, show_default=True, metavar="N",
     help="How often to play each run.",
 )  # fmt: skip
-@click.option(
-    "--motion", type=FILE, metavar="PART.GCODE",
-    help="For verify: move as in this print.",
-)  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary.")
 def measure(
     output: Path, printer: str, purpose: str, places: tuple[tuple[float, float], ...],
-    chips: tuple[str, ...], times: int, motion: Path | None, quiet: bool,
+    chips: tuple[str, ...], times: int, quiet: bool,
 ) -> None:  # fmt: skip
     """Write the G-code that measures a printer. Home the printer, then print it.
 
@@ -93,7 +88,7 @@ def measure(
     Example:
       hframe-post measure -p my.toml -o measure.gcode
     """
-    given = {"places": places, "times": times > 1, "motion": motion}
+    given = {"places": places, "times": times > 1}
     for name, only in ONLY_FOR.items():
         if given[name] and purpose != only:
             option = {"places": "position"}.get(name, name)
@@ -104,7 +99,7 @@ def measure(
     elif purpose == "identify" and not profile.firmware.kind.records:
         text = _sweep(output, printer, profile, places)
     else:
-        text = _motion(output, printer, profile, purpose, places, chips, times, motion)
+        text = _motion(output, printer, profile, purpose, places, chips, times)
     if not quiet:
         say(text)
 
@@ -112,7 +107,6 @@ def measure(
 def _motion(
     target: Path, printer: str, profile: Printer, purpose: str,
     places: tuple[tuple[float, float], ...], chips: tuple[str, ...], times: int,
-    motion: Path | None,
 ) -> str:  # fmt: skip
     """Write runs that Klipper records, each with its command; return the summary."""
     from hframe_post.identification import check, verify
@@ -126,11 +120,8 @@ def _motion(
         planned = strokes.runs(profile, places)
     elif purpose == "check":
         planned = check.runs(profile)
-    elif motion is None:
-        planned = verify.runs(profile)
     else:
-        with motion.open("rb") as file:
-            planned = verify.runs(profile, lines_of(file))
+        planned = verify.runs(profile)
     jobs: dict[Path, list[PlannedRun]] = {}
     if purpose != "verify" and moves_sensor(profile, planned, chips):
         for run in planned:

@@ -21,10 +21,11 @@ from hframe_post.identification import verdict
 from hframe_post.identification.estimation import known_start
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
+    by_command,
     share_left,
     whole_record,
 )
-from hframe_post.identification.estimation.measured import Run, by_axis
+from hframe_post.identification.estimation.measured import Run
 from hframe_post.identification.identify import AXIS, DRIFT, LEAST_CHANGE
 from hframe_post.identification.recordings import strokes
 from hframe_post.identification.recordings.clock import acceleration
@@ -147,7 +148,7 @@ def _split(run: Run) -> dict[int, tuple[FrequencyResponse, tuple[Array, Array]]]
     end = int(again[np.argmin(np.abs(again - FITTED * len(u)))])
     return {
         axis: (found[axis], (u[end:, k], a[end:, axis]))
-        for k, (axis, found) in enumerate(zip(run.axes, by_axis(u[:end], a[:end]), strict=True))
+        for k, (axis, found) in enumerate(zip(run.axes, by_command(u[:end], a[:end]), strict=True))
     }
 
 

@@ -30,17 +30,14 @@ import numpy as np
 from scipy.fft import irfft, rfft
 
 from hframe_post.arrays import TS, Array, Complex, X, Y
+from hframe_post.identification.estimation import known_start
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
+    advanced,
 )
+from hframe_post.identification.estimation.known_start import BEFORE, FINE, LONGEST, ended
 from hframe_post.identification.estimation.measured import RunGroup
-from hframe_post.identification.estimation.regression import (
-    Data,
-    Estimated,
-    Mode,
-    regress,
-    transfer,
-)
+from hframe_post.identification.estimation.regression import Estimated, regress
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Coupling
 
@@ -73,16 +70,12 @@ def crossed(axis: int, group: RunGroup, band_hz: tuple[float, float]) -> list[Cr
     ]
 
 
-BEFORE, AFTER = 4, 250  # samples of q before and after the command; modes may ring for longer
-LONGEST = 1900  # samples of q
-SILENT = 2e-3  # of the largest q
 UNKNOWN = 0.02  # share of C, or of its RMS, that no linear model explains
 TURN_SD, LAG_SD = 0.03, 0.3  # rad, after a rough one; samples
 BELOW = 0.6  # of the resonance, below which a turned sensor shows
 FEWEST = 20  # frequencies that this takes
 BETTER = 0.8  # times what a constant coupling leaves, from which one linear in place is believed
 MOST_MODES = 3
-FINE = 4096
 
 Axes = tuple[int | None, ...]
 
@@ -93,8 +86,8 @@ class Shared:
 
     omega (k,): rad/sample, measured. turns (runs,): ψ. C (runs, k): G. axes: on what the coupling
     depends, None for its constant part. centre (2,): mm. arms (axes,): mm from it, at the most; 1
-    for the constant part. parts: what is known, per mm or constant; empty if a further run would be
-    needed. left: share of a run that the others do not foresee.
+    for the constant part. parts: what is known, per mm or constant. left: share of a
+    run that the others do not foresee.
     """
 
     omega: Array
@@ -137,7 +130,7 @@ def shared(runs: Sequence[Crossed], along: Estimated, known: int) -> Shared:
         if (its_left := _left(C, omega, linear)) < BETTER * left:
             axes, A, left = (*axes, axis), linear, its_left
     free, arms = len(runs) - len(axes) - known, np.abs(A).max(axis=0)
-    parts = _parts(each, A, free) if free > 0 else ()
+    parts = _parts(each, A, free)
     return Shared(omega, np.array(turns), C, axes, centre, arms, parts, left)
 
 
@@ -149,28 +142,12 @@ def in_print(C: Complex, omega: Array) -> float:
 def _regressed(run: Crossed, along: Estimated) -> tuple[float, ImpulseResponse]:
     """Return ψ and G of one run."""
     rough = _turn(run, along.resonance_hz)
-    hz, C = run.across.hz, (run.across.H - rough * run.along.H) / along.gain
-    k, z = np.arange(-BEFORE, AFTER, dtype=float), np.exp(2j * np.pi * TS * hz)
-    late = np.exp(-2j * np.pi * hz * along.delay)
-    acceleration = late * (z - 2.0 + 1.0 / z)
+    C = replace(run.across, H=(run.across.H - rough * run.along.H) / along.gain)
     size = np.abs(run.across.H / along.gain)
     noise = np.hypot(run.across.noise, UNKNOWN) * size
     sd = np.hypot(noise, UNKNOWN * np.sqrt(np.mean(size**2)) + 1e-12) / np.sqrt(2.0)
-
-    def rows(columns: Complex) -> Array:
-        weighted = (columns.T / sd).T
-        return np.concatenate([weighted.real, weighted.imag])
-
-    def by_modes(modes: Sequence[Mode], onset: int) -> Array:
-        # below what was measured a mode could pass for a turned sensor
-        measured = np.repeat([mode.omega >= 2.0 * np.pi * TS * hz[0] for mode in modes], 2)
-        return rows(acceleration[:, None] * transfer(z, modes, onset) * measured)
-
-    columns = np.column_stack(
-        [late, late * (1.0 / z - 1.0), acceleration[:, None] * z[:, None] ** -k]
-    )
-    precision = np.array([TURN_SD**-2.0, LAG_SD**-2.0])
-    found = regress(Data.of(rows(columns), rows(C), k, precision, by_modes), most=MOST_MODES)
+    linear = known_start.Linear(advanced(C, along.delay), 0.0, LAG_SD)
+    found = regress(linear.data(1.0 / sd, TURN_SD), most=MOST_MODES)
     # what does not vanish at rest is the turned sensor's, and so is its share of what D rings
     turn, lag = float(found.mean[0]), float(found.mean[1]) - float(found.mean[0]) * along.G.lag
     at = np.arange(-BEFORE, LONGEST, dtype=float)
@@ -214,12 +191,12 @@ def _parts(each: Sequence[ImpulseResponse], A: Array, free: int) -> tuple[Impuls
     variance = (np.abs(found - A @ beta) ** 2).sum(axis=0) / free
     uncertain = np.linalg.inv(A.T @ A).diagonal()[:, None] * variance
     known = beta * np.maximum(1.0 - uncertain / np.maximum(np.abs(beta) ** 2, 1e-300), 0.0)
-    return tuple(_ending(irfft(one[1:], FINE)[:LONGEST], float(one[0].real)) for one in known)
-
-
-def _ending(q: Array, lag: float) -> ImpulseResponse:
-    last = int(np.flatnonzero(np.abs(q) >= SILENT * np.abs(q).max())[-1]) + 1
-    return ImpulseResponse(q[:last], BEFORE, rest=0.0, lag=lag)
+    return tuple(
+        ImpulseResponse(
+            ended(irfft(one[1:], FINE)[:LONGEST]), BEFORE, rest=0.0, lag=float(one[0].real)
+        )
+        for one in known
+    )
 
 
 REPEATS = 0.7  # share of a recording's coupling that the others may fail to foresee
@@ -235,7 +212,7 @@ class MeasuredCoupling:
     runs: without what a turned sensor sees. gain: of the sensor. terms: what they share, to be
     compensated. turn: rad by which the sensor is turned, at the most. hz, size, wrong: where the
     coupling is greatest, how great, and |G − 1| of the axis itself there. unexplained: share of the
-    coupling of a recording that the others do not foresee; None if there are too few.
+    coupling of a recording that the others do not foresee.
     """
 
     axis: str
@@ -247,12 +224,12 @@ class MeasuredCoupling:
     hz: float
     size: float
     wrong: float
-    unexplained: float | None
+    unexplained: float
 
     @property
     def counts(self) -> bool:
-        """Return whether several recordings show it alike."""
-        return self.unexplained is not None and self.unexplained <= REPEATS
+        """Return whether the recordings show it alike."""
+        return self.unexplained <= REPEATS
 
     def as_text(self) -> str:
         """Return one sentence for the report."""
@@ -262,9 +239,6 @@ class MeasuredCoupling:
             f"a command in {self.axis} moves {self.other} by {self.size:.2f} at {self.hz:.0f} Hz, "
             f"{100 * self.size / self.wrong:.0f} % of {self.axis}'s own error there"
         )
-        if self.unexplained is None:
-            tests = f"two tests of {self.axis} alone show whether it repeats"
-            return f"{text}; it is not compensated: {tests}"
         if not self.counts:
             differ = f"{100 * self.unexplained:.0f} % differ"
             return f"{text}; it does not repeat ({differ}) and is not compensated"
@@ -296,8 +270,9 @@ def find_coupling(
 ) -> MeasuredCoupling:
     """Return what a command in ``axis`` (x or y) does to the other axis.
 
-    runs: on one delay and the same frequencies. along: response of the axis itself, on that delay.
-    known: lever arms that were found from the same runs, and have been removed from them.
+    runs: two at least, on one delay and the same frequencies. along: response of the axis itself,
+    on that delay. known: lever arms that were found from the same runs, and have been removed from
+    them; each takes one more run.
     """
     found, omega = shared(runs, along, known), 2.0 * np.pi * TS * runs[0].across.hz
     repeats = found.left <= REPEATS
@@ -319,5 +294,5 @@ def find_coupling(
     return MeasuredCoupling(
         axis, other, tuple(straight), along.gain, tuple(terms), float(max(found.turns, key=abs)),
         float(runs[0].across.hz[most]), float(sizes[most]), float(np.abs(error[most])),
-        found.left if found.parts else None,
+        found.left,
     )  # fmt: skip

@@ -47,6 +47,7 @@ from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.stream.running import one_blas_thread
 
+KNOWN_START = 1e-3  # s, standard deviation from which a start is not known
 LEAST_CHANGE = 0.02  # relative, that is assumed of a printer that repeats itself
 # standard deviation of all frequencies of an axis from one session to another: 2.0 % on six axes of
 # three published printers, 12 minutes to ten weeks later
@@ -176,7 +177,7 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
     x_c = None
     if racking is not None:
         measured["Gxtheta"], fits["Gxtheta"], x_c = racking.measured, racking.fit, racking.x_c
-    warnings = _unknown_start(measured)
+    warnings = _late_start(runs)
     repeated = {name: _repetition(measured[name], settings) for name in groups}
     repetitions = {name: one for name, one in repeated.items() if one is not None}
     couplings = [_coupling(name, group, fits, x_c, settings) for name, group in groups.items()]
@@ -232,8 +233,8 @@ def _measured(group: RunGroup, settings: MeasurementSettings) -> Measured:
         alike.setdefault(run.direction, []).append(run.response)
     repeated = max(spread(each, settings.band_hz) for each in alike.values())
     return Measured(
-        places, average(responses), differ, repeated, group.delay_bounds, group.excited_hz,
-        group.resonance_hz, group.known_start,
+        places, average(responses), differ, repeated, group.excited_hz, group.resonance_hz,
+        group.known_start,
     )  # fmt: skip
 
 
@@ -277,14 +278,14 @@ def _coupling(
     x_c: float | None,
     settings: MeasurementSettings,
 ) -> MeasuredCoupling | None:
-    """Return what a command in an axis does to the other, if its recordings tell."""
+    """Return what a command in an axis does to the other, if enough recordings tell of it."""
     along = fits[name].measured
     if group.resonance_hz is None:
         return None
     runs, known = crossed(tuple(AXIS).index(name), group, settings.band_hz), 0
     if name == "Gxx" and x_c is not None:
         runs, known = [_without_racking(run, fits["Gxtheta"], x_c) for run in runs], 1
-    return find_coupling(AXIS[name], runs, along, known) if runs else None
+    return find_coupling(AXIS[name], runs, along, known) if len(runs) > known + 1 else None
 
 
 def _without_racking(run: Crossed, racking: Fit, x_c: float) -> Crossed:
@@ -292,12 +293,11 @@ def _without_racking(run: Crossed, racking: Fit, x_c: float) -> Crossed:
     return replace(run, across=replace(run.across, H=run.across.H - turned))
 
 
-def _unknown_start(measured: Mapping[str, Measured]) -> list[str]:
-    bounds = [one.delay_bounds for one in measured.values()]
-    widest = max(high - low for low, high in bounds) / 2.0
+def _late_start(runs: Sequence[Run]) -> list[str]:
+    widest = max((run.start.sd for run in runs if run.start), default=0.0)
     message = (
         f"the start of a recording is known to ±{widest * 1e3:.1f} ms only, so x, y and racking "
         "may be late relative to each other by as much. Record with Klipper, whose files tell "
         "the start"
     )
-    return [message] if widest > 1e-3 else []
+    return [message] if widest > KNOWN_START else []

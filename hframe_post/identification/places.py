@@ -281,9 +281,7 @@ def find_racking(
         arm = _by_the_middle(arm, runs)
     if arm.over_noise <= NOISE:
         return None, True
-    # made of the same recordings as Gxx, so their delay is known by now
-    delay = fits["Gxx"].recording_delay
-    measured = Measured(arm.by_place, arm.slope, arm.off, arm.off, (delay, delay))
+    measured = Measured(arm.by_place, arm.slope, arm.off, arm.off)
     along = average([run.response for run in runs])
     x_c, _ = centre(arm, along.H)
     fit = _fitted(measured, group, fits, settings)

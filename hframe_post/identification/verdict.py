@@ -22,5 +22,4 @@ FREQUENCY_CHANGE = 0.1  # of the main resonance, from which it is another printe
 REDUCTION = 0.2  # of the contour error; with less a profile is not worth its risk
 REDUCTION_OF_PREDICTED = 0.6
 UNEXPLAINED_OFF_PATH = 0.34  # of the nozzle's motion off its path
-RACKING_ERROR = 0.4  # of the model's racking, in addition to three standard deviations
-COUPLING_RATIO = 0.5  # to the model's, likewise: with less its compensation makes prints worse
+COUPLING_ERROR = 0.45  # of what couples in the model, in addition to three standard deviations

@@ -1,4 +1,4 @@
-"""Whether compensation helps the real machine: a rectangle and a zigzag, or part of a print.
+"""Whether compensation helps the real machine: a rectangle and a zigzag.
 
 The motion is played plain and compensated. Where it begins, and its corners, are found again from
 the command itself. A sensor measures accelerations only, so the place of
@@ -12,7 +12,7 @@ of both runs follows, and from it the reduction, which does not rely on the mode
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,13 +29,11 @@ from hframe_post.identification.recordings.runs import PlannedRun, check_records
 from hframe_post.model.nozzle import nozzle
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import Samples, frozen
+from hframe_post.stream.types import frozen
 
 STRATEGIES = {"verify-plain": "none", "verify-compensated": "racking"}  # by the names of runs
 LENGTHS, LOOPS = (40.0, 20.0), 4  # sides of the rectangle in mm; how often it is traced
 LEG, LEGS = 12.0, 6  # of the zigzag: mm along x, and number
-LOOKED_AT, LONGEST, SHORTEST = 250_000, 40_000, 5_000  # samples of a print: of these, from … to
-SHORTEST_STOP, AT_REST = 20, 1e-9  # samples and mm per sample at rest
 GENTLER = (1.0, 0.7, 0.5, 0.35)  # shares of the path's acceleration and jerk, tried in turn
 QUIET = 1000  # samples of rest before and after it
 
@@ -59,22 +57,20 @@ def path(printer: Printer) -> list[bytes]:
     return [f"{line}\n".encode() for line in lines]
 
 
-def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[PlannedRun]:
-    """Return the plain and the compensated run: of the test motion, or of a print's beginning.
+def runs(printer: Printer) -> list[PlannedRun]:
+    """Return the plain and the compensated run.
 
-    lines: the print's G-code. Nothing is extruded, and z does not move. The test motion is gentler
-    where the motors cannot follow it at the printer's limits. Raises HframeError.
+    The motion is gentler where the motors cannot follow it at the printer's limits. Raises
+    HframeError.
     """
     check_records(printer)
-    if lines is not None:
-        return _runs(printer, lines, part_of_print=True)
     limits = printer.limits
     for share in GENTLER:
         gentler = replace(
             limits, acceleration=share * limits.acceleration, jerk=share * limits.jerk
         )
         try:
-            return _runs(replace(printer, limits=gentler), path(printer), part_of_print=False)
+            return _runs(replace(printer, limits=gentler))
         except LimitError as error:
             found = error
     raise HframeError(
@@ -84,52 +80,16 @@ def runs(printer: Printer, lines: Iterable[bytes] | None = None) -> list[Planned
     )
 
 
-def _runs(printer: Printer, lines: Iterable[bytes], part_of_print: bool) -> list[PlannedRun]:
+def _runs(printer: Printer) -> list[PlannedRun]:
     options = Options("racking", limits="printer", clamp=False)
-    chunks = list[Samples]()
-    for chunk in SampleStream(lines, printer, options, tuple(STRATEGIES.values())).computed():
-        if len(chunk):
-            chunks.append(chunk)
-        if chunk.end > LOOKED_AT:
-            break
-    if not chunks:
-        raise HframeError("the print does not move in x and y")
-    commands = {
-        run: np.concatenate([chunk.commands[strategy] for chunk in chunks])[:LOOKED_AT]
-        for run, strategy in STRATEGIES.items()
-    }
-    part = slice(None)
-    if part_of_print:
-        ends = [chunk.end for chunk in chunks if chunk.ends_stretch]
-        part = _between_stops(commands["verify-compensated"], ends)
-    return [
-        PlannedRun(run, X, (float(command[part][0, X]), float(command[part][0, Y])),
-            frozen(np.pad(command[part], ((QUIET, QUIET), (0, 0)), mode="edge")))
-        for run, command in commands.items()
-    ]  # fmt: skip
-
-
-def _between_stops(command: Array, ends: Sequence[int]) -> slice:
-    """Return the longest part of at most ``LONGEST`` samples from one stop to another.
-
-    command (m, 2): mm; ends: samples after which the machine moves on its own.
-    """
-    still = (np.abs(np.diff(command, axis=0)) < AT_REST).all(axis=1)
-    edges = np.flatnonzero(np.diff(still, prepend=False, append=False))
-    first, last = edges[::2], edges[1::2]
-    stops = [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a >= SHORTEST_STOP]
-    best = slice(0, 0)
-    for k, (_, start) in enumerate(stops):
-        own = min((end for end in ends if end > start), default=len(command))
-        for stop, _ in stops[k + 1 :]:
-            if stop <= own and best.stop - best.start < stop - start <= LONGEST:
-                best = slice(start, stop + 1)
-    if best.stop - best.start < SHORTEST:
-        raise HframeError(
-            f"the print's first {LOOKED_AT * TS:.0f} s have no part of {SHORTEST * TS:.0f} to "
-            f"{LONGEST * TS:.0f} s between two stops. Choose another print, or leave it out"
-        )
-    return best
+    stream = SampleStream(path(printer), printer, options, tuple(STRATEGIES.values()))
+    chunks = [chunk for chunk in stream.computed() if len(chunk)]
+    quiet, found = ((QUIET, QUIET), (0, 0)), list[PlannedRun]()
+    for name, strategy in STRATEGIES.items():
+        command = np.concatenate([chunk.commands[strategy] for chunk in chunks])
+        start = float(command[0, X]), float(command[0, Y])
+        found.append(PlannedRun(name, X, start, frozen(np.pad(command, quiet, mode="edge"))))
+    return found
 
 
 def motion_of(wanted: Array) -> slice:
@@ -141,7 +101,7 @@ def motion_of(wanted: Array) -> slice:
 LOW_HZ, FLAT_HZ, HIGH_HZ = 3.0, 6.0, 120.0  # band of the integration, complete from FLAT_HZ on
 GAIN_HZ = (2.0, 9.0)  # slow motion, which any printer follows and any model predicts alike
 HARMLESS_DELAY = 5e-3  # s of both axes alike: the nozzle is on the path, only later
-RACKING_HZ = (9.0, 100.0)  # in which racking can be distinguished from a rotated sensor
+COUPLED_HZ = (9.0, 100.0)  # in which racking can be distinguished from a rotated sensor
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,15 +110,14 @@ class Verdict:
 
     measured, predicted: contour error, µm RMS.
     unexplained: share of the nozzle's motion off its path that the model did not predict.
-    racking, coupling: measured racking and other couplings relative to the model's, and standard
-    deviations; None if the model has none. at (n,): s, of the contour errors (n,) in µm along the
-    motion.
+    coupling: what x and y do to each other, racking included, relative to the model's, and its
+    standard deviation; None if the model has none. at (n,): s, of the contour
+    errors (n,) in µm along the motion.
     """
 
     measured: Sequence[float]
     predicted: Sequence[float]
     unexplained: float
-    racking: tuple[float, float] | None
     coupling: tuple[float, float] | None
     at: Array
     errors_measured: Sequence[Array]
@@ -181,25 +140,18 @@ class Verdict:
                 "or the printer has changed. Do not print with it. Measure and identify again"
             )
         ratio, sd = self.coupling or (1.0, 0.0)
-        if ratio < verdict.COUPLING_RATIO - 3.0 * sd:
+        if abs(ratio - 1.0) > verdict.COUPLING_ERROR + 3.0 * sd:
+            how = "the other way, " if ratio < 0.0 else ""
             return (
-                f"x and y move each other {ratio:.1f} times as far as the model predicts: this "
-                "coupling does not repeat. Identify again, with recordings of both days, or "
-                "set plant.cross = []"
+                f"x and y move each other, as by racking, {how}{abs(ratio):.1f} times as far as "
+                "the model predicts: files are exchanged, x_c is wrong, or this is another "
+                "printer. Measure and identify again"
             )
         if self.unexplained > verdict.UNEXPLAINED_OFF_PATH:
             return (
                 f"the model misses {100 * self.unexplained:.0f} % of the nozzle's motion off its "
                 f"path, more than {100 * verdict.UNEXPLAINED_OFF_PATH:.0f} %: the profile is not "
                 "that of this printer as it is now. Measure and identify again"
-            )
-        ratio, sd = self.racking or (1.0, 0.0)
-        if abs(ratio - 1.0) > verdict.RACKING_ERROR + 3.0 * sd:
-            how = "the other way, " if ratio < 0.0 else ""
-            return (
-                f"the gantry racks {how}{abs(ratio):.1f} times as far as the model predicts: "
-                "files are exchanged, x_c is wrong, or this is another printer. Measure and "
-                "identify again"
             )
         if self.reduction < max(verdict.REDUCTION, verdict.REDUCTION_OF_PREDICTED * self.expected):
             return (
@@ -217,9 +169,9 @@ class Verdict:
         lines = [f"{'RMS':26s}{'plain':>10s}{'compensated':>14s}"]
         lines += [f"{name:26s}{a:10.1f}{b:14.1f}  {unit}" for name, (a, b), unit in rows]
         lines.append(f"{'model misses':26s}{100 * self.unexplained:10.0f} %")
-        for name, found in (("racking", self.racking), ("coupling", self.coupling)):
-            if found is not None:
-                lines.append(f"{f'{name} / model':26s}{found[0]:10.2f} ± {found[1]:.2f}")
+        if self.coupling is not None:
+            ratio, sd = self.coupling
+            lines.append(f"{'coupling / model':26s}{ratio:10.2f} ± {sd:.2f}")
         good = f"good: compensation removes {100 * self.reduction:.0f} % of the error"
         words = f"FAILED: {self.fault}" if self.fault else good
         return "\n".join([*lines, f"VERDICT     {words}"])
@@ -233,7 +185,6 @@ class Verdict:
         return {
             **rounded, "reduction": round(self.reduction, 4), "expected": round(self.expected, 4),
             "unexplained": round(self.unexplained, 4),
-            "racking": self.racking and [round(one, 4) for one in self.racking],
             "coupling": self.coupling and [round(one, 4) for one in self.coupling],
             "fault": self.fault,
         }  # fmt: skip
@@ -243,15 +194,13 @@ class Verdict:
 class MeasuredRun:
     """A run as measured: places (m, 2) measured and predicted, mm; accelerations (m, 2), mm/s².
 
-    a_racking, a_cross (m, 2): the parts of a_predicted that are due to racking and to other
-    couplings. noise: of a place, mm.
+    a_cross (m, 2): the part of a_predicted that x and y do to each other. noise: of a place, mm.
     """
 
     place: Array
     predicted: Array
     a: Array
     a_predicted: Array
-    a_racking: Array
     a_cross: Array
     noise: float
 
@@ -290,11 +239,11 @@ def compare_runs(printer: Printer, plain: Run, compensated: Run) -> Verdict:
     band = (GAIN_HZ[1], HIGH_HZ)
     missed = band_rms((runs[0].a - runs[0].a_predicted)[inside], *band)
     off_path = band_rms((runs[0].a - a_path)[inside], *band)
-    racking, coupling = _couplings(runs, inside)
+    missed_share, coupling = missed / max(off_path, 1e-9), _coupling(runs, inside)
     return Verdict(
         [_rms(error, less) for error, less in zip(measured, noise, strict=True)],
         [_rms(error) for error in predicted],
-        missed / max(off_path, 1e-9), racking, coupling, np.asarray(TS * at), measured, predicted,
+        missed_share, coupling, np.asarray(TS * at), measured, predicted,
     )  # fmt: skip
 
 
@@ -306,7 +255,6 @@ def measured_run(printer: Printer, run: Run) -> MeasuredRun:
     """Return what a recording shows of its command. Raises IdentificationError."""
     command, shown = run.command, run.on_command_clock()
     predicted = nozzle(printer.plant, command[0], command)
-    without = nozzle(replace(printer.plant, Gxtheta=None), command[0], command)
     a_predicted = _curved(predicted)
     late, most = 0.0, HARMLESS_DELAY
     for _ in range(2):  # a delay disturbs what slow motion shows of the sensor
@@ -317,9 +265,8 @@ def measured_run(printer: Printer, run: Run) -> MeasuredRun:
     off = _filtered(a - a_predicted, _integrating_twice(_hz(a)))
     quiet = np.concatenate([off[200 : QUIET - 200], off[-QUIET + 500 : -200]])
     noise = float(np.sqrt((quiet**2).mean()))
-    direct = nozzle(printer.plant.decoupled(), command[0], command)
-    a_racking, a_cross = _curved(predicted - without), _curved(without - direct)
-    return MeasuredRun(predicted + off, predicted, a, a_predicted, a_racking, a_cross, noise)
+    a_cross = _curved(predicted - nozzle(printer.plant.decoupled(), command[0], command))
+    return MeasuredRun(predicted + off, predicted, a, a_predicted, a_cross, noise)
 
 
 def _curved(places: Array) -> Array:
@@ -327,27 +274,24 @@ def _curved(places: Array) -> Array:
     return np.column_stack([acceleration(places[:, k]) for k in (X, Y)])
 
 
-def _couplings(runs: Sequence[MeasuredRun], inside: Flags) -> Iterator[tuple[float, float] | None]:
-    """Yield racking and other couplings relative to the prediction, and standard deviations.
+def _coupling(runs: Sequence[MeasuredRun], inside: Flags) -> tuple[float, float] | None:
+    """Return what couples relative to the prediction, and its standard deviation.
 
     Found by least squares over both runs; other errors of the model count as noise.
     """
-    signals = [(run.a_racking, run.a_cross, run.a - run.a_predicted) for run in runs]
-    racking, cross, missed = (
-        np.concatenate([_within(a[inside], *RACKING_HZ) for a in each])
-        for each in zip(*signals, strict=True)
+    cross, missed = (
+        np.concatenate([_within(a[inside], *COUPLED_HZ) for a in each])
+        for each in zip(*((run.a_cross, run.a - run.a_predicted) for run in runs), strict=True)
     )
-    moved = racking.any(axis=0) | cross.any(axis=0)  # axes
-    known = [each[:, moved].ravel() for each in (racking, cross) if each.any()]
-    wanted = missed[:, moved].ravel()
-    A = np.column_stack(known) if known else np.zeros((len(wanted), 0))
-    excess = np.linalg.lstsq(A, wanted, rcond=None)[0]
-    residual = wanted - A @ excess
-    independent = 2.0 * (RACKING_HZ[1] - RACKING_HZ[0]) * TS  # share of a sample
-    variance = float(residual @ residual) / max(independent * len(wanted), 1.0)
-    sds = np.sqrt(variance * np.linalg.inv(A.T @ A).diagonal())
-    found = zip((1.0 + excess).tolist(), sds.tolist(), strict=True)
-    yield from (next(found) if each.any() else None for each in (racking, cross))
+    moved = cross.any(axis=0)  # axes
+    if not moved.any():
+        return None
+    known, wanted = cross[:, moved].ravel(), missed[:, moved].ravel()
+    power = float(known @ known)
+    excess = float(known @ wanted) / power
+    independent = 2.0 * (COUPLED_HZ[1] - COUPLED_HZ[0]) * TS * len(wanted)
+    variance = float(np.square(wanted - excess * known).sum()) / max(independent, 1.0)
+    return 1.0 + excess, float(np.sqrt(variance / power))
 
 
 def _correction(a: Array, wanted: Array) -> Array:

@@ -13,7 +13,6 @@ from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     average,
 )
-from hframe_post.identification.estimation.measured import RunResponse, with_common_delay
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identify import MeasurementSettings, identify
 from hframe_post.identification.places import (
@@ -140,17 +139,6 @@ def test_racking_moves_with_the_axis_and_keeps_its_measured_size() -> None:
         wanted = larger[one.x] * stretched.response(OMEGA)
         below(off(one.G.response(OMEGA), wanted), 0.01, f"error of racking at x = {one.x} mm")
     assert [one.x for one in found.elsewhere] == [80.0, 200.0]
-
-
-def test_modes_that_move_do_not_shift_runs_whose_start_is_known() -> None:
-    G = moving(0.05)
-    runs = []
-    for x in (80.0, 140.0, 200.0):
-        one = shown(G.at(x).response(OMEGA))
-        runs.append(RunResponse(x, one, one, 4e-5))
-    for before, after in zip(runs, with_common_delay(runs).runs, strict=True):
-        turned = np.angle(after.response.H / before.response.H) / (2.0 * np.pi * HZ)
-        below(1e3 * float(np.abs(turned).max()), 0.0401, "shift of a run, ms")
 
 
 @pytest.mark.slow

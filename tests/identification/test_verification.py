@@ -14,7 +14,6 @@ from hframe_post.errors import HframeError
 from hframe_post.identification.verify import Verdict, compare_runs, runs
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from tests.conftest import SAMPLES
 from tests.coupled_printers import CoupledMachine, SharedMode
 from tests.page.pages import data_of
 from tests.profiles import with_plant, with_verification
@@ -56,7 +55,7 @@ def test_the_reduction_is_measured(changed: dict[str, float]) -> None:
 def test_a_profile_that_brings_far_less_than_predicted_fails(left: float, good: bool) -> None:
     """Of 100 µm, 80 are to go: less than 48 that go are a failure."""
     none = np.zeros(0)
-    found = Verdict((100.0, left), (100.0, 20.0), 0.1, None, None, none, (none, none), (none, none))
+    found = Verdict((100.0, left), (100.0, 20.0), 0.1, None, none, (none, none), (none, none))
     assert (found.fault is None) == good, f"{100.0 - left:g} of 80 µm removed: {found.fault}"
     if not good:
         assert f"removes {100.0 - left:.0f} % of the error, not the 80 %" in str(found.fault)
@@ -65,7 +64,7 @@ def test_a_profile_that_brings_far_less_than_predicted_fails(left: float, good: 
 def test_little_reduction_and_much_that_is_not_explained_fail() -> None:
     """However right the model is about the reduction."""
     none = np.zeros(0)
-    good = Verdict((100.0, 79.0), (100.0, 75.0), 0.3, None, None, none, (none, none), (none, none))
+    good = Verdict((100.0, 79.0), (100.0, 75.0), 0.3, None, none, (none, none), (none, none))
     assert good.fault is None
     assert "removes 19 % of the error" in str(replace(good, measured=(100.0, 81.0)).fault)
     assert "misses 36 %" in str(replace(good, unexplained=0.36).fault)
@@ -98,7 +97,7 @@ def test_wrong_racking_fails() -> None:
     found, true = verdict(STRANGER, replace(printer(STRANGER), plant=plant))
     assert true > 0.5
     assert found.fault is not None
-    assert "racks the other way" in found.fault
+    assert "racking, the other way" in found.fault
 
 
 def test_a_coupling_that_is_no_more_fails() -> None:
@@ -114,7 +113,6 @@ def test_a_coupling_that_is_no_more_fails() -> None:
     profile = replace(printer(STIFF), plant=today.exact())
     right, _ = verdict(today, profile)
     assert right.fault is None
-    assert right.racking is None
     assert right.coupling is not None
     assert right.coupling[0] == pytest.approx(1.0, abs=0.1)
     assert right.coupling[1] < 0.05
@@ -122,7 +120,7 @@ def test_a_coupling_that_is_no_more_fails() -> None:
     wrong, _ = verdict(other, profile)
     assert wrong.coupling is not None
     assert wrong.coupling[0] == pytest.approx(-1.0, abs=0.1)
-    assert "plant.cross = []" in str(wrong.fault)
+    assert "move each other, as by racking, the other way" in str(wrong.fault)
     assert "coupling / model" in wrong.as_text()
 
 
@@ -184,32 +182,8 @@ def test_a_good_profile_is_marked(tmp_path: Path) -> None:
     assert "not both recordings of 'hframe-post measure --for verify'" in done.output
 
 
-def test_a_print_is_a_test_motion(tmp_path: Path) -> None:
-    cube, mine = SAMPLES / "cube.gcode", tmp_path / "mine.toml"
-    windows = load("paper").compensation.windows
-    mine.write_text(with_plant("paper", load("paper").plant, windows, []))
-    done = invoked("-p", mine, "--gcode", tmp_path / "v.gcode", "--motion", cube)
-    assert done.exit_code == 0, done.output
-    plain, compensated = (
-        np.loadtxt(tmp_path / f"v.verify-{name}.csv", delimiter=",", skiprows=1)[:, 1:]
-        for name in ("plain", "compensated")
-    )
-    assert len(plain) == len(compensated)
-    for command in (plain, compensated):
-        assert np.abs(np.diff(command, 2, axis=0)).max() * 1e6 < 25_000.0  # no jump at its ends
-    assert np.ptp(plain[:, 1]) == pytest.approx(20.5, abs=1.5)  # the cube's walls, or its brim
-    done = invoked("-p", mine, "--gcode", tmp_path / "w.gcode", "--motion", tmp_path / "v.gcode")
-    assert done.exit_code == 1
-    assert not (tmp_path / "w.gcode").exists()
-
-
 def test_motions_that_cannot_be_a_test_are_errors() -> None:
     paper = load("paper")
-    with pytest.raises(HframeError, match="does not move in x and y"):
-        runs(paper, [b"G28\n", b"G1 Z5 F600\n"])
-    short = [f"G1 X{100 + 20 * (k % 2)} Y100 F6000\n".encode() for k in range(8)]
-    with pytest.raises(HframeError, match="no part of 5 to 40 s between two stops"):
-        runs(paper, [b"G28\n", b"G90\n", *short])
     weak = replace(paper, motors=replace(paper.motors, belt_velocity=100.0))
     with pytest.raises(HframeError, match=r"even with 0.35 of limits.acceleration"):
         runs(weak)

@@ -55,9 +55,6 @@ DONE = {
     "simulate {print}": Done(r"1( +[\d.]+){3}"),
     "simulate": Done(r"0( +[\d.]+){3}"),
     "simulate --shapers": Done("."),
-    "measure --for verify -o v.gcode --motion {print}": Done(
-        "", r"v\.gcode v\.verify-compensated\.csv v\.verify-plain\.csv"
-    ),
     "measure --for verify -o v.gcode": Done(
         "", r"v\.gcode v\.verify-compensated\.csv v\.verify-plain\.csv"
     ),

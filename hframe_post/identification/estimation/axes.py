@@ -55,16 +55,14 @@ class Measured:
 
     places: the response at each position (mm of x). mean: their average. spread: RMS difference of
     the positions from the mean, relative; repeated: likewise of runs in one direction.
-    delay_bounds: of the recording, s. excited_hz:
-    lowest and highest frequency that is excited. resonance_hz: the lowest strong resonance, if the
-    recordings are not calibrated. known_start: whether they are of strokes.
+    excited_hz: lowest and highest frequency that is excited. resonance_hz: the lowest strong
+    resonance, if the recordings are not calibrated. known_start: whether they are of strokes.
     """
 
     places: list[tuple[float, FrequencyResponse]]
     mean: FrequencyResponse
     spread: float
     repeated: float
-    delay_bounds: tuple[float, float]
     excited_hz: tuple[float, float] = (0.0, np.inf)
     resonance_hz: float | None = None
     known_start: bool = False

@@ -1,13 +1,12 @@
-"""Frequency responses from samples at 1 ms.
+"""Frequency responses from samples at 1 ms, by Welch's method.
 
-Responses are found by Welch's method and averaged over runs:
+With the spectra of the commands u and of what the sensor shows, y,
 
-==============  ===============================================================
-``P_uu, P_yy``  power spectra of input and output
-``P_uy``        cross spectrum, conj(U)·Y
-``H``           P_uy / P_uu, the estimator H1: all noise is in the output
-``coherence``   |P_uy|² / (P_uu P_yy), the share of the output that the input explains
-==============  ===============================================================
+    H = P_yu P_uu⁻¹,   noise = P_yy − H P_uu Hᴴ,   var H_ij = noise_i · (P_uu⁻¹)_jj
+
+(Bendat, Piersol, Random Data, 2010, chapter 7). All noise is in the output, and 1 / (P_uu⁻¹)_jj is
+the power of a command that no other one explains. The coherence is the share of the output that
+this command explains.
 
 The record is at rest at both ends and padded with rest, so no segment cuts a response off. The
 remaining leakage smooths H over the width of the window's spectrum: for a Hann window of T
@@ -81,23 +80,40 @@ def estimate(u: Array, y: Array) -> FrequencyResponse:
         raise IdentificationError("command or response has values that are not finite")
     if not u.any() or not y.any():
         raise IdentificationError(f"the {'response' if u.any() else 'command'} is zero throughout")
-    segment = min(SEGMENT, n // 2)
+    return by_command(u[:, None], y[:, None])[0][0]
+
+
+def by_command(u: Array, y: Array, segment: int = SEGMENT) -> list[list[FrequencyResponse]]:
+    """Return what each of the commands u (n, k) does to each of y (n, m), at 1 kHz."""
+    k, segment = u.shape[1], min(segment, len(u) // 2)
+    hz, P = _spectra(np.hstack([u, y]), segment)
+    averages = BANDWIDTH * len(u) / segment
+    P_uu, P_yu, P_yy = P[:, :k, :k], P[:, k:, :k], P[:, k:, k:]
+    least = TINY + 1e-12 * np.trace(P_uu, axis1=1, axis2=2).real.max()
+    inverse = np.linalg.inv(P_uu + least * np.eye(k))
+    H = P_yu @ inverse
+    noise = np.einsum("fii->fi", P_yy - H @ P_yu.conj().transpose(0, 2, 1)).real
+    found: list[list[FrequencyResponse]] = []
+    for j in range(k):
+        power = 1.0 / np.maximum(inverse[:, j, j].real, TINY)
+        found.append([])
+        for i in range(y.shape[1]):
+            shown = np.abs(H[:, i, j]) ** 2 * power
+            coherence = shown / np.maximum(shown + np.maximum(noise[:, i], 0.0), TINY)
+            found[-1].append(FrequencyResponse(hz, H[:, i, j], coherence, power, averages))
+    return found
+
+
+def _spectra(values: Array, segment: int) -> tuple[Array, Complex]:
+    """Return frequencies (f,) and cross spectra (f, k, k), [i, j]: conj(j)·i, of values (n, k)."""
+    padded = np.pad(values, ((segment, segment), (0, 0))).T
     options = {
-        "fs": RATE_HZ,
-        "window": "hann",
-        "nperseg": segment,
-        "noverlap": int(OVERLAP * segment),
-        "detrend": False,
-    }
-    u, y = np.pad(u, segment), np.pad(y, segment)
-    hz, P_uy = signal.csd(u, y, **options)
-    P_uu, P_yy = (signal.welch(one, **options)[1] for one in (u, y))
-    kept = slice(2, None, 2)
-    hz, P_uy, P_uu, P_yy = hz[kept], P_uy[kept], P_uu[kept], P_yy[kept]
-    cross = np.abs(P_uy)
-    coherence = np.minimum(cross**2 / np.maximum(P_uu * P_yy, TINY), 1.0)
-    H = cross / np.maximum(P_uu, TINY) * np.exp(1j * np.angle(P_uy))
-    return FrequencyResponse(hz, H, coherence, P_uu, BANDWIDTH * n / segment)
+        "fs": RATE_HZ, "window": "hann", "nperseg": segment,
+        "noverlap": int(OVERLAP * segment), "detrend": False,
+    }  # fmt: skip
+    hz, spectra = signal.csd(padded[None, :, :], padded[:, None, :], **options)
+    kept = slice(2, None, 2)  # those between add nothing, with a Hann window
+    return hz[kept], np.moveaxis(spectra, -1, 0)[kept]
 
 
 def whole_record(u: Array, y: Array, noise: float) -> FrequencyResponse:
@@ -153,24 +169,6 @@ def check_same_frequencies(responses: Sequence[FrequencyResponse]) -> None:
         raise IdentificationError(
             "runs differ in their frequencies; they must come from the same sweep"
         )
-
-
-def delays(responses: Sequence[FrequencyResponse]) -> Array:
-    """Return each response's delay (n,) in s relative to their mean delay.
-
-    Found by least squares over the phase, weighted with the coherent power of each frequency.
-    """
-    late = np.zeros(len(responses))
-    # each round sharpens the mean, from which delays are counted
-    for _ in range(3 if len(responses) > 1 else 0):
-        mean = average([advanced(r, by) for r, by in zip(responses, late, strict=True)])
-        omega = 2.0 * np.pi * mean.hz
-        for k, response in enumerate(responses):
-            phase = np.angle(response.H * np.exp(1j * omega * late[k]) * mean.H.conj())
-            weight = response.power * response.coherence * np.abs(mean.H) ** 2
-            late[k] -= (weight * omega * phase).sum() / (weight * omega**2).sum()
-        late -= late.mean()
-    return late
 
 
 def advanced(response: FrequencyResponse, seconds: float) -> FrequencyResponse:

@@ -90,9 +90,14 @@ def _response(found: Posterior, rest: float, lag: float, scale: float) -> Impuls
     """Return the response, as far as it is loud, and what is not known of it."""
     k = np.arange(-BEFORE, LONGEST, dtype=float)
     q = found.response(k)
-    last = int(np.flatnonzero(np.abs(q) >= SILENT * np.abs(q).max())[-1]) + 1
-    unknown = _unknown(found.known(k[:last]) * scale**2)
-    return ImpulseResponse(scale * q[:last], BEFORE, rest, lag, unknown=unknown)
+    loud = len(ended(q))
+    unknown = _unknown(found.known(k[:loud]) * scale**2)
+    return ImpulseResponse(scale * q[:loud], BEFORE, rest, lag, unknown=unknown)
+
+
+def ended(q: Array) -> Array:
+    """Return the samples up to the last one that counts."""
+    return q[: int(np.flatnonzero(np.abs(q) >= SILENT * np.abs(q).max())[-1]) + 1]
 
 
 def _regressed(
@@ -105,7 +110,7 @@ def _regressed(
             f"only {len(measured.hz)} frequencies were excited, too few for a model"
         )
     largest_response(measured)
-    linear, H, power = _Linear(measured, sensor[0], max(lag_sd, NONE)), measured.H, measured.power
+    linear, H, power = Linear(measured, sensor[0], max(lag_sd, NONE)), measured.H, measured.power
     least = power * (np.abs(H) ** 2 + 1.0) / measured.averages
     own = np.maximum(power * (measured.noise * np.abs(H)) ** 2, LEAST_NOISE**2 * least)
     left = np.zeros(len(H))
@@ -124,7 +129,7 @@ def _regressed(
     return found, modelled
 
 
-class _Linear:
+class Linear:
     """A measured response as a linear function of (g − ĝ, g·lag, g·q) and of what modes add."""
 
     def __init__(self, measured: FrequencyResponse, gain: float, lag_sd: float) -> None:

@@ -1,6 +1,6 @@
-"""Frequency responses of single runs, aligned to one common delay.
+"""Frequency responses of single runs.
 
-    runs → accelerations on the command's clock → frequency responses → one delay for all
+    runs → accelerations on the command's clock → frequency responses
 
 A run moves one axis. A sensor on the nozzle gives Gxx from runs in x and Gyy from runs in y, and
 racking by the lever arm of eq. 2: a run in x with the gantry at x = p moves the nozzle in y by the
@@ -10,15 +10,6 @@ commanded,
     H_y(p) = (p − x_c)·Gxθ + ψ·Gxx
 
 is a straight line over p: its slope is Gxθ, whatever ψ; its offset gives x_c and ψ.
-
-Frequency responses of strokes, in which both axes move at once and the start is known.
-
-With the spectra of the commands u and of what the sensor shows, y,
-
-    H = P_yu P_uu⁻¹,   noise = P_yy − H P_uu Hᴴ,   var H_ij = noise_i · (P_uu⁻¹)_jj
-
-(Bendat, Piersol, Random Data, 2010, chapter 7). So 1 / (P_uu⁻¹)_jj is the power of a command that
-the other one does not explain.
 """
 
 from __future__ import annotations
@@ -27,19 +18,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import signal
 
 from hframe_post.arrays import Array, Complex, X, Y
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation.frequency_response import (
-    BANDWIDTH,
-    OVERLAP,
-    RATE_HZ,
     SEGMENT,
-    TINY,
     FrequencyResponse,
     advanced,
-    delays,
+    by_command,
 )
 from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.clock import KnownStart, acceleration, on_command_clock
@@ -120,15 +106,13 @@ class RunResponse:
     """Frequency responses of one run.
 
     response: along the swept axis. y: along y, which shows racking. place: x of the sensor, mm.
-    late: half-width of the uncertainty of the recording's start, s. across: of the other axis.
-    direction: unit vector of the motion; both responses are per motion along the axis. point: x and
-    y of the sensor, mm.
+    across: of the other axis. direction: unit vector of the motion; both responses are per motion
+    along the axis. point: x and y of the sensor, mm.
     """
 
     place: float
     response: FrequencyResponse
     y: FrequencyResponse
-    late: float
     across: FrequencyResponse | None = None
     direction: tuple[float, float] | None = None
     point: tuple[float, float] = (0.0, 0.0)
@@ -147,36 +131,17 @@ class RunResponse:
 
 @dataclass(frozen=True, slots=True)
 class RunGroup:
-    """Runs shifted to one common delay, and the bounds of that delay in s.
+    """Runs of one axis on one delay.
 
     known_start: whether they are of strokes. Of uncalibrated runs also between which frequencies
     they are excited, the lowest strong resonance, and that of all axes which the same sensor felt.
     """
 
     runs: list[RunResponse]
-    delay_bounds: tuple[float, float]
     excited_hz: tuple[float, float] = (0.0, np.inf)
     resonance_hz: float | None = None
     lowest_hz: float = 0.0
     known_start: bool = False
-
-
-def with_common_delay(responses: Sequence[RunResponse]) -> RunGroup:
-    """Shift each run to the mean delay of all, and bound that delay.
-
-    How much later one run began than another is often known far better than when any of them began.
-    But modes that move along x turn phases, too, so no run is shifted farther than its own bounds.
-    These hold for all: the more runs, the closer the bounds.
-    """
-    late = [
-        min(max(by, -run.late), run.late)
-        for run, by in zip(responses, delays([run.response for run in responses]), strict=True)
-    ]
-    runs = [run.advanced(by) for run, by in zip(responses, late, strict=True)]
-    low = max((-run.late - by for run, by in zip(responses, late, strict=True)), default=0.0)
-    high = min((run.late - by for run, by in zip(responses, late, strict=True)), default=0.0)
-    middle = (low + high) / 2.0
-    return RunGroup(runs, (min(low, middle), max(high, middle)))
 
 
 # ---------------------------------------------------------------------- lever arm
@@ -273,17 +238,11 @@ def stroke_responses(runs: Sequence[Run], settings: MeasurementSettings) -> dict
         for axis in run.axes:
             along, across = responses[axis][axis], responses[axis][1 - axis]
             x, y = (at + off for at, off in zip(run.point, settings.offset, strict=True))
-            assert run.start is not None
             response = RunResponse(
-                x, along, responses[axis][Y], 2.0 * run.start.sd,
-                across=across, direction=(1.0 - axis, float(axis)), point=(x, y),
+                x, along, responses[axis][Y], across, (1.0 - axis, float(axis)), (x, y)
             )  # fmt: skip
             found[axis].append(response)
-    return {
-        axis: replace(with_common_delay(made), known_start=True)
-        for axis, made in found.items()
-        if made
-    }
+    return {axis: RunGroup(made, known_start=True) for axis, made in found.items() if made}
 
 
 def _responses(
@@ -291,41 +250,8 @@ def _responses(
 ) -> dict[int, list[FrequencyResponse]]:
     """Return what a command in each axis that moves does to x and y."""
     u = np.column_stack([acceleration(run.command[:, axis]) for axis in run.axes])
-    found = by_axis(u, run.on_command_clock()[:, :2], segment)
+    found = by_command(u, run.on_command_clock()[:, :2], segment)
     return {
         axis: [one.within(settings.band_hz) for one in each]
         for axis, each in zip(run.axes, found, strict=True)
     }
-
-
-def by_axis(u: Array, a: Array, segment: int = SEGMENT) -> list[list[FrequencyResponse]]:
-    """Return what each of the commands u (n, k) does to x and to y, a (n, 2), mm/s²."""
-    segment = min(segment, len(u) // 2)
-    hz, P = _spectra(np.hstack([u, a]), segment)
-    k, averages = u.shape[1], BANDWIDTH * len(u) / segment
-    P_uu, P_yu, P_yy = P[:, :k, :k], P[:, k:, :k], P[:, k:, k:]
-    least = TINY + 1e-12 * np.trace(P_uu, axis1=1, axis2=2).real.max()
-    inverse = np.linalg.inv(P_uu + least * np.eye(k))
-    H = P_yu @ inverse
-    noise = np.einsum("fii->fi", P_yy - H @ P_yu.conj().transpose(0, 2, 1)).real
-    found: list[list[FrequencyResponse]] = []
-    for j in range(k):
-        power = 1.0 / np.maximum(inverse[:, j, j].real, TINY)
-        found.append([])
-        for i in (X, Y):
-            shown = np.abs(H[:, i, j]) ** 2 * power
-            coherence = shown / np.maximum(shown + np.maximum(noise[:, i], 0.0), TINY)
-            found[-1].append(FrequencyResponse(hz, H[:, i, j], coherence, power, averages))
-    return found
-
-
-def _spectra(values: Array, segment: int) -> tuple[Array, Complex]:
-    """Return frequencies (f,) and cross spectra (f, k, k), [i, j]: conj(j)·i, of values (n, k)."""
-    padded = np.pad(values, ((segment, segment), (0, 0))).T
-    options = {
-        "fs": RATE_HZ, "window": "hann", "nperseg": segment,
-        "noverlap": int(OVERLAP * segment), "detrend": False,
-    }  # fmt: skip
-    hz, spectra = signal.csd(padded[None, :, :], padded[:, None, :], **options)
-    kept = slice(2, None, 2)  # those between add nothing, with a Hann window
-    return hz[kept], np.moveaxis(spectra, -1, 0)[kept]

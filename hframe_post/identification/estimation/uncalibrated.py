@@ -14,7 +14,7 @@ mounted alike show where x and y point; of one direction the other lies at right
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -24,6 +24,7 @@ from hframe_post.arrays import Array, Complex, Flags, X, Y
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
+    by_command,
     estimate,
 )
 from hframe_post.identification.estimation.measured import (
@@ -31,7 +32,6 @@ from hframe_post.identification.estimation.measured import (
     Run,
     RunGroup,
     RunResponse,
-    with_common_delay,
 )
 from hframe_post.identification.recordings.clock import (
     SelfAligned,
@@ -192,7 +192,8 @@ def uncalibrated_responses(
 def _located(run: Run, settings: MeasurementSettings) -> _Located:
     try:
         found = self_aligned(acceleration(run.displacement), run.nozzle, run.rough_clock)
-        responses = [_response(found, axis, settings) for axis in np.eye(3)]
+        (seen,) = by_command(found.command[:, None], found.acceleration)
+        responses = [each.within(settings.band_hz) for each in seen]
         return _Located(run, found, run.direction, direction(responses))
     except IdentificationError as error:
         raise IdentificationError(f"{run.name}: {error}") from None
@@ -212,17 +213,11 @@ def _group(
     low = max(one.seen.excited_hz[0] for one in chosen)
     high = min(one.seen.excited_hz[1] for one in chosen)
     resonance = float(np.median([one.seen.resonance_hz for one in chosen]))
-    group = with_common_delay(_with_common_gain(responses, low, resonance))
     # a mode that x and y share may be a clear peak in one of them only
     felt = (other for other in located if _mounted_alike(chosen[0], other))
     lowest = min(resonance, *(other.seen.resonance_hz for other in felt))
-    return replace(
-        group,
-        delay_bounds=(0.0, 0.0),
-        excited_hz=(low, high),
-        resonance_hz=resonance,
-        lowest_hz=lowest,
-    )
+    runs = _with_common_gain(responses, low, resonance)
+    return RunGroup(runs, (low, high), resonance, lowest)
 
 
 def _run_response(
@@ -234,7 +229,7 @@ def _run_response(
     along, across = (x, y) if axis == X else (y, x)
     px, py = (one.run.command.mean(axis=0) + settings.offset).tolist()
     found = RunResponse(
-        px, along, y if alone else along, 0.0, across,
+        px, along, y if alone else along, across,
         (float(one.commanded[X]), float(one.commanded[Y])), (px, py),
     )  # fmt: skip
     return found.scaled(1.0 / share).advanced(one.seen.delay)
