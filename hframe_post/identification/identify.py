@@ -70,8 +70,7 @@ class Identified:
     the kinematics can rack. racking_below_noise: racking was looked for and is less than its
     noise. mode_shift: how Gxx changes along x. repetitions: by name, of axes that were recorded
     more than once at one place, the share of the response that each recording has of its own.
-    couplings: what x and y do to each other. lever_arm_sd: standard deviations of x_c (mm) and of
-    racking (relative), if racking was found by the lever arm.
+    couplings: what x and y do to each other.
     """
 
     measured: dict[str, Measured]
@@ -81,7 +80,6 @@ class Identified:
     racks: bool
     racking_below_noise: bool
     mode_shift: ModeShift | None
-    lever_arm_sd: tuple[float, float] | None
     repetitions: dict[str, float]
     couplings: list[MeasuredCoupling]
 
@@ -94,8 +92,7 @@ class Identified:
     def model_error(self) -> float:
         """Return the uncertainty of the model; what changes from day to day is assumed, unless
         every axis was recorded more than once."""
-        shares = [min(2.0 * self.lever_arm_sd[1], MOST)] if self.lever_arm_sd else []
-        shares += [min(share / BY_SHIFT, MOST) for share in self.repetitions.values()]
+        shares = [min(share / BY_SHIFT, MOST) for share in self.repetitions.values()]
         known = self.repetitions.keys() >= AXIS.keys() & self.fits.keys()
         return max([LEAST_CHANGE if known else DAY_TO_DAY, *shares])
 
@@ -183,7 +180,7 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
     couplings = [_coupling(name, group, fits, x_c, settings) for name, group in groups.items()]
     return Identified(
         measured, fits, x_c, warnings, settings.racks, sought and racking is None,
-        moving.get("Gxx"), racking.lever_arm_sd if racking else None, repetitions,
+        moving.get("Gxx"), repetitions,
         [one for one in couplings if one is not None],
     )  # fmt: skip
 

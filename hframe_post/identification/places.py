@@ -45,7 +45,6 @@ from hframe_post.model.impulse_response import (
     ImpulseResponse,
 )
 
-SAMPLES = 12  # of racking, with as much noise added as the coherence tells
 DAY_TO_DAY = 0.05  # relative change of a printer as belts, bearings and temperature change
 MOST = 0.2  # a model that scatters by more is wrong in another way
 SCATTER = 0.002  # of the frequencies from run to run, relative
@@ -53,31 +52,6 @@ COUNTED_AS = 4  # positions that this usual scatter is worth
 LEAST_SHIFT = 0.01  # over all positions
 CHANCE = 1e-3  # that a shift is only noise
 SHIFTS = np.exp(np.arange(-0.3, 0.3001, 0.004))  # of frequencies, that are tried
-
-
-def lever_arm_uncertainty(
-    places: Sequence[float], responses: Sequence[FrequencyResponse], Gxx: FrequencyResponse
-) -> tuple[float, float]:
-    """Return standard deviations of x_c (mm) and of racking (relative), found by the lever arm."""
-    rng = np.random.default_rng(0)
-    found = line(places, responses).slope
-    centres, slopes = [], []
-    for _ in range(SAMPLES):
-        sample = line(places, [with_noise(response, rng) for response in responses])
-        centres.append(centre(sample, Gxx.H)[0])
-        size = (found.power * found.H.conj() * sample.slope.H).sum().real
-        slopes.append(size / (found.power * np.abs(found.H) ** 2).sum())
-    return float(np.std(centres)), float(np.std(slopes))
-
-
-def with_noise(response: FrequencyResponse, rng: np.random.Generator) -> FrequencyResponse:
-    """Return the response with random noise of the size that its coherence tells."""
-    real, imaginary = rng.normal(size=(2, len(response.hz))) * np.sqrt(0.5)
-    noise = response.noise * np.abs(response.H) * (real + 1j * imaginary)
-    return replace(response, H=response.H + noise)
-
-
-# ---------------------------------------------------------------------- along x
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,12 +228,11 @@ APART = 20.0  # mm, at least, of the outer positions
 
 @dataclass(frozen=True, slots=True)
 class Racking:
-    """Gxtheta as measured and as fitted, x_c in mm, and the uncertainty of lever arms."""
+    """Gxtheta as measured and as fitted, and x_c in mm."""
 
     measured: Measured
     fit: Fit
     x_c: float
-    lever_arm_sd: tuple[float, float]
 
 
 def find_racking(
@@ -288,8 +261,7 @@ def find_racking(
     if moves is not None:
         turned = [(run.place, run.place - x_c, run.y) for run in runs]
         fit = replace(fit, G=racking_along_x(fit.G, moves, measured.mean, turned))
-    sd = lever_arm_uncertainty([run.place for run in runs], [run.y for run in runs], along)
-    return Racking(measured, fit, x_c, sd), True
+    return Racking(measured, fit, x_c), True
 
 
 def _fitted(

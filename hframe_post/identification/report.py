@@ -149,7 +149,8 @@ class IdentificationReport:
         moving = self.identified.along_x
         rows += [("along x", _moves(name, G)) for name, G in moving.items()]
         rows.append(("sensor", self._sensor()))
-        rows += [("uncertainty", text) for text in self._uncertainties()]
+        error = f"whole model, with day-to-day change: ±{100.0 * self.identified.model_error:.1f} %"
+        rows.append(("uncertainty", error))
         rows += [("repeats", text) for text in self._repetitions()]
         rows += [("coupling", one.as_text()) for one in self.identified.couplings]
         rows += self.compensation.rows() if self.compensation else []
@@ -165,24 +166,12 @@ class IdentificationReport:
             errors.append(f"{how if abs(off) > 0.005 else 'correctly'} in {axis}")
         return f"reads {', '.join(errors)} (allowed for)"
 
-    def _uncertainties(self) -> list[str]:
-        found = self.identified
-        lines = []
-        if found.lever_arm_sd is not None:
-            x_c, size = found.lever_arm_sd
-            lines.append(f"x_c ±{2.0 * x_c:.2f} mm, racking ±{200.0 * size:.2f} %")
-        return [*lines, f"whole model, with day-to-day change: ±{100.0 * found.model_error:.1f} %"]
-
     def as_json(self) -> dict[str, Any]:
         identified = self.identified
-        uncertainty: dict[str, Any] = {"share": round(identified.model_error, 5)}
-        if identified.lever_arm_sd is not None:
-            x_c, size = identified.lever_arm_sd
-            uncertainty |= {"x_c_mm": round(x_c, 4), "racking": round(size, 5)}
         return {
             "functions": {name: self._function(name) for name in identified.fits},
             "x_c": {"mm": round(self.plant.x_c, 3), "measured": identified.x_c is not None},
-            "uncertainty": uncertainty,
+            "uncertainty": {"share": round(identified.model_error, 5)},
             "coupling": [one.as_json() for one in identified.couplings],
             "repeats": {name: round(share, 4) for name, share in identified.repetitions.items()},
             "sensor_gain": {axis: round(gain, 5) for axis, gain in identified.gains.items()},

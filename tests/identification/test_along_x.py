@@ -22,7 +22,6 @@ from hframe_post.identification.places import (
     find_mode_shift,
     fit_places,
     racking_along_x,
-    with_noise,
 )
 from hframe_post.identification.report import IdentificationReport
 from hframe_post.model.impulse_response import (
@@ -38,6 +37,13 @@ HZ = np.arange(3.0, 100.01, 0.25)
 BAND = (3.0, 100.0)
 PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)  # mm of x
 HERE_HZ = 28.0
+
+
+def with_noise(response: FrequencyResponse, rng: np.random.Generator) -> FrequencyResponse:
+    """Return the response with random noise of the size that its coherence tells."""
+    real, imaginary = rng.normal(size=(2, len(response.hz))) * np.sqrt(0.5)
+    noise = response.noise * np.abs(response.H) * (real + 1j * imaginary)
+    return replace(response, H=response.H + noise)
 
 
 def measured(place: float, change: float, rng: np.random.Generator) -> FrequencyResponse:
