@@ -236,8 +236,10 @@ def _measured(group: RunGroup, settings: MeasurementSettings) -> Measured:
 
 
 def _fit_all(measured: Mapping[str, Measured], settings: MeasurementSettings) -> dict[str, Fit]:
-    excited = {name: one.excited(settings.band_hz) for name, one in measured.items()}
-    fits = fit_unknown_start({name: one for name, one in excited.items() if one is not None})
+    fits = fit_unknown_start({
+        name: average(one.excited(settings.band_hz))
+        for name, one in measured.items() if not one.known_start
+    })  # fmt: skip
     for name, one in measured.items():
         if one.known_start:
             fits[name] = fit_known_start(one.mean.within(settings.band_hz))
@@ -251,13 +253,13 @@ def _repetition(measured: Measured, settings: MeasurementSettings) -> float | No
 
     Runs of our own sweep follow one another within minutes, which tells nothing of a day.
     """
-    excited = measured.excited(settings.band_hz)
-    if excited is None:
+    if measured.known_start:
         return None
     near = _most_repeated([place for place, _ in measured.places])
     if np.count_nonzero(near) < 2:
         return None
-    runs = [run for run, chosen in zip(excited.runs, near, strict=True) if chosen]
+    excited = measured.excited(settings.band_hz)
+    runs = [run for run, chosen in zip(excited, near, strict=True) if chosen]
     shares = [share_left(one.H, other, other.power) for one, other in pairwise(runs)]
     return float(np.mean(shares)) / math.sqrt(2.0)
 

@@ -11,7 +11,7 @@ import pytest
 import hframe_post as hp
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.estimation.axes import Excited, Fit, fit_unknown_start
+from hframe_post.identification.estimation.axes import Fit, fit_unknown_start
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse, share_left
 from hframe_post.identification.estimation.unknown_start import estimated
 from hframe_post.identification.identify import DRIFT, DRIFT_ALONE, Identified
@@ -53,7 +53,7 @@ def drawn(gain: float, delay: float, noise: float) -> tuple[FrequencyResponse, C
 
 
 def fitted(measured: FrequencyResponse) -> Fit:
-    return fit_unknown_start({"Gxx": Excited([measured], 43.0)})["Gxx"]
+    return fit_unknown_start({"Gxx": measured})["Gxx"]
 
 
 def test_gain_delay_and_response_are_found() -> None:
@@ -131,7 +131,7 @@ def test_if_one_axis_is_not_linear_the_start_of_both_is_unknown() -> None:
     """One lags at low speed, and one whose start is unknown does not."""
     x, _ = real(1)
     y, _ = drawn(1.0, 0.0, 0.01)
-    found = fit_unknown_start({"Gxx": Excited([x], 43.0), "Gyy": Excited([y], 46.0)})
+    found = fit_unknown_start({"Gxx": x, "Gyy": y})
     for one in found.values():
         assert one.G.lag == 0.0
 

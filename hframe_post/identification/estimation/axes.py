@@ -8,7 +8,7 @@ others           all delay is the recording's, but for what damping explains
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,6 @@ from hframe_post.identification.estimation import known_start, unknown_start
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     advanced,
-    average,
     share_left,
 )
 from hframe_post.identification.estimation.modes import Modes, described
@@ -30,23 +29,10 @@ RINGS = 0.3  # damping ratio below which a mode visibly rings
 # printers 0.005 to 0.035, of real ones 0.06 to 0.3
 LINEAR = 0.05
 UNCALIBRATED = (1.0, 0.05)  # gain, as mean and standard deviation, after a rough one
-ASSUMED = 0.9995  # coherence of what modes foresee
-GAIN_BY_MODES = 0.005  # standard deviation of the gain, if modes explain the recording
 EARLY = 4e-3  # s by which the rough start may be late
 LISTED = 0.03  # of the motion at rest: modes that contribute less are not listed
 DESCRIBED_LATE = 2e-3  # s by which their delay may differ from the response's lag
 NEAR = 1e-5  # s; likewise where the delay is known
-
-
-@dataclass(frozen=True, slots=True)
-class Excited:
-    """Responses of one axis where they were excited, on a common delay of nearly 0.
-
-    resonance_hz: of the lowest clear resonance.
-    """
-
-    runs: Sequence[FrequencyResponse]
-    resonance_hz: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +57,11 @@ class Measured:
     def runs(self) -> list[FrequencyResponse]:
         return [response for _, response in self.places]
 
-    def excited(self, band_hz: tuple[float, float]) -> Excited | None:
-        """Return what was excited within the band; None if the recordings are calibrated."""
-        if self.resonance_hz is None:
-            return None
+    def excited(self, band_hz: tuple[float, float]) -> list[FrequencyResponse]:
+        """Return the runs where they were excited within the band."""
         low, high = self.excited_hz
         band = max(band_hz[0], low), min(band_hz[1], high)
-        return Excited([run.within(band) for run in self.runs], self.resonance_hz)
+        return [run.within(band) for run in self.runs]
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +140,7 @@ def fit_racking(whole: FrequencyResponse, x: Fit, gain: float, in_time: bool) ->
 # ---------------------------------------------------------------------- an unknown start
 
 
-def fit_unknown_start(axes: Mapping[str, Excited]) -> dict[str, Fit]:
+def fit_unknown_start(axes: Mapping[str, FrequencyResponse]) -> dict[str, Fit]:
     """Return the responses of recordings whose start and gain are unknown: all delay is theirs.
 
     Where a linear response explains a recording, the printer is late at low speed by what the
@@ -164,53 +148,35 @@ def fit_unknown_start(axes: Mapping[str, Excited]) -> dict[str, Fit]:
     that is unknown (``unknown_start``). If one axis is of these, all are: they are then assumed not
     to be late, and one of each would pull x and y apart. Raises IdentificationError.
     """
-    ideal = {name: _with_an_ideal_mode(axis) for name, axis in axes.items()}
+    ideal = {name: _with_an_ideal_mode(whole) for name, whole in axes.items()}
     if any(one.residual > LINEAR for one in ideal.values()):
         return ideal
-    damped = {name: _from_its_damping(axis) for name, axis in axes.items()}
+    damped = {name: _from_its_damping(whole) for name, whole in axes.items()}
     linear = all(one.residual <= LINEAR for one in damped.values())
     return damped if linear else ideal
 
 
-def _from_its_damping(axis: Excited) -> Fit:
+def _from_its_damping(whole: FrequencyResponse) -> Fit:
     """Return the response that is as late at low speed as the damping of its modes explains."""
-    whole = average(axis.runs)
     gain, late = unknown_start.gain_and_delay(whole)
     late -= EARLY
     scaled = replace(whole, H=whole.H / gain)
-    rough = known_start.estimated(advanced(scaled, late), UNCALIBRATED)
     in_time = advanced(scaled, late)
-    if not any(mode.zeta < RINGS for mode in rough.modes):  # too stiff to ring, so in time with it
+    rough = known_start.estimated(in_time, UNCALIBRATED)
+    if any(mode.zeta < RINGS for mode in rough.modes):
+        seen = whole.hz >= rough.resonance_hz * unknown_start.MEASURED
+        lag = rough.G.lag * TS
+        bounds = (lag - DESCRIBED_LATE, lag + DESCRIBED_LATE)
+        late += _in_modes(rough, in_time.where(seen), bounds, UNCALIBRATED, speed=False).delay
+    else:  # too stiff to ring, so in time with it
         late += rough.G.lag * TS
-        found = known_start.estimated(advanced(scaled, late), UNCALIBRATED)
-        found = replace(found, gain=gain * found.gain, delay=late)
-        return _described(found, whole, (late - NEAR, late + NEAR))
-    seen = whole.hz >= rough.resonance_hz * unknown_start.MEASURED
-    lag = rough.G.lag * TS
-    bounds = (lag - DESCRIBED_LATE, lag + DESCRIBED_LATE)
-    modes = _in_modes(rough, in_time.where(seen), bounds, UNCALIBRATED, speed=False)
-    late += modes.delay
-    assumed = advanced(_assumed_below(rough.resonance_hz, in_time, modes), modes.delay)
-    found = known_start.estimated(assumed, (modes.gain, GAIN_BY_MODES))
+    found = known_start.estimated(advanced(scaled, late), UNCALIBRATED)
     found = replace(found, gain=gain * found.gain, delay=late)
     return _described(found, whole, (late - NEAR, late + NEAR))
 
 
-def _assumed_below(
-    resonance_hz: float, measured: FrequencyResponse, modes: Modes
-) -> FrequencyResponse:
-    """Return a measured response with that of modes far below the resonance.
-
-    Motion is small there, and what a sensor rounds is wrong in phase and size; modes foresee it.
-    """
-    low = measured.hz < resonance_hz * unknown_start.MEASURED
-    H = np.where(low, modes.response(measured.hz), measured.H)
-    return replace(measured, H=H, coherence=np.where(low, ASSUMED, measured.coherence))
-
-
-def _with_an_ideal_mode(axis: Excited) -> Fit:
+def _with_an_ideal_mode(whole: FrequencyResponse) -> Fit:
     """Return the response that follows its command below the resonance as one mode does."""
-    whole = average(axis.runs)
     found = unknown_start.estimated(whole)
     return _described(found, whole, (found.delay - NEAR, found.delay + NEAR))
 
@@ -221,11 +187,7 @@ def _with_an_ideal_mode(axis: Excited) -> Fit:
 def _described(found: Estimated, whole: FrequencyResponse, delays: tuple[float, float]) -> Fit:
     """Return the fit of a response whose modes are late as these bounds tell, s."""
     gain = (found.gain, 0.03 * abs(found.gain))
-    return _with_modes(found, whole, _in_modes(found, whole, delays, gain, speed=True))
-
-
-def _with_modes(found: Estimated, whole: FrequencyResponse, modes: Modes) -> Fit:
-    """Return the fit of a response. whole: with the sensor's gain."""
+    modes = _in_modes(found, whole, delays, gain, speed=True)
     left = share_left(found.response(whole.hz), whole, whole.power)
     return Fit(found.G, left, found.gain, found.delay, found, modes, float(whole.hz[-1]))
 

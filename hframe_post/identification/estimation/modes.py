@@ -80,18 +80,7 @@ def described(
     for mode in start:
         if all(abs(np.log(mode.omega / kept.omega)) > COMPANION for kept in apart):
             apart.append(mode)
-    found = _nearest(hz, H, weight, apart, delays, gain, speed)
-    log_omega = np.log(found.omega)
-    near = np.abs(log_omega[:, None] - log_omega) < COMPANION
-    gone = (near & (found.sizes > found.sizes[:, None])).any(axis=1)
-    if not gone.any():
-        return found
-    kept = [one for one, away in zip(_each(found), gone, strict=True) if not away]
-    return _nearest(hz, H, weight, kept, delays, gain, speed)
-
-
-def _each(modes: Modes) -> list[Mode]:
-    return [Mode(w, z) for w, z in zip(modes.omega.tolist(), modes.zeta.tolist(), strict=True)]
+    return _nearest(hz, H, weight, apart, delays, gain, speed)
 
 
 def _nearest(
