@@ -84,8 +84,10 @@ def _run(*words: str) -> None:
 
 if __name__ == "__main__":
     with TemporaryDirectory() as folder:
-        settle(OWNERS["marlin500"], Path(folder) / "bed", measured=True)
-        keep(Path(folder) / "bed", "bedslinger-500")
+        settle(OWNERS["marlin500"], bed := Path(folder) / "bed", records=True)
+        with chdir(bed):
+            _run("identify", "recordings", "-p", PROFILE, "-o", PROFILE)
+        keep(bed, "bedslinger-500")
         (home := Path(folder) / "hbot").mkdir()
         hbot(home)
         keep(home, "hbot-3000")
