@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from hframe_post.cli.json_summary import json_option, open_json
-from hframe_post.cli.options import (
+from hframe_post.cli.parameters import (
     chosen_printer,
     conversion_options,
     files_read,

@@ -11,7 +11,7 @@ import numpy as np
 
 from hframe_post.cli.measure import FILE
 from hframe_post.cli.model_output import ModelOutput
-from hframe_post.cli.options import (
+from hframe_post.cli.parameters import (
     files_read,
     number,
     printer_option,

@@ -17,7 +17,7 @@ from hframe_post.cli.model_output import (
     publish,
     recordings_argument,
 )
-from hframe_post.cli.options import files_read, page_option, printer_option
+from hframe_post.cli.parameters import files_read, page_option, printer_option
 from hframe_post.errors import IdentificationError, PrinterError
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.printer.settings import Verified

@@ -14,7 +14,7 @@ import click
 from platformdirs import user_data_path
 
 from hframe_post.cli.moonraker import RESTART, Moonraker, agreed, find_printer_cfg, make
-from hframe_post.cli.options import quoted, say
+from hframe_post.cli.parameters import quoted, say
 from hframe_post.cli.setup import NewProfile
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import macros

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.options import coloured, quoted
+from hframe_post.cli.parameters import coloured, quoted
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware, source_of

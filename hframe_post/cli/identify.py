@@ -12,7 +12,7 @@ import click
 from hframe_post.cli.json_summary import json_option
 from hframe_post.cli.measure import FILE
 from hframe_post.cli.model_output import Findings, profile_option, publish, recordings_argument
-from hframe_post.cli.options import (
+from hframe_post.cli.parameters import (
     files_read,
     help_all_option,
     page_option,

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from hframe_post.cli.options import dashed
+from hframe_post.cli.parameters import dashed
 from hframe_post.errors import HframeError
 from hframe_post.version import __version__
 from hframe_post.writers.outputs import Outputs

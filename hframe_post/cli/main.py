@@ -102,7 +102,7 @@ class _Failure(click.ClickException):
     """A failure, in one line."""
 
     def show(self, file: IO[Any] | None = None) -> None:
-        from hframe_post.cli.options import coloured
+        from hframe_post.cli.parameters import coloured
 
         click.echo(coloured(f"Error: {self.format_message()}"), err=True)
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hframe_post.arrays import X, Y
-from hframe_post.cli.options import files_read, position, printer_option, quoted, say
+from hframe_post.cli.parameters import files_read, position, printer_option, quoted, say
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.printer.settings import CHIP_NAME
 from hframe_post.writers.outputs import Outputs

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import click
 
 from hframe_post.cli.json_summary import open_json
-from hframe_post.cli.options import quoted, say, shown_working, write_kernel
+from hframe_post.cli.parameters import quoted, say, shown_working, write_kernel
 from hframe_post.errors import HframeError
 from hframe_post.printer.choice import PROFILE
 from hframe_post.printer.model_file import model_path, texts

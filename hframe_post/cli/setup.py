@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 
 from hframe_post.cli.model_output import ModelOutput
-from hframe_post.cli.options import files_read, number, quoted, write_kernel
+from hframe_post.cli.parameters import files_read, number, quoted, write_kernel
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Source
 from hframe_post.firmware.klipper.macros import FILE

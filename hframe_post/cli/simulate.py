@@ -10,7 +10,7 @@ import click
 
 from hframe_post import library
 from hframe_post.cli.json_summary import json_option, open_json
-from hframe_post.cli.options import (
+from hframe_post.cli.parameters import (
     chosen_printer,
     conversion_options,
     dashed,
@@ -43,7 +43,7 @@ from hframe_post.writers.outputs import Outputs
 @help_all_option
 @click.option(
     "--plant", "plant_file", metavar="NAME|FILE",
-    help="Judge on the model of this profile.",
+    help="Judge on the model of this profile.", hidden=True,
 )  # fmt: skip
 @click.option(
     "--model-error", "shares", type=share, multiple=True, metavar="PERCENT",
@@ -51,10 +51,12 @@ from hframe_post.writers.outputs import Outputs
 )  # fmt: skip
 @click.option(
     "--draws", type=click.IntRange(1, 1000), default=50, show_default=True,
-    help="Random printers for each --model-error.",
+    help="Random printers for each --model-error.", hidden=True,
 )  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Random seed.")
-@click.option("--steps", is_flag=True, help="Round the motors' motion to whole steps.")
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Random seed.", hidden=True
+)
+@click.option("--steps", is_flag=True, help="Round the motors' motion to whole steps.", hidden=True)
 @click.option(
     "--shapers", is_flag=True,
     help="Compare with input shapers at their best, and print settings.",

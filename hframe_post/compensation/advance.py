@@ -14,7 +14,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers
 from hframe_post.firmware.dialect import Advance, ExtruderLimits
-from hframe_post.model.advance import NEAR, REACH, bounded, extruding, smoothed
+from hframe_post.model.pressure_advance import NEAR, REACH, bounded, extruding, smoothed
 from hframe_post.printer.settings import MAX_SMOOTHING_S
 from hframe_post.stream.chunks import neighbours, stretches
 from hframe_post.stream.tally import joined, tallied

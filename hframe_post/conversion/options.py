@@ -1,8 +1,8 @@
 """The options of a conversion, each declared once: its default, its values and its help.
 
 The library takes them as ``Options``. The command line makes its own from the fields that are
-``Shown`` (`cli.options.conversion_options`); ``Options.words`` turns them back into words, for the
-processes of a batch.
+``Shown`` (`cli.parameters.conversion_options`); ``Options.words`` turns them back into words, for
+the processes of a batch.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ The advance K · dE/dt grows by K·r·a, where the path accelerates by a and tak
 mm. Where E must contain it, the firmware's limits of E hold for it, so lines accelerate by no more
 than
 
-    a = v / (K·r),   v: see ``model.advance.steepest``
+    a = v / (K·r),   v: see ``model.pressure_advance.steepest``
 
 as Marlin's own linear advance lowers them. Otherwise the advance would come too late.
 """
@@ -18,7 +18,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, lengths
 from hframe_post.firmware.dialect import Advance, ExtruderLimits
-from hframe_post.model.advance import steepest
+from hframe_post.model.pressure_advance import steepest
 from hframe_post.stream.types import Item, Mark, Moves, Passthrough, frozen
 
 LOWEST = 0.25  # of the acceleration: beyond, K is far from usual, and the advance comes late

@@ -23,9 +23,9 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers
 from hframe_post.firmware.motion import MotionRules
-from hframe_post.model.advance import extruding
 from hframe_post.model.nozzle import Plants
 from hframe_post.model.plant import Plant
+from hframe_post.model.pressure_advance import extruding
 from hframe_post.native.judging import line_pieces
 from hframe_post.native.linear import recursion
 from hframe_post.native.stop import NEAREST

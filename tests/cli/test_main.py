@@ -139,7 +139,7 @@ def test_a_progress_bar_shows_on_a_terminal_only(tmp_path: Path) -> None:
     part = tmp_path / "long.gcode"
     part.write_bytes(RECTANGLE.read_bytes() + (b"; " + b"-" * 500 + b"\n") * 500)
     at_once = (
-        "import runpy; from hframe_post.cli import options; options.PATIENCE_S = 0.0; "
+        "import runpy; from hframe_post.cli import parameters; parameters.PATIENCE_S = 0.0; "
         "runpy.run_module('hframe_post', run_name='__main__')"
     )
     ours, theirs = pty.openpty()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hframe_post.cli.options import quoted
+from hframe_post.cli.parameters import quoted
 from tests.command_line import run
 from tests.printers import M503, REAL
 

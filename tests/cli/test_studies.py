@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from hframe_post.cli.main import main
-from hframe_post.cli.options import share
+from hframe_post.cli.parameters import share
 from tests.command_line import run
 from tests.conftest import SAMPLES
 

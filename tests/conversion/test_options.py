@@ -9,7 +9,7 @@ from typing import Any
 import click
 import pytest
 
-from hframe_post.cli.options import conversion_options
+from hframe_post.cli.parameters import conversion_options
 from hframe_post.conversion.options import SHOWN, Options, error_bounds, speed_factor
 from hframe_post.errors import ArgumentError, HframeError, OptionError
 from hframe_post.printer.settings import Printer

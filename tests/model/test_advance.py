@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array, E, X
-from hframe_post.model.advance import NEAR, REACH, bounded, extruding, smoothed
+from hframe_post.model.pressure_advance import NEAR, REACH, bounded, extruding, smoothed
 from tests.quantities import below
 
 HALF, VELOCITY, ACCELERATION = 10, 40.0, 2000.0
