@@ -12,7 +12,7 @@ from hframe_post.arrays import Array, Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.identification.identify import Identified, MeasurementSettings, Run, identify
-from hframe_post.identification.recordings.clock import KnownStart
+from hframe_post.identification.recordings.clock import Clock
 from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.identification.recordings.strokes import runs
 from hframe_post.identification.verify import motion_of
@@ -45,14 +45,9 @@ def recorded(
     machine: Playing, chip: Chip, planned: Sequence[PlannedRun], seed: int, step: float = 0.0
 ) -> list[Run]:
     """Return runs of known start. step: mm of belt that a motor step moves."""
-    start = KnownStart(BEGUN, SD)
+    clock = Clock(BEGUN, sd=SD)
     return [
-        Run(
-            run.name,
-            run.command,
-            chip.record(machine, run.command, 100 * seed + k, step),
-            start=start,
-        )
+        Run(run.name, run.command, chip.record(machine, run.command, 100 * seed + k, step), clock)
         for k, run in enumerate(planned)
     ]
 

@@ -107,7 +107,6 @@ def runs_of_tests(
             worn = replace(chip, drift=float(rng.uniform(-0.02, 0.02)))
             it = recorded(machine, test, worn, seed, 1000 * seed + len(runs))
             found = find(it.recording, klipper(direction, point=point))
-            clock = found.start - float(it.recording.t[0]), found.drift
             name = f"{'xy'[direction == Y]}-{place:g}"
-            runs.append(Run(name, found.test.command(), it.recording, rough_clock=clock))
+            runs.append(Run(name, found.test.command(), it.recording, found.clock))
     return runs

@@ -66,20 +66,18 @@ def check(
     if not verifies:
         check_identified(profile)
     publish(
-        lambda: (_verified if verifies else _drifted)(recordings, profile, files),
+        lambda: (_verified if verifies else _drifted)(recordings, profile),
         [*files_read(printer), *files], printer, output, json_file, report_file,
     )  # fmt: skip
 
 
-def _drifted(recordings: tuple[Path, ...], profile: Printer, files: dict[Path, str]) -> Findings:
+def _drifted(recordings: tuple[Path, ...], profile: Printer) -> Findings:
     """Return what has drifted, and the profile with the model and the uncertainty of that day."""
     from hframe_post.identification.check import CheckReport, drifts
-    from hframe_post.identification.recordings.names import recorded_on
 
     gathered = _gathered(recordings, profile)
     runs = list({run.axes: run for run in gathered.runs}.values())  # the last of each
-    labels = {label: path for path, label in files.items()}
-    day = max(recorded_on(labels[run.name]) for run in runs)
+    day = gathered.day(runs)
     if profile.measured is not None and day < profile.measured:
         raise IdentificationError(
             f"the recordings are of {day}, older than the model, of {profile.measured}: "
@@ -97,12 +95,11 @@ def _drifted(recordings: tuple[Path, ...], profile: Printer, files: dict[Path, s
     return Findings(report, updated, aside=aside)
 
 
-def _verified(recordings: tuple[Path, ...], profile: Printer, files: dict[Path, str]) -> Findings:
+def _verified(recordings: tuple[Path, ...], profile: Printer) -> Findings:
     """Return the verdict on one motion, uncompensated and compensated, and the marked profile."""
     from hframe_post.identification.gather import from_folders
     from hframe_post.identification.pages import verification_page
     from hframe_post.identification.recordings.folder import VERIFY
-    from hframe_post.identification.recordings.names import recorded_on
     from hframe_post.identification.verify import both, compare_runs
 
     gathered = from_folders(recordings, None, profile.travel, kinds=[VERIFY])
@@ -114,8 +111,7 @@ def _verified(recordings: tuple[Path, ...], profile: Printer, files: dict[Path, 
     if verdict.fault is not None:
         found.fault = IdentificationError(f"the profile is not verified: {verdict.fault}")
         return found
-    labels = {label: path for path, label in files.items()}
-    day = max(recorded_on(labels[run.name]) for run in runs).isoformat()
+    day = gathered.day(runs).isoformat()
     mark = Verified(day, round(verdict.reduction, 4), profile.firmware.dialect, profile.model)
     found.printer = replace(profile, verified=mark)
     return found
@@ -129,8 +125,8 @@ def _gathered(recordings: tuple[Path, ...], profile: Printer) -> Gathered:
     sweep = profile.sweep
     chips = {axis: chip.lower() for axis, chip in (("x", sweep.chip_x), ("y", sweep.chip_y))}
     found = from_folders(recordings, None, profile.travel, chips=chips, kinds=[CHECK])
-    found = replace(found, runs=[run for run in found.runs if run.start])
-    if not found.runs:
+    found = replace(found, used=[one for one in found.used if one.run.known_start])
+    if not found.used:
         raise IdentificationError(
             "no recording of the run that 'hframe-post measure --for check' writes. Give its "
             "recordings and its commands, such as check.check-at-150.csv"

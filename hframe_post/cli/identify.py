@@ -105,7 +105,6 @@ def identify(
     def model() -> Findings:
         from hframe_post.identification.gather import gather
         from hframe_post.identification.pages import identification_page
-        from hframe_post.identification.recordings.names import recorded_on
         from hframe_post.identification.report import conclude
 
         gathered = gather(recordings, nozzle, config, profile.travel, columns)
@@ -118,7 +117,7 @@ def identify(
         if report.compensation is None:
             found.fault = IdentificationError(report.identified.refusal or NO_WINDOW)
             return found
-        day = max(recorded_on(one.path) for one in gathered.used)
+        day = gathered.day(gathered.runs)
         error = round(report.identified.model_error, 4)
         updated = measured(profile, report.plant, error, day)
         if updated.kinematics != profile.kinematics and output is not None:

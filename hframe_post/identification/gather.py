@@ -1,6 +1,6 @@
-"""Runs to identify a printer from: recordings, each with the motion that was played.
+"""Experiments to identify a printer from: recordings, each with the motion that was played.
 
-    folders, pairs → runs
+    folders, pairs → experiments, each a run
 
 The motion of strokes, or of Marlin's sweep, is in its command's file. That of a test of resonances
 follows from [resonance_tester] of printer.cfg, corrected by what the recording shows.
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -49,23 +50,33 @@ EXCHANGED = (
 
 
 @dataclass(frozen=True, slots=True)
-class Used:
-    """A recording that is used: of which motion, and what was unusual about it.
+class Experiment:
+    """A motion that was played, and its recording.
 
+    source: the recording in its file. motion: which it was, in words. notes: what was unusual.
     axis (3,): the direction of a test of resonances, as the sensor shows it.
     """
 
-    label: str
+    source: Measurement
+    run: Run
     motion: str
-    digest: str
-    path: Path
-    session: int = 1
-    notes: tuple[str, ...] = ()
+    notes: Sequence[str] = ()
     axis: Array | None = None
 
+    @property
+    def label(self) -> str:
+        return self.source.label
+
     def as_text(self) -> str:
-        repeated = f", session {self.session}" if self.session > 1 else ""
+        session = self.source.session
+        repeated = f", session {session}" if session > 1 else ""
         return "; ".join([f"{self.label}: {self.motion}{repeated}", *self.notes])
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "file": self.label, "motion": self.motion, "session": self.source.session,
+            "sha256": self.source.digest, "notes": list(self.notes),
+        }  # fmt: skip
 
 
 SECOND = "of a second sensor, {}; printer.cfg or the shorter name says which one counts"
@@ -73,14 +84,19 @@ SECOND = "of a second sensor, {}; printer.cfg or the shorter name says which one
 
 @dataclass(frozen=True, slots=True)
 class Gathered:
-    """Runs, the recordings that they are made of, and what was left aside."""
+    """Experiments that are used, and the files that were left aside."""
 
-    runs: list[Run]
-    used: list[Used]
+    used: list[Experiment]
     aside: list[Aside]
 
-    def __add__(self, other: Gathered) -> Gathered:
-        return Gathered(self.runs + other.runs, self.used + other.used, self.aside + other.aside)
+    @property
+    def runs(self) -> list[Run]:
+        return [one.run for one in self.used]
+
+    def day(self, runs: Sequence[Run]) -> date:
+        """Return the last day on which some of the runs were recorded. Raises OSError."""
+        names = {run.name for run in runs}
+        return max(one.source.day for one in self.used if one.label in names)
 
     def rows(self) -> list[tuple[str, str]]:
         """Return what was used and what was not, labelled, for a summary."""
@@ -91,26 +107,19 @@ class Gathered:
 
     def as_json(self) -> dict[str, Any]:
         return {
-            "recordings": [
-                {"file": one.label, "motion": one.motion, "session": one.session,
-                 "sha256": one.digest, "notes": list(one.notes)}
-                for one in self.used
-            ],
+            "recordings": [one.as_json() for one in self.used],
             "left_aside": [{"file": one.label, "reason": one.reason} for one in self.aside],
-        }  # fmt: skip
+        }
 
 
 def gather(
     paths: Sequence[Path], pairs: Sequence[tuple[Path, Path]], config: KlipperConfig | None,
     travel: Travel, columns: Sequence[str] | None,
 ) -> Gathered:  # fmt: skip
-    """Return the runs of ``from_folders``, and those of ``from_pair``."""
-    gathered = Gathered([], [], [])
-    if paths:
-        gathered += from_folders(paths, config, travel, columns)
-    for command, path in pairs:
-        gathered += from_pair(command, path, travel, columns)
-    return gathered
+    """Return the experiments of ``from_folders``, and those of ``from_pair``."""
+    found = from_folders(paths, config, travel, columns) if paths else Gathered([], [])
+    paired = [from_pair(command, path, travel, columns) for command, path in pairs]
+    return Gathered([*found.used, *paired], found.aside)
 
 
 # ---------------------------------------------------------------------- folders
@@ -121,7 +130,7 @@ def from_folders(
     columns: Sequence[str] | None = None, chips: Mapping[str, str] = MappingProxyType({}),
     kinds: Sequence[str] = (STROKES, CHECK),
 ) -> Gathered:  # fmt: skip
-    """Return the runs in files and folders, with recordings in the sensors' axes.
+    """Return the experiments in files and folders, with recordings in the sensors' axes.
 
     config: printer.cfg, which describes the tests of resonances; Klipper's defaults without it.
     columns: names of time, x, y, z in files that do not say it. chips: by x and y, the sensors
@@ -129,70 +138,79 @@ def from_folders(
     IdentificationError if no recording can be used.
     """
     held = contents(paths, columns, _chips(config) or chips)
-    made, aside = [], list(held.aside)
+    found, aside = list[Experiment](), list(held.aside)
     aside += [Aside(one.label, SECOND.format(one.name.chip)) for one in held.second]
     for one in held.measurements:
         if one.command is not None and (kind := one.command.kind) and kind not in kinds:
             aside.append(Aside(one.label, f"a motion that 'hframe-post {kind}' judges"))
             continue
         try:
-            run, record = _run(one, config, travel)
-            made.append((one, run, record))
+            found.append(_experiment(one, config, travel))
         except HframeError as error:
             aside.append(Aside(one.label, str(error)))
-    made = _exchanged(made)
-    struck = {axis for _, run, _ in made if run.start for axis in run.axes}
-    runs, used = [], []
-    for one, run, record in made:
-        if not run.start and struck.intersection(run.axes):
-            aside.append(Aside(one.label, "strokes along the same axis are more like a print"))
+    struck = {axis for one in found if one.run.known_start for axis in one.run.axes}
+    used = []
+    for each in _exchanged(found):
+        if not each.run.known_start and struck.intersection(each.run.axes):
+            aside.append(Aside(each.label, "strokes along the same axis are more like a print"))
         else:
-            runs.append(run)
-            used.append(record)
-    if not runs:
+            used.append(each)
+    if not used:
         reasons = "; ".join(f"{one.label}: {one.reason}" for one in aside[:3])
         reasons = reasons or "The files are commands, without their recordings"
         more = f"; and {len(aside) - 3} more files" if len(aside) > 3 else ""
         raise IdentificationError(f"no recording can be used. {reasons}{more}")
-    return Gathered(runs, used, aside)
+    return Gathered(used, aside)
 
 
-def _exchanged(
-    made: Sequence[tuple[Measurement, Run, Used]],
-) -> list[tuple[Measurement, Run, Used]]:
+def from_pair(
+    command: Path, path: Path, travel: Travel, columns: Sequence[str] | None
+) -> Experiment:
+    """Return the experiment of a command and its recording, which the user paired.
+
+    travel: of the printer. Raises OSError and IdentificationError.
+    """
+    recording = accelerometer.read(path, columns)
+    one = Measurement(
+        path.name, path, recording, parsed(path.name), digest_of(path), RunMotion.read(command)
+    )
+    try:
+        return _experiment(one, None, travel)
+    except IdentificationError as error:
+        raise IdentificationError(f"{path.name}: {error}") from None
+
+
+def _exchanged(found: Sequence[Experiment]) -> list[Experiment]:
     """Return the same, with a note where the tests of x and y show each other's axis."""
-    shown = {one.direction: used.axis for one, _, used in made if used.axis is not None}
+    shown = {one.source.direction: one.axis for one in found if one.axis is not None}
     x, y = (shown.get(direction) for direction in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
     if x is None or y is None or min(abs(x[Y]), abs(y[X])) < ALIKE:
-        return list(made)
+        return list(found)
     return [
-        (one, run, replace(used, notes=(*used.notes, EXCHANGED)) if used.axis is not None else used)
-        for one, run, used in made
+        one if one.axis is None else replace(one, notes=[*one.notes, EXCHANGED]) for one in found
     ]
 
 
-def _run(one: Measurement, config: KlipperConfig | None, travel: Travel) -> tuple[Run, Used]:
-    """Return the run of a recording, and what to tell of it. Raises HframeError."""
-    label, recording, command = one.label, one.recording, one.command
-    notes, axis = accelerometer.diagnose(recording, QUIET), None
+# ---------------------------------------------------------------------- kinds of experiments
+
+
+def _experiment(one: Measurement, config: KlipperConfig | None, travel: Travel) -> Experiment:
+    """Return the experiment that a recording is of. Raises HframeError."""
+    command, notes = one.command, accelerometer.diagnose(one.recording, QUIET)
     if command is None:
-        found = find(recording, _expected(one, config, travel))
-        shown, motion, axis = _described(found.test, config), found.test.command(), found.axis
-        rough = found.start - float(recording.t[0]), found.drift
-        seen = _in_sensor_axes(one, config)
-        run = Run(label, motion, seen, rough_clock=rough)
-    elif command.kind:
-        motion, shown = command.motion, f"{command.kind} {command.path.name}"
-        check_travel(motion, travel)
-        start, unusual = known_start(recording, len(motion), one.name.ended)
-        run = Run(label, motion, recording, start=start)
-        on_command_clock(motion, recording, start)  # raises if another motion was recorded
-        notes = [*unusual, *notes]
-    else:
-        motion, shown = command.motion, f"sweep {command.path.name}"
-        check_travel(motion, travel)
-        run = Run(label, motion, _in_sensor_axes(one, config))
-    return run, Used(label, shown, one.digest, one.path, one.session, tuple(notes), axis)
+        found = find(one.recording, _expected(one, config, travel))
+        run = Run(one.label, found.test.command(), _in_sensor_axes(one, config), found.clock)
+        return Experiment(one, run, _described(found.test, config), notes, found.axis)
+    motion, name = command.motion, command.path.name
+    check_travel(motion, travel)
+    if not command.kind:
+        return Experiment(
+            one, Run(one.label, motion, _in_sensor_axes(one, config)), f"sweep {name}", notes
+        )
+    clock, unusual = known_start(one.recording, len(motion), one.name.ended)
+    on_command_clock(motion, one.recording, clock)  # raises if another motion was recorded
+    run = Run(one.label, motion, one.recording, clock)
+    return Experiment(one, run, f"{command.kind} {name}", [*unusual, *notes])
 
 
 def _in_sensor_axes(one: Measurement, config: KlipperConfig | None) -> accelerometer.Recording:
@@ -263,22 +281,3 @@ def _chips(config: KlipperConfig | None) -> dict[str, str]:
 def _chip(config: KlipperConfig, axis: str) -> str:
     """Return the section of the sensor for an axis, x or y."""
     return config.text(SECTION, f"accel_chip_{axis}") or config.text(SECTION, "accel_chip")
-
-
-# ---------------------------------------------------------------------- files that the user pairs
-
-
-def from_pair(command: Path, path: Path, travel: Travel, columns: Sequence[str] | None) -> Gathered:
-    """Return the run of a command and its recording, which is in the sensor's axes.
-
-    travel: of the printer. Raises OSError and IdentificationError.
-    """
-    recording = accelerometer.read(path, columns)
-    one = Measurement(
-        path.name, path, recording, parsed(path.name), digest_of(path), RunMotion.read(command)
-    )
-    try:
-        run, record = _run(one, None, travel)
-    except IdentificationError as error:
-        raise IdentificationError(f"{path.name}: {error}") from None
-    return Gathered([run], [record], [])

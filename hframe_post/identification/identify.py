@@ -211,9 +211,9 @@ def _along_x(
 
 def _groups(runs: Sequence[Run], settings: MeasurementSettings) -> dict[str, RunGroup]:
     """Return the runs of each axis: of strokes, or else of others."""
-    strokes = stroke_responses([run for run in runs if run.start], settings)
+    strokes = stroke_responses([run for run in runs if run.known_start], settings)
     groups = {tuple(AXIS)[axis]: group for axis, group in strokes.items()}
-    others = [run for run in runs if not run.start]
+    others = [run for run in runs if not run.known_start]
     for axis, group in uncalibrated_responses(others, settings).items():
         groups.setdefault(tuple(AXIS)[axis], group)
     if not groups:
@@ -293,7 +293,7 @@ def _without_racking(run: Crossed, racking: Fit, x_c: float) -> Crossed:
 
 
 def _late_start(runs: Sequence[Run]) -> list[str]:
-    widest = max((run.start.sd for run in runs if run.start), default=0.0)
+    widest = max((run.clock.sd or 0.0 for run in runs if run.clock), default=0.0)
     message = (
         f"the start of a recording is known to ±{widest * 1e3:.1f} ms only, so x, y and racking "
         "may be late relative to each other by as much. Record with Klipper, whose files tell "

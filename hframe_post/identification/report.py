@@ -62,7 +62,9 @@ class IdentificationReport:
     @property
     def setup(self) -> list[str]:
         """Return the recordings that were used, a line each."""
-        return [f"  {one.label}, {one.motion}, sha256 {one.digest}" for one in self.gathered.used]
+        return [
+            f"  {one.label}, {one.motion}, sha256 {one.source.digest}" for one in self.gathered.used
+        ]
 
     def warnings(self) -> list[str]:
         """Return what the user should not rely on, with the contour error that may remain."""

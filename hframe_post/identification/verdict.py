@@ -23,3 +23,16 @@ REDUCTION = 0.2  # of the contour error; with less a profile is not worth its ri
 REDUCTION_OF_PREDICTED = 0.6
 UNEXPLAINED_OFF_PATH = 0.34  # of the nozzle's motion off its path
 COUPLING_ERROR = 0.45  # of what couples in the model, in addition to three standard deviations
+
+# a recording is refused
+LONGEST_GAP_S, LOST = 0.1, 0.01  # of samples; what is lost in all is a share
+UNRECORDED_S = 0.25  # of a motion's ends: Klipper of 2023 lost 0.03 s at the start, 0.08 at the end
+CLOCK_DRIFT = 0.03  # of a sensor; the worst seen have 0.02
+CHIRP_SCORE = 0.3  # of the line of growing frequency: 0.2 without one, 2 with a whole one
+TEST_EXPLAINED = 0.6  # of its slow part, by the motion of the test
+TEST_GROWTH = -0.5  # of its level, as a power of the frequency; a sine of equal size has -1
+TEST_LEVEL = 0.2  # of its level to that of the test; sensors and settings differ less
+TEST_PEAK = 1.5  # of its resonance; 1.2 with input shaping, 2.9 and more without on 20 printers
+SHOWN = 0.3  # of a command's slow part; of any axis that the sensor rides
+LIKENESS = 0.4  # of each part to what the sensor shows
+LAG_S = 0.03  # of each part; printers have less

@@ -168,9 +168,7 @@ def test_a_printer_whose_modes_move_is_compensated_all_along_x() -> None:
     exact = judged(still, replace(profile, plant=still.exact()))
     left = judged(machine, own)
     below(left.compensated, 1.3 * exact.compensated, "error of the rectangle, µm RMS")
-    text = IdentificationReport(
-        found, found.plant(machine.x_c), None, Gathered([], [], [])
-    ).remarks()
+    text = IdentificationReport(found, found.plant(machine.x_c), None, Gathered([], [])).remarks()
     assert any(line.startswith("along x") and "frequencies change by" in line for line in text)
     assert not any("one model is that of the middle" in line for line in text)
 

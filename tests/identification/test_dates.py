@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import gzip
+import json
 import os
-from collections.abc import Callable
 from datetime import UTC, date, datetime
 from pathlib import Path
 
 import pytest
 import zstandard
 
-from hframe_post.identification.recordings.names import recorded_on
+from hframe_post.identification.recordings.folder import contents
+from hframe_post.identification.recordings.names import day_of, parsed
 
 COPIED = date(2026, 2, 3)
 HEAD = "#time,accel_x,accel_y,accel_z\n"
@@ -39,26 +39,12 @@ def file(folder: Path, name: str, content: bytes = (HEAD + ROW).encode()) -> Pat
     ],
 )
 def test_the_date_in_the_name_counts_first(tmp_path: Path, name: str, day: date) -> None:
-    assert recorded_on(file(tmp_path, name)) == day
+    assert day_of(parsed(name), file(tmp_path, name)) == day
 
 
-@pytest.mark.parametrize("pack", [bytes, gzip.compress, zstandard.ZstdCompressor().compress])
-@pytest.mark.parametrize(
-    "text",
-    [
-        '{"name": "axis_X_20250526_101500", "samples": [[1, 20200101, 3, 4]]}\n',
-        f"# recorded 2025-05-26 10:15\n{ROW}",
-        f"Sample 2025-05-26,X,Y,Z\n{ROW}",
-    ],
-)
-def test_then_the_date_in_the_head(
-    tmp_path: Path, text: str, pack: Callable[[bytes], bytes]
-) -> None:
-    assert recorded_on(file(tmp_path, "x.stdata", pack(text.encode()))) == date(2025, 5, 26)
-
-
-def test_heads_of_packed_files(tmp_path: Path) -> None:
-    at = int(datetime(2025, 5, 26, 12, tzinfo=UTC).timestamp())
-    packed = gzip.compress((HEAD + ROW).encode(), mtime=at)
-    assert recorded_on(file(tmp_path, "x.csv.gz", packed)) == date(2025, 5, 26)
-    assert recorded_on(file(tmp_path, "y.csv.gz", packed[:20])) == date(2025, 5, 26)
+def test_then_the_date_of_the_measurement_in_the_file(tmp_path: Path) -> None:
+    rows = [[k / 800.0, float(k % 7), 3.0, 9800.0] for k in range(200)]
+    text = json.dumps({"name": "axis_X_20250526_101500", "samples": rows}) + "\n"
+    path = file(tmp_path, "x.stdata", zstandard.ZstdCompressor().compress(text.encode()))
+    (found,) = contents([path]).measurements
+    assert found.day == date(2025, 5, 26)

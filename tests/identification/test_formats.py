@@ -58,7 +58,7 @@ def test_compressed_files_are_read_whatever_their_name(
     path.write_bytes(pack(csv(rows)))
     np.testing.assert_allclose(read(path).a, rows[:, 1:], atol=1e-6)
     path.write_bytes(pack(csv(rows))[:-3000])
-    with pytest.raises(IdentificationError, match="is cut off"):
+    with pytest.raises(IdentificationError, match=r"cut off|file is empty"):
         read(path)
     path.write_bytes(pack(csv(rows))[:20] + bytes(range(200)))
     with pytest.raises(IdentificationError, match=r"raw\.csv"):

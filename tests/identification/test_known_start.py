@@ -15,7 +15,7 @@ from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.gather import Gathered, from_folders, from_pair
 from hframe_post.identification.recordings.accelerometer import Recording
-from hframe_post.identification.recordings.clock import Resampler
+from hframe_post.identification.recordings.clock import Clock, Resampler
 from hframe_post.identification.recordings.formats import command_csv
 from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.identification.recordings.strokes import runs
@@ -91,7 +91,7 @@ def true_acceleration(run: PlannedRun, machine: Machine = MACHINE) -> Array:
     motion = machine.played(run.command, 1)
     t = np.arange(len(motion)) / RATE  # as Chip takes it
     a = np.column_stack([motion[:, 2:4], np.zeros(len(t))])
-    return Resampler(t, a).resampled(0.0, 0.0, len(run.command))[:, :2]
+    return Resampler(t, a).resampled(Clock(0.0), len(run.command))[:, :2]
 
 
 def error(found: Array, true: Array) -> Array:
@@ -119,8 +119,8 @@ def test_the_true_acceleration_is_found(
     (found,) = folder.gathered().runs
     assert found.name == name
     assert found.axes == (0, 1)
-    assert found.start is not None
-    below(abs(found.start.at - BEGUN), 2e-6, "error of the start, s")
+    assert found.clock is not None
+    below(abs(found.clock.start - BEGUN), 2e-6, "error of the start, s")
     off = error(found.on_command_clock(), true_acceleration(run))
     below(float(off.max()), bound, "error of the acceleration, %")
 
@@ -129,9 +129,9 @@ def test_without_the_macro_the_first_sample_counts(tmp_path: Path) -> None:
     run, folder, chip = planned(), Folder(tmp_path), SLOW
     folder.add(run, chip.record(MACHINE, run.command, 5), ended=False)
     (found,) = folder.gathered().runs
-    assert found.start is not None
-    below(abs(found.start.at - BEGUN), 0.5 / chip.rate + 1e-5, "error of the start, s")
-    below(found.start.sd, 0.3 / chip.rate, "standard deviation of the start, s")
+    assert found.clock is not None
+    below(abs(found.clock.start - BEGUN), 0.5 / chip.rate + 1e-5, "error of the start, s")
+    below(found.clock.sd or 1.0, 0.3 / chip.rate, "standard deviation of the start, s")
     off = error(found.on_command_clock(), true_acceleration(run))
     below(float(off.max()), WITHOUT_MACRO, "error of the acceleration, %")
 
@@ -165,8 +165,8 @@ def test_a_pair_that_the_owner_names_is_the_same_run(tmp_path: Path) -> None:
     name = folder.add(run, FAST.record(MACHINE, run.command, 1))
     (one,) = folder.gathered().runs
     command = tmp_path / f"m.{run.name}.csv"
-    (other,) = from_pair(command, tmp_path / name, PRINTER.travel, None).runs
-    assert other.start == one.start
+    other = from_pair(command, tmp_path / name, PRINTER.travel, None).run
+    assert other.clock == one.clock
     assert np.array_equal(other.on_command_clock(), one.on_command_clock())
 
 
@@ -206,8 +206,8 @@ def test_a_time_that_something_else_moved_does_not_count(tmp_path: Path) -> None
     (tmp_path / name).rename(tmp_path / wrong)
     gathered = folder.gathered()
     (found,) = gathered.runs
-    assert found.start is not None
-    below(abs(found.start.at - BEGUN), 0.5 / FAST.rate + 1e-5, "error of the start, s")
+    assert found.clock is not None
+    below(abs(found.clock.start - BEGUN), 0.5 / FAST.rate + 1e-5, "error of the start, s")
     assert "the sample counts" in gathered.used[0].as_text()
 
 
@@ -219,9 +219,9 @@ def test_a_start_that_is_a_little_off_is_known_less_well(tmp_path: Path) -> None
     folder.add(run, late)
     gathered = folder.gathered()
     (found,) = gathered.runs
-    assert found.start is not None
-    assert found.start.at == pytest.approx(BEGUN, abs=1e-5)
-    assert found.start.sd == pytest.approx(0.006, abs=5e-4)
+    assert found.clock is not None
+    assert found.clock.start == pytest.approx(BEGUN, abs=1e-5)
+    assert found.clock.sd == pytest.approx(0.006, abs=5e-4)
     assert "differ by 6" in gathered.used[0].as_text()
 
 
@@ -248,11 +248,11 @@ def test_a_recording_that_does_not_tell_its_start_is_left_aside(tmp_path: Path) 
 
 def test_a_print_time_is_no_date(tmp_path: Path) -> None:
     """2025111512 µs are 34 minutes of print time."""
-    from hframe_post.identification.recordings.names import parsed, recorded_on, stem
+    from hframe_post.identification.recordings.names import day_of, parsed, stem
 
     path = tmp_path / "adxl345-measure-at-140-t2025111512.csv"
     path.write_text("")
     assert parsed(path.name).ended == pytest.approx(2025.111512)
     assert parsed(path.name).date == ""
-    assert recorded_on(path).year != 2025
+    assert day_of(parsed(path.name), path).year != 2025
     assert stem(path.name) == "adxl345-measure-at-140"

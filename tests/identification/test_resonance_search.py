@@ -34,8 +34,8 @@ def checked(seed: int, kind: str, it: Recorded, **expected: Any) -> None:
     """Find the test where printer.cfg says something else; compare all with the truth."""
     found = find(it.recording, replace(it.test, **expected))
     assert found.test == it.test
-    assert abs(found.start - START) < 6e-3  # the printer's own delay of up to 3 ms included
-    assert abs(found.drift - drawn_sensor(seed, kind).drift) < 5e-4
+    assert abs(found.clock.start - START) < 6e-3  # the printer's own delay of up to 3 ms included
+    assert abs(found.clock.drift - drawn_sensor(seed, kind).drift) < 5e-4
 
 
 def test_lis2dw_at_its_slowest_with_a_wrong_printer_cfg() -> None:
@@ -60,7 +60,7 @@ def test_without_sweeping() -> None:
     it = made(seed, kind, X, sweeping_period=0.0, around_point=True)
     found = find(it.recording, replace(it.test, sweeping_period=1.2, around_point=False))
     assert found.test == it.test
-    assert abs(found.drift - drawn_sensor(seed, kind).drift) < 5e-4
+    assert abs(found.clock.drift - drawn_sensor(seed, kind).drift) < 5e-4
 
 
 def test_a_recording_that_begins_with_the_motion_needs_its_first_frequency() -> None:
@@ -72,7 +72,7 @@ def test_a_recording_that_begins_with_the_motion_needs_its_first_frequency() -> 
         find(recording, replace(it.test, min_freq=5.0))
     found = find(recording, it.test)
     assert found.test == it.test
-    assert abs(found.start - START) < 6e-3
+    assert abs(found.clock.start - START) < 6e-3
 
 
 @pytest.fixture(scope="module")

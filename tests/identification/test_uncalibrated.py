@@ -21,7 +21,7 @@ from hframe_post.identification.gather import Gathered, from_folders
 from hframe_post.identification.identify import Identified, MeasurementSettings, Run, identify
 from hframe_post.identification.pages import identification_page
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
-from hframe_post.identification.recordings.clock import acceleration, self_aligned
+from hframe_post.identification.recordings.clock import Clock, acceleration, self_aligned
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
 from hframe_post.identification.report import IdentificationReport
 from hframe_post.printer.settings import Travel
@@ -58,9 +58,8 @@ def short(direction: tuple[float, ...], **changes: float) -> ResonanceTest:
 def run(taken: Recorded, seed: int, machine: Machine = MACHINE) -> Run:
     """Return the run as found to 3 ms, and to 0.02 % of its clock."""
     sensor = drawn_sensor(seed, "adxl345")
-    late = START - taken.recording.t[0] + 3e-3
-    clock = late, sensor.drift + 2e-4
-    return Run("test", taken.test.command(), taken.recording, rough_clock=clock)
+    clock = Clock(START + 3e-3, sensor.drift + 2e-4)
+    return Run("test", taken.test.command(), taken.recording, clock)
 
 
 def taken(test: ResonanceTest, seed: int, mounting: int, machine: Machine = MACHINE) -> Recorded:
@@ -82,8 +81,8 @@ def check_modes(result: Identified, name: str, axis: Axis) -> None:
 
 def seen(made: Recorded, seed: int) -> Direction:
     given = run(made, seed)
-    aligned = self_aligned(acceleration(given.displacement), made.recording, given.rough_clock)
-    assert aligned.drift == pytest.approx(drawn_sensor(seed, "adxl345").drift, abs=1e-5)
+    aligned = self_aligned(acceleration(given.displacement), made.recording, given.clock)
+    assert aligned.clock.drift == pytest.approx(drawn_sensor(seed, "adxl345").drift, abs=1e-5)
     band = (3.0, 100.0)
     return direction([
         estimate(aligned.command, aligned.acceleration[:, k]).within(band) for k in range(3)
@@ -153,7 +152,7 @@ def test_sessions_of_three_sensors_with_gaps_show_one_printer(tmp_path: Path) ->
         write_klipper(path, replace(made, t=made.t[kept], a=made.a[kept]))
     travel = Travel((0.0, 300.0), (0.0, 300.0), (0.0, 200.0))
     gathered = from_folders([tmp_path], KlipperConfig(config), travel)
-    assert [one.session for one in gathered.used] == [1, 2, 3]
+    assert [one.source.session for one in gathered.used] == [1, 2, 3]
     assert all("are missing; the longest gap is 3" in one.as_text() for one in gathered.used)
     group = uncalibrated_responses(gathered.runs, MeasurementSettings((3.0, 100.0), racks=False))[0]
     hz = group.runs[0].response.hz
@@ -216,7 +215,7 @@ def coupled_run(printer: Coupled, direction: tuple[float, float], seed: int = 1)
     a += 10.0 * np.random.default_rng(seed).standard_normal(a.shape)
     t = np.asarray(np.arange(len(a)) * TS, dtype=np.float64)
     recording = Recording(t, np.asarray(a, dtype=np.float64), False)
-    return Run("test", test.command(), recording, rough_clock=(1.0, 0.0))
+    return Run("test", test.command(), recording, Clock(1.0))
 
 
 @pytest.mark.slow
@@ -232,7 +231,7 @@ def test_only_what_two_recordings_share_is_compensated() -> None:
     true = machine.response(hz)[:, 1, 0]
     off = np.abs(cross.G.response(2.0 * np.pi * TS * hz) - true)
     assert off.max() < 0.1 * np.abs(true).max()
-    report = IdentificationReport(found, found.plant(140.0), None, Gathered([], [], []))
+    report = IdentificationReport(found, found.plant(140.0), None, Gathered([], []))
     shown = data_of(identification_page(report, "a printer"))["sections"][2]
     assert shown["title"] == "Coupling: what x does to y"
     labels = [line["label"].split(" at ")[0] for line in shown["charts"][0]["lines"]]

@@ -28,22 +28,25 @@ from hframe_post.identification.estimation.frequency_response import (
     by_command,
 )
 from hframe_post.identification.recordings.accelerometer import Recording
-from hframe_post.identification.recordings.clock import KnownStart, acceleration, on_command_clock
+from hframe_post.identification.recordings.clock import Clock, acceleration, on_command_clock
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
     """A recording. command (m, 2): x and y in mm, every 1 ms; nozzle: in the sensor's axes.
 
-    rough_clock: start (s) and drift, if they are known to 20 ms. start: of the command, for motions
-    of `measure`, whose recordings tell it.
+    clock: if it is known to 20 ms, or better for motions of `measure`, whose recordings tell it.
     """
 
     name: str
     command: Array
     nozzle: Recording
-    rough_clock: tuple[float, float] | None = None
-    start: KnownStart | None = None
+    clock: Clock | None = None
+
+    @property
+    def known_start(self) -> bool:
+        """Return whether the printer's own clock tells when the motion began."""
+        return self.clock is not None and self.clock.sd is not None
 
     @property
     def axes(self) -> tuple[int, ...]:
@@ -60,10 +63,10 @@ class Run:
 
         It is along the printer's axes at each row of the command. Raises IdentificationError.
         """
-        if self.start is None:
+        if self.clock is None or self.clock.sd is None:
             raise IdentificationError(f"{self.name}: the start of this recording is not known")
         try:
-            return on_command_clock(self.command, self.nozzle, self.start)
+            return on_command_clock(self.command, self.nozzle, self.clock)
         except IdentificationError as error:
             raise IdentificationError(f"{self.name}: {error}") from None
 

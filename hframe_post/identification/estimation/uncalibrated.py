@@ -191,7 +191,7 @@ def uncalibrated_responses(
 
 def _located(run: Run, settings: MeasurementSettings) -> _Located:
     try:
-        found = self_aligned(acceleration(run.displacement), run.nozzle, run.rough_clock)
+        found = self_aligned(acceleration(run.displacement), run.nozzle, run.clock)
         (seen,) = by_command(found.command[:, None], found.acceleration)
         responses = [each.within(settings.band_hz) for each in seen]
         return _Located(run, found, run.direction, direction(responses))

@@ -22,8 +22,9 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 from scipy.signal import savgol_filter
 
-from hframe_post.arrays import Array, Flags, Integers
+from hframe_post.arrays import Array, Integers
 from hframe_post.errors import IdentificationError
+from hframe_post.identification import verdict
 from hframe_post.identification.recordings.formats import Table, read_tables, unpacked
 
 GAP = 2.5  # sample periods between neighbours, from which samples are missing
@@ -107,7 +108,6 @@ RANGES = (1.0, 1.0 / 8.0, 1.0 / 4.0, 1.0 / 2.0, 2.0, 4.0, 8.0)
 AXES = "xyz"
 FULL_SCALE = 0.999 * 16.0 * GRAVITY  # where common sensors clip
 PLAUSIBLE = (8000.0, 12000.0)  # of gravity, mm/s²
-LONGEST_GAP, MOST_LOST = 0.1, 0.01  # s, and share of a recording, that may be missing
 MANY_LEVELS = 20  # of a signal that is not just noise
 OFTEN, OFTEN_THAN_NEAR = 10, 4  # samples at an extreme value; times as many as near it
 
@@ -200,7 +200,8 @@ def _check_samples(path: Path, table: Table) -> None:
         cause = f"{1.0 / period:.3g} samples a second are too few; 300 are needed"
         raise _error(path, table, None, f"{cause}. Check that time is in seconds")
     lost = step[step > GAP * period]
-    if lost.max(initial=0.0) > LONGEST_GAP or lost.sum() > MOST_LOST * (t[-1] - t[0]):
+    longest, share = lost.max(initial=0.0), lost.sum() / (t[-1] - t[0])
+    if longest > verdict.LONGEST_GAP_S or share > verdict.LOST:
         k = int(np.argmax(step))
         cause = f"samples are missing: {step[k]:.4g} s between neighbours at {t[k]:.6g} s"
         share = f"{100.0 * lost.sum() / (t[-1] - t[0]):.2g} % of the recording in all"
@@ -221,37 +222,22 @@ def _check_clipping(path: Path, table: Table, a: Array) -> None:
 
 
 def _clipped(values: Array) -> int | None:
-    """Return where a signal (n,) first clips: it jumps to an extreme value and stays there.
+    """Return where a signal (n,) first clips: it is at an extreme far more often than near it.
 
-    A slow sine in coarse steps stays at its peak, too, but reaches it by single steps; near its
-    rounded peak it jumps by 2.25 steps at most.
+    A slow sine in coarse steps stays at its peak, too, but as long one to three steps below.
     """
     beyond = np.flatnonzero(np.abs(values) >= FULL_SCALE)
     if beyond.size:
         return int(beyond[0])
     levels = np.unique(values)
-    if len(levels) < 4:
+    if len(levels) <= MANY_LEVELS:
         return None
-    jump = 3.0 * float(np.diff(levels).min())
     found: list[int] = []
     for extreme, end in ((levels[0], values <= levels[3]), (levels[-1], values >= levels[-4])):
-        # a slow sensor shows a clipped peak as one sample, but all peaks alike
         at = np.flatnonzero(values == extreme)
-        near = int(np.count_nonzero(end)) - len(at)
-        if len(levels) > MANY_LEVELS and len(at) >= max(OFTEN, OFTEN_THAN_NEAR * near):
+        if len(at) >= max(OFTEN, OFTEN_THAN_NEAR * (int(np.count_nonzero(end)) - len(at))):
             found.append(int(at[0]))
-        first, last = _runs(values == extreme)
-        flat = last - first >= 5
-        before = np.abs(values[np.maximum(first - 1, 0)] - extreme)
-        after = np.abs(values[np.minimum(last, len(values) - 1)] - extreme)
-        found += first[flat & (np.maximum(before, after) > jump)].tolist()
     return min(found, default=None)
-
-
-def _runs(flags: Flags) -> tuple[Integers, Integers]:
-    """Return where runs of true flags (n,) begin, and the indices after their ends."""
-    edge = np.diff(flags.astype(np.int8), prepend=0, append=0)
-    return np.flatnonzero(edge > 0), np.flatnonzero(edge < 0)
 
 
 # ---------------------------------------------------------------------- axes and gravity

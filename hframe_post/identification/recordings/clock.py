@@ -1,9 +1,10 @@
 """When a recording began, how fast its clock runs, and where the printer's axes lie in it.
 
-A sensor's clock starts elsewhere and runs at another rate: t_sensor = start + (1 + drift)·t.
+A sensor's clock starts elsewhere and runs at another rate: it shows start + (1 + drift)·t at t of
+the command (``Clock``).
 
 **A known start.** Klipper's samples have times of its print time, in which it also plays the
-motion. The start of a command on that clock is
+motion: nothing drifts. The start of a command on that clock is
 
 - the time in the recording's name at which the motion had ended, less the command's duration;
 - without it, half a sample before the first sample, since Klipper keeps the samples from the first
@@ -18,12 +19,11 @@ No mounting is wrong: a sensor on a bed that moves sees y the other way round, a
 axes in printer.cfg, since a spectrum does not show a sign.
 
 **A start that nothing tells.** TEST_RESONANCES, and most other programs, do not tell when the
-motion began. First, pieces of the command are searched for together, correlated as an envelope, |⟨u
-+ jû, a⟩| with û the Hilbert transform of u, because a plant shifts the phase (racking by 90° to
-begin with). Then the clock is refined: the same frequency is excited at several times, by the sine,
-by its harmonics and by slow motion beneath it, and on the right clock all of them have one phase,
-so that the command explains most of the recording. What is left of the start is part of the delay
-that the estimation finds.
+motion began. Its frequency grows steadily, and it draws a line into the spectrograms of command and
+recording (``chirp``). Their slopes and origins show start and rate, to some ms. Then the rate is
+refined: the same frequency is excited at several times, by the sine, by its harmonics and by slow
+motion beneath it, and on the right clock all of them have one phase, so that the command explains
+most of the recording. What is left of the start is part of the delay that the estimation finds.
 """
 
 from __future__ import annotations
@@ -34,16 +34,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 from scipy.interpolate import BSpline, make_interp_spline
-from scipy.ndimage import maximum_filter1d
-from scipy.signal import fftconvolve, firwin, hilbert, upfirdn
+from scipy.signal import fftconvolve, firwin, upfirdn
 
 from hframe_post.arrays import TS, Array, Integers, X, Y
 from hframe_post.errors import IdentificationError
+from hframe_post.identification import verdict
 from hframe_post.identification.recordings.accelerometer import (
-    GRAVITY,
     PLAUSIBLE,
     Recording,
     at_rest,
+)
+from hframe_post.identification.recordings.chirp import (
+    find_line,
+    robust_fit,
+    uniform,
 )
 
 RESTING = 16  # samples before and after a motion; a spline feels none farther away
@@ -67,31 +71,35 @@ def acceleration(position: Array) -> Array:
 
 
 RATE = 1000.0  # of commands, samples a second
-MOST_DRIFT = 0.022  # a little more than the worst clocks have
-AT_REST = 1e-3  # share of the greatest acceleration below which a command is at rest
-WINDOW, WINDOWS, SHORTEST = 2000, 24, 250  # length in samples, and number
-CLOCKS, SOME = 11, 3  # drifts that are tried at once, and every how many windows count at first
-FINER_GRIDS = 2
-UNKNOWN_START = 0.25  # s between start and response that no plant explains
-REACH = int(UNKNOWN_START * RATE)
-DISPERSION = 0.02  # s by which a plant's delay may differ from window to window
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """A sensor's clock.
+
+    start: s on it at the first row of the command. drift: by how much it runs fast. sd: standard
+    deviation of the start in s, if the printer's own clock told it; else None.
+    """
+
+    start: float
+    drift: float = 0.0
+    sd: float | None = None
+
+    def at(self, rows: Array | Integers) -> Array:
+        """Return what it shows at rows (k,) of the command, s."""
+        return np.asarray(self.start + (1.0 + self.drift) * TS * rows)
 
 
 class Resampler:
-    """Samples a (n, 3) at rising times t (n,) in s, as a function of the time since the first.
-
-    period: median time between samples, s; seconds: from the first sample to the last.
-    """
+    """Samples a (n, 3) at rising times t (n,) in s, as a function of time."""
 
     def __init__(self, t: Array, a: Array) -> None:
-        t = t - t[0]
-        self.period = float(np.median(np.diff(t)))
-        self.seconds = float(t[-1])
-        self._spline: BSpline = make_interp_spline(t, a, 5)
-        self._factor = int(np.ceil(1.0 / (self.period * RATE)))
+        self._first, self._last = float(t[0]), float(t[-1])
+        self._spline: BSpline = make_interp_spline(t - t[0], a, 5)
+        self._factor = int(np.ceil(1.0 / (float(np.median(np.diff(t))) * RATE)))
 
-    def resampled(self, start: float, drift: float, m: int) -> Array:
-        """Return accelerations (m, 3) every 1 ms of the command's clock, without aliases.
+    def resampled(self, clock: Clock, m: int) -> Array:
+        """Return accelerations (m, 3) every 1 ms of the command, without aliases.
 
         Interpolates at a multiple of 1 kHz not below the sensor's rate, then decimates with
         linear phase: flat to 250 Hz, −80 dB from 750 Hz. Outside the recording its first and
@@ -100,152 +108,27 @@ class Resampler:
         factor = self._factor
         half = 6 * factor  # of the filter's length: 6 ms
         k = np.arange(-half, (m - 1) * factor + half + 1)
-        clock = start + (1.0 + drift) * k / (RATE * factor)
-        values = self._spline(np.clip(clock, 0.0, self.seconds))
+        shown = np.clip(clock.at(k / factor), self._first, self._last)
+        values = self._spline(shown - self._first)
         if factor == 1:
             return np.asarray(values[half : half + m])
         taps = firwin(2 * half + 1, 500.0, window=("kaiser", 8.0), fs=RATE * factor)
         first = 2 * half // factor
         return np.asarray(upfirdn(taps, values, 1, factor, axis=0)[first : first + m])
 
-    def check_covers(self, first: float, last: float, missing: float = 0.0) -> None:
+    def recorded(self, shown: Array) -> Array:
+        """Return whether the recording covers times of its clock."""
+        return np.asarray((shown >= self._first) & (shown <= self._last))
+
+    def check_covers(self, ends: Array, missing: float) -> None:
         """Raise IdentificationError if more of a motion is missing, s, than there may be.
 
-        first, last: s after the first sample at which the motion begins and ends.
+        ends (2,): s of the clock at which the motion begins and ends.
         """
-        if first < -missing:
-            raise IdentificationError(f"the recording begins {-first:.2f} s after its motion does")
-        if last > self.seconds + missing:
-            late = last - self.seconds
-            raise IdentificationError(f"the recording ends {late:.2f} s before its motion does")
-
-
-def moving_samples(command: Array) -> Integers:
-    """Return the indices of samples at which a command (m,), an acceleration, is not at rest."""
-    return np.flatnonzero(np.abs(command) > AT_REST * np.abs(command).max(initial=0.0))
-
-
-# ---------------------------------------------------------------------- start and drift
-
-
-def clock_from_windows(command: Array, moving: Integers, sensor: Resampler) -> tuple[float, float]:
-    """Return start (s) and drift, to 20 ms over the recording.
-
-    They are those of the clock on which the windows are found together: of a coarse grid of drifts
-    first, and then of finer ones near it. A plant whose delay changes along the sweep looks like a
-    drift: less than it explains is none. Raises IdentificationError if the command is too short.
-    """
-    windows = _Windows(command, moving, sensor)
-    grid = np.linspace(-MOST_DRIFT, MOST_DRIFT, CLOCKS)
-    start, drift = windows.clock(grid, SOME)
-    for _ in range(FINER_GRIDS):
-        grid *= 2.0 / (CLOCKS - 1)  # from one drift of the coarser grid to the next
-        start, drift = windows.clock(drift + grid, 1, start)
-    return start, 0.0 if abs(drift) * windows.span < DISPERSION else drift
-
-
-class _Windows:
-    """Pieces of a command, searched for together in a recording.
-
-    Late in a chirp a single one may be lost in noise, or be most like another piece.
-    """
-
-    def __init__(self, command: Array, moving: Integers, sensor: Resampler) -> None:
-        self._command = command
-        self._length = min(WINDOW, int(moving[-1] - moving[0]) // 4)
-        if self._length < SHORTEST:
-            raise IdentificationError(
-                f"the command moves for {4 * self._length * TS:.2g} s, which is too short"
-            )
-        last = moving[-1] - self._length
-        self._places = np.unique(np.linspace(moving[0], last, WINDOWS).astype(np.int64))
-        track = sensor.resampled(0.0, 0.0, int(sensor.seconds * RATE) + 1)
-        # the first and last window may not have been recorded whole
-        self._track = np.pad(banded(track, _followed_band(command)), ((REACH, REACH), (0, 0)))
-
-    @property
-    def span(self) -> float:
-        """Return the seconds from the first window to the last."""
-        return float(self._places[-1] - self._places[0]) * TS
-
-    def clock(self, drifts: Array, every: int, near: float | None = None) -> tuple[float, float]:
-        """Return start, s, and drift of the clock on which the windows are most alike together.
-
-        drifts: those that are tried, equally far apart. every: of how many windows one counts.
-        near: the start, if it is known to UNKNOWN_START.
-        """
-        width = float(drifts[1] - drifts[0])
-        found = [(*self._likeness(d, width, every, near), d) for d in drifts.tolist()]
-        return max(found)[1:]
-
-    def _likeness(
-        self, drift: float, width: float, every: int, near: float | None
-    ) -> tuple[float, float]:
-        """Return the windows' greatest likeness in all, on a clock, and the start, s, there.
-
-        width: how far the drift may be off. On a clock that is 1 % off, a window of fast motion is
-        not like its own response.
-        """
-        rate, first = 1.0 + drift, int(self._places[0])
-        low, high = 0, len(self._track)  # between which the first window is sought
-        if near is not None:
-            low = max(round(near * RATE + rate * first), 0)
-            high = low + 2 * REACH + 1
-        total = np.zeros(high - low)
-        samples, k = np.arange(len(self._command)), np.arange(self._length) / rate
-        for place in self._places[::every]:
-            since = int(rate * (place - first))
-            region = self._track[low + since : high + since + self._length - 1]
-            pattern = np.interp(place + k, samples, self._command)
-            # a chirp that is late looks stretched, and the other way round: twice as far
-            wide = 2 * int(width * (place - first)) + 1
-            likeness = maximum_filter1d(_envelope(pattern, region), wide, mode="constant")
-            total[: len(likeness)] += likeness
-        at = int(np.argmax(total))
-        return float(total[at]), (low + at - REACH - rate * first) * TS
-
-
-# ---------------------------------------------------------------------- correlation
-
-
-def _envelope(pattern: Array, track: Array) -> Array:
-    """Return the likeness 0 … 1 of pattern (p,) to track (n, 3) from each sample, (n − p + 1,)."""
-    analytic = hilbert(pattern - pattern.mean())
-    strength = (analytic.real**2).sum()
-    if len(track) < len(pattern) or strength == 0.0:
-        return np.zeros(1)
-    reversed_ = analytic.conj()[::-1]
-    products = [fftconvolve(values, reversed_, "valid") for values in track.T]
-    power = sum(np.abs(product) ** 2 for product in products)
-    return np.asarray(np.sqrt(power / (strength * _energy(track, len(pattern)))))
-
-
-def _energy(track: Array, n: int) -> Array:
-    """Return the energy of n samples from each on, never quite 0."""
-    total = np.concatenate([[0.0], np.cumsum((track**2).sum(axis=1))])
-    energy = total[n:] - total[:-n]
-    return np.asarray(np.maximum(energy, 1e-6 * energy.max() + 1e-300))
-
-
-def energy_band(command: Array, shares: tuple[float, float]) -> tuple[float, float]:
-    """Return the frequencies (Hz) below which these shares of the command's energy lie."""
-    below = np.cumsum(np.abs(rfft(command)) ** 2)
-    low, high = rfftfreq(len(command), TS)[np.searchsorted(below, np.array(shares) * below[-1])]
-    return float(low), float(high)
-
-
-def banded(values: Array, band_hz: tuple[float, float]) -> Array:
-    """Return the part of values (n, k), one a millisecond, that lies in a band of frequencies."""
-    hz = rfftfreq(len(values), TS)
-    spectra = rfft(values, axis=0)
-    spectra[(hz < band_hz[0]) | (hz > band_hz[1])] = 0.0
-    return np.asarray(irfft(spectra, len(values), axis=0))
-
-
-def _followed_band(command: Array) -> tuple[float, float]:
-    """Return the band (Hz) of a command and what is near it, without motor steps and drift."""
-    low, high = energy_band(command, (0.01, 0.99))
-    return low / 1.5, high * 1.5
+        early, late = self._first - ends[0], ends[1] - self._last
+        for off, words in ((early, "begins {:.2f} s after"), (late, "ends {:.2f} s before")):
+            if off > missing:
+                raise IdentificationError(f"the recording {words.format(off)} its motion does")
 
 
 def not_found() -> IdentificationError:
@@ -256,14 +139,13 @@ def not_found() -> IdentificationError:
     )
 
 
-UNRECORDED = (
-    0.25  # s of the motion's ends; Klipper of 2023 lost 0.03 s of its start, 0.08 s of its end
-)
+# ---------------------------------------------------------------------- found in the recording
+
+AT_REST = 1e-3  # share of the greatest acceleration below which a command is at rest
 TAIL = 1000  # samples recorded after the command, in which the printer stops ringing
-SEGMENT, HOP = 2000, 500  # samples, of the spectra that are compared over time
+SEGMENT, STRIDE = 2000, 500  # samples, of the spectra that are compared over time
 CLOCK_BAND_HZ = (4.0, 100.0)
-# by which the drift may be off: a rough one that is known, one found from windows, a refined one
-KNOWN_DRIFT, FOUND_DRIFT, FINE_DRIFT = 6e-4, 1.5e-3, 4e-5
+WITHIN = (9e-3, 6e-4, 4e-5)  # by which the rate may be off, from step to step
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,46 +153,57 @@ class SelfAligned:
     """A recording on the clock of its command, in the sensor's axes.
 
     command (m,), acceleration (m, 3): mm/s² every 1 ms, 0 where nothing was recorded. up (3,): unit
-    vector along gravity's reaction, as the sensor sees it. start: s of the recording at which the
-    command begins; drift: by how much the sensor's clock runs fast.
+    vector along gravity's reaction, as the sensor sees it.
     """
 
     command: Array
     acceleration: Array
     up: Array
-    start: float
-    drift: float
+    clock: Clock
 
 
-def self_aligned(
-    command: Array, recording: Recording, rough: tuple[float, float] | None = None
-) -> SelfAligned:
+def self_aligned(command: Array, recording: Recording, rough: Clock | None = None) -> SelfAligned:
     """Return the recording on the clock of a command (m,), an acceleration in mm/s².
 
-    rough: start (s) and drift if they are known to 20 ms over the recording. Raises
-    IdentificationError if the recording does not contain the command.
+    rough: the clock if it is known to 20 ms over the recording. Raises IdentificationError if the
+    recording does not contain the command.
     """
-    moving = moving_samples(command)
+    moving = np.flatnonzero(np.abs(command) > AT_REST * np.abs(command).max(initial=0.0))
     if not moving.size:
         raise IdentificationError("the command does not move")
     sensor = Resampler(recording.t, recording.a - recording.a.mean(axis=0))
-    reach = KNOWN_DRIFT
-    if rough is None:
-        rough, reach = clock_from_windows(command, moving, sensor), FOUND_DRIFT
-    start, drift = rough
-    first, last = start + (1.0 + drift) * TS * moving[[0, -1]]
-    sensor.check_covers(first, last, UNRECORDED)
+    clock = rough or _by_chirp(command, recording)
+    sensor.check_covers(clock.at(moving[[0, -1]]), verdict.UNRECORDED_S)
+    middle = TS * float(moving.mean())
+    for within in WITHIN[1:] if rough else WITHIN:
+        found = sensor.resampled(clock, len(command))
+        by = _refined(command, found, within)
+        start = clock.start if rough else clock.start - by * middle
+        clock = Clock(start, clock.drift + by)
     whole = np.pad(command, (0, TAIL))
-    for within in (reach, FINE_DRIFT):
-        drift += _refined(command, sensor.resampled(start, drift, len(command)), within)
-    acceleration = sensor.resampled(start, drift, len(whole))
-    clock = start + (1.0 + drift) * TS * np.arange(len(whole))
-    recorded = (clock >= 0.0) & (clock <= sensor.seconds)
-    whole, acceleration = whole * recorded, acceleration * recorded[:, None]
+    recorded = sensor.recorded(clock.at(np.arange(len(whole))))
+    acceleration = sensor.resampled(clock, len(whole)) * recorded[:, None]
     up = recording.a.mean(axis=0)
     size = float(np.linalg.norm(up))
-    up = up / size if 0.5 * GRAVITY < size < 1.5 * GRAVITY else np.zeros(3)
-    return SelfAligned(whole, acceleration, up, start, drift)
+    up = up / size if PLAUSIBLE[0] <= size <= PLAUSIBLE[1] else np.zeros(3)
+    return SelfAligned(whole * recorded, acceleration, up, clock)
+
+
+def _by_chirp(command: Array, recording: Recording) -> Clock:
+    """Return the clock on which the lines of a command (m,) and its recording are one."""
+    rows = np.arange(len(command), dtype=np.float64)
+    sent = find_line(uniform(TS * rows, command[:, None]))
+    shown = find_line(uniform(recording.t, recording.a))
+    if not sent.clear or not shown.clear:
+        raise not_found()
+    (t_sent, hz_sent), (t, hz), rate = sent.seen.T, shown.seen.T, 1.0
+    for _ in range(3):  # a fast clock shows lower frequencies, too
+        at = np.interp(hz * rate, np.maximum.accumulate(hz_sent), t_sent)
+        by, start = robust_fit(np.column_stack([at, np.ones(len(at))]), t).tolist()
+        rate = float(np.sqrt(rate * by))
+    if abs(rate - 1.0) > verdict.CLOCK_DRIFT:
+        raise not_found()
+    return Clock(float(recording.t[0]) + start, rate - 1.0)
 
 
 def _refined(command: Array, acceleration: Array, reach: float) -> float:
@@ -319,7 +212,7 @@ def _refined(command: Array, acceleration: Array, reach: float) -> float:
     Spectra of short pieces are turned in phase as a drift would delay them.
     """
     taper = np.hanning(SEGMENT)
-    starts = np.arange(0, len(command) - SEGMENT + 1, HOP)
+    starts = np.arange(0, len(command) - SEGMENT + 1, STRIDE)
     pieces = starts[:, None] + np.arange(SEGMENT)
     hz = rfftfreq(SEGMENT, TS)
     inside = (hz >= CLOCK_BAND_HZ[0]) & (hz <= CLOCK_BAND_HZ[1])
@@ -341,58 +234,49 @@ def _refined(command: Array, acceleration: Array, reach: float) -> float:
     return float(drifts[np.argmin(unexplained)])
 
 
+# ---------------------------------------------------------------------- told by the printer
+
 PLAYED_SD = 2e-5  # s: by how much Klipper plays a motion longer or shorter than its command
 AGREED = 1e-3  # s by which the two starts may differ, beyond the time between samples
 SHORTEST_STOP = 0.1  # s by which Klipper moves the print time at least, once its queue is empty
 QUIET = 0.5  # s at the start of a recording in which the printer is at rest
 SLOW_HZ = (2.0, 10.0)
-LEAST_SHOWN = 0.3  # share of the command that the sensor must show in slow motion
-LARGEST_LAG = 0.03  # s between a command and what the sensor shows; no printer lags more
 PART, LAG_REACH = 8000, 2000  # samples of a part that must follow in time, and of its search
-LEAST_LIKENESS = 0.4
 MISSING = 0.5  # s at either end, in which the motion rests
-
-
-@dataclass(frozen=True, slots=True)
-class KnownStart:
-    """When a command began: s on the clock of its recording, and the standard deviation of that."""
-
-    at: float
-    sd: float
 
 
 def known_start(
     recording: Recording, samples: int, ended: float | None
-) -> tuple[KnownStart, tuple[str, ...]]:
-    """Return the start of a command of that many samples, and what was unusual about it.
+) -> tuple[Clock, tuple[str, ...]]:
+    """Return the clock of a command of that many samples, and what was unusual about its start.
 
     ended: print time in s at which the motion had ended, if the recording's name tells. Raises
     IdentificationError if nothing tells.
     """
     period = recording.period
+    named = None if ended is None else Clock(ended - (samples - 1) * TS, sd=PLAYED_SD)
     if not recording.started:
-        if ended is None:
+        if named is None:
             raise IdentificationError(
                 "nothing tells when its motion began. Let Klipper record it, by the file of "
                 "'hframe-post measure'"
             )
-        return KnownStart(ended - (samples - 1) * TS, PLAYED_SD), ()
-    first = KnownStart(float(recording.t[0]) - period / 2.0, period / 12.0**0.5)
-    if ended is None:
+        return named, ()
+    first = Clock(float(recording.t[0]) - period / 2.0, sd=period / 12.0**0.5)
+    if named is None:
         return first, ()
-    start = KnownStart(ended - (samples - 1) * TS, PLAYED_SD)
-    off = start.at - first.at
+    off = named.start - first.start
     missed = abs(off) - period / 2.0
     if missed <= AGREED:
-        return start, ()
+        return named, ()
     differ = f"the time in its name and its first sample differ by {1e3 * abs(off):.3g} ms"
     if missed <= SHORTEST_STOP:  # its time stamps wander, or the host was late
-        return KnownStart(start.at, missed), (differ,)
+        return Clock(named.start, sd=missed), (differ,)
     # another command has moved the print time after the motion; or the motion stopped, which shows
     return first, (f"{differ}: the sample counts",)
 
 
-def on_command_clock(command: Array, recording: Recording, start: KnownStart) -> Array:
+def on_command_clock(command: Array, recording: Recording, clock: Clock) -> Array:
     """Return the acceleration (m, 3), mm/s², along the printer's axes at each row of a command.
 
     command (m, 2): mm every 1 ms, at rest for a second at both ends; recording: in any axes, also
@@ -400,22 +284,29 @@ def on_command_clock(command: Array, recording: Recording, start: KnownStart) ->
     of the sensor: up to 250 Hz of 3200 samples a second. Raises IdentificationError if the
     recording does not follow the command in time, or does not cover it.
     """
-    begin = start.at - float(recording.t[0])
     rest = at_rest(recording, QUIET)
     sensor = Resampler(recording.t, recording.a - rest)
-    sensor.check_covers(begin, begin + (len(command) - 1) * TS, MISSING)
-    a = sensor.resampled(begin, 0.0, len(command))
+    sensor.check_covers(clock.at(np.array([0, len(command) - 1])), MISSING)
+    a = sensor.resampled(clock, len(command))
     moved = [axis for axis in (0, 1) if np.ptp(command[:, axis]) > 0.0]
     u = np.column_stack([acceleration(command[:, axis]) for axis in moved])
-    slow, shown = (banded(values, SLOW_HZ) for values in (u, a))
+    slow, shown = (_slow_part(values) for values in (u, a))
     _check_in_time(slow, shown)
     rates = np.gradient(slow, TS, axis=0)
     columns = np.hstack([slow, rates, np.gradient(rates, TS, axis=0)])
     D = np.linalg.lstsq(columns / columns.std(axis=0), shown, rcond=None)[0]
     D = (D / columns.std(axis=0)[:, None])[: len(moved)]
-    if (np.linalg.norm(D, axis=1) < LEAST_SHOWN).any():
+    if (np.linalg.norm(D, axis=1) < verdict.SHOWN).any():
         raise not_found()
     return np.asarray(a @ np.linalg.inv(completed(D, moved, rest)))
+
+
+def _slow_part(values: Array) -> Array:
+    """Return the part of values (n, k), one a millisecond, that lies in ``SLOW_HZ``."""
+    hz = rfftfreq(len(values), TS)
+    spectra = rfft(values, axis=0)
+    spectra[(hz < SLOW_HZ[0]) | (hz > SLOW_HZ[1])] = 0.0
+    return np.asarray(irfft(spectra, len(values), axis=0))
 
 
 def completed(D: Array, moved: Sequence[int], rest: Array) -> Array:
@@ -451,9 +342,9 @@ def _check_in_time(slow: Array, shown: Array) -> None:
     """
     for first in range(0, len(slow) - PART // 2, PART):
         likeness, lag = _lag(slow, shown, first)
-        if likeness < LEAST_LIKENESS:
+        if likeness < verdict.LIKENESS:
             raise not_found()
-        if abs(lag) <= LARGEST_LAG:
+        if abs(lag) <= verdict.LAG_S:
             continue
         if first == 0:
             raise IdentificationError(

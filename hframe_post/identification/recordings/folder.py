@@ -9,8 +9,9 @@ from __future__ import annotations
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 from types import MappingProxyType
 
@@ -19,14 +20,20 @@ import numpy as np
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.identification.recordings.accelerometer import Recording, from_table
-from hframe_post.identification.recordings.clock import MOST_DRIFT
 from hframe_post.identification.recordings.formats import (
     CSV_HEAD,
     read_command,
     read_tables,
     unpacked,
 )
-from hframe_post.identification.recordings.names import ENDINGS, RecordingName, parsed, stem
+from hframe_post.identification.recordings.names import (
+    ENDINGS,
+    RecordingName,
+    day_of,
+    parsed,
+    stem,
+)
+from hframe_post.identification.verdict import CLOCK_DRIFT
 
 SUFFIXES = (".csv", ".csv.gz", ".csv.xz", ".csv.zst", ".stdata")
 DEPTH, MOST_FILES = 3, 500  # of folders in folders; of files
@@ -71,7 +78,7 @@ class RunMotion:
             return False
         recorded = float(recording.t[-1] - recording.t[0])
         least, most = TS * float(np.ptp(moving)), TS * len(self.motion) + WAITING
-        return least * (1.0 - MOST_DRIFT) <= recorded <= most * (1.0 + MOST_DRIFT)
+        return least * (1.0 - CLOCK_DRIFT) <= recorded <= most * (1.0 + CLOCK_DRIFT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +101,11 @@ class Measurement:
     @property
     def direction(self) -> tuple[float, float, float] | None:
         return self.command.direction if self.command else self.name.direction
+
+    @property
+    def day(self) -> date:
+        """Return the day on which it was made. Raises OSError."""
+        return day_of(self.name, self.path)
 
     @property
     def test(self) -> tuple[object, ...]:
@@ -133,29 +145,6 @@ def contents(
     use where several recorded tests along one direction. Raises OSError if a folder cannot be
     read, and IdentificationError if no file is of a kind that recordings have.
     """
-    commands, read = read_files(paths, columns)
-    steps: Iterable[Measurement | Aside] = (
-        _with_motion(each, commands) if isinstance(each, Measurement) else each for each in read
-    )
-    steps = list(_without_copies(list(steps)))
-    second = _of_second_sensors(steps, chips)
-    done = list(_in_sessions([each for each in steps if each not in second]))
-    return Contents(
-        [each for each in done if isinstance(each, Measurement)],
-        [each for each in done if isinstance(each, Aside)],
-        second,
-    )
-
-
-def read_files(
-    paths: Sequence[Path],
-    columns: Sequence[str] | None = None,
-    unusable: Mapping[str, str] = UNUSABLE,
-) -> tuple[list[RunMotion], list[Measurement | Aside]]:
-    """Return the commands and the recordings in files and folders, not yet paired.
-
-    unusable: by the kind of a test, why its files are not read. Raises as ``contents``.
-    """
     files = files_in(paths)
     if not files:
         raise IdentificationError(
@@ -165,10 +154,20 @@ def read_files(
             "AXIS=Y; it writes to /tmp of its host. With Marlin, print what 'hframe-post measure' "
             "writes"
         )
-    read = [each for path, label in files.items() for each in _read(path, label, columns, unusable)]
-    return (
-        [each for each in read if isinstance(each, RunMotion)],
-        [each for each in read if not isinstance(each, RunMotion)],
+    read = [each for path, label in files.items() for each in _read(path, label, columns)]
+    commands = [each for each in read if isinstance(each, RunMotion)]
+    found = [
+        _with_motion(each, commands) if isinstance(each, Measurement) else each
+        for each in read
+        if not isinstance(each, RunMotion)
+    ]
+    found = list(_without_copies(found))
+    second = _of_second_sensors(found, chips)
+    done = list(_in_sessions([each for each in found if each not in second]))
+    return Contents(
+        [each for each in done if isinstance(each, Measurement)],
+        [each for each in done if isinstance(each, Aside)],
+        second,
     )
 
 
@@ -202,11 +201,11 @@ def _raise(error: OSError) -> None:
 
 
 def _read(
-    path: Path, label: str, columns: Sequence[str] | None, unusable: Mapping[str, str]
+    path: Path, label: str, columns: Sequence[str] | None
 ) -> list[RunMotion | Measurement | Aside]:
     by_file = parsed(path.name)
-    if by_file.other in unusable:
-        return [Aside(label, unusable[by_file.other])]
+    if by_file.other:
+        return [Aside(label, UNUSABLE[by_file.other])]
     try:
         content = unpacked(path)
         if content[:100].lstrip().partition(b"\n")[0].strip().lower() == CSV_HEAD.encode():

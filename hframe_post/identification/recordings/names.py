@@ -10,24 +10,16 @@
     axis_Y_20250805_220709, belt_A_…, axesmap_X_… (within .stdata)              since 2024-12
 
 Any other name may contain x or y as a word, such as ``sv08_x_1.csv``.
-
-A copied or downloaded file has a new time. So the day comes from the file's name (Klipper,
-Shake&Tune until 2024), the name of the measurement in it (.stdata), or comments above the first
-sample; then from gzip, which keeps the time of the file that it packed; last from the file's time.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
-
-from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.formats import GZIP, unpacked
 
 NUMBER = r"-?\d+(?:\.\d+)?"
 ENDINGS = re.compile(r"(\.(csv|txt|stdata|gz|xz|zst))+$", re.IGNORECASE)
@@ -55,9 +47,6 @@ OTHER_TESTS = {
 }
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 EARLIEST = date(2010, 1, 1)  # no accelerometer was recorded on a printer before
-HEAD = 1 << 12  # bytes in which a date is looked for
-SAMPLE = re.compile(r"[-+.\d\s,;]*\d[-+.\deE\s,;]*")  # a line of numbers
-JSON_NAME = re.compile(r'"name"\s*:\s*"([^"]*)"')
 BELTS = {"a": (1.0, -1.0, 0.0), "b": (1.0, 1.0, 0.0), "x": (1.0, 0.0, 1.0), "z": (-1.0, 0.0, 1.0)}
 
 
@@ -119,41 +108,16 @@ def parsed(name: str) -> RecordingName:
     )
 
 
-# ---------------------------------------------------------------------- day
+def day_of(name: RecordingName, path: Path) -> date:
+    """Return the day on which a recording was made: that of its name, or of its file.
 
-
-def recorded_on(path: Path) -> date:
-    """Return the day on which the recording in a file was made. Raises OSError."""
-    written = datetime.fromtimestamp(path.stat().st_mtime, UTC).date()
+    A copied or downloaded file has a new time. Raises OSError.
+    """
     tomorrow = datetime.now(UTC).date() + timedelta(days=1)  # somewhere it is tomorrow already
-    named = (*days_in(path.name), *_days_in_head(path))
-    return next((day for day in named if EARLIEST <= day <= tomorrow), written)
-
-
-def days_in(text: str) -> list[date]:
-    """Return the days that a name or a line names, the last first."""
-    found = []
-    for year, month, day, *_ in DATE.findall(ENDED.sub("", text)):
-        with suppress(ValueError):  # no such day
-            found.append(date(int(year), int(month), int(day)))
-    return found[::-1]
-
-
-def _days_in_head(path: Path) -> Iterator[date]:
-    try:
-        text = unpacked(path)[:HEAD].decode("latin-1")
-    except IdentificationError:  # damaged
-        text = ""
-    if text.startswith("{"):
-        text = "\n".join(JSON_NAME.findall(text))
-    for line in text.splitlines():
-        if SAMPLE.fullmatch(line):
-            break
-        yield from days_in(line)
-    with path.open("rb") as file:
-        start = file.read(8)
-    if start.startswith(GZIP) and (packed := int.from_bytes(start[4:8], "little")):
-        yield datetime.fromtimestamp(packed, UTC).date()
+    with suppress(ValueError):  # no such day
+        if EARLIEST <= (named := date.fromisoformat(name.date[:8])) <= tomorrow:
+            return named
+    return datetime.fromtimestamp(path.stat().st_mtime, UTC).date()
 
 
 # ---------------------------------------------------------------------- parts of names

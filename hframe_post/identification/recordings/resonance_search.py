@@ -1,13 +1,9 @@
 """A resonance test found in its recording: its true parameters, its start and the clock's drift.
 
-The pulses draw a line into the spectrogram. On a sensor's clock that is fast by
+The pulses draw a line into the spectrogram (``chirp``). On a sensor's clock that is fast by
 d its slope is hz_per_sec / (1 + d)². Then the motion itself is compared with the recording at low
 frequencies, where a printer still follows its motors: this gives the first frequency, the kind
 of pulses, the start, and the levels of pulses and sweeping.
-
-A chirp's frequency grows along f = slope·(t − origin), and its harmonics at 3f and 5f share the
-origin. Each frequency's power is divided by its median over time: that removes stationary noise,
-such as fans, and lets a printer's resonances count no more than other frequencies.
 """
 
 from __future__ import annotations
@@ -18,133 +14,33 @@ from itertools import product
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import next_fast_len, rfft, rfftfreq
-from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+from scipy.ndimage import gaussian_filter1d
 from scipy.signal import fftconvolve
 from scipy.signal.windows import hann
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
+from hframe_post.identification import verdict
 from hframe_post.identification.recordings.accelerometer import PLAUSIBLE, Recording
+from hframe_post.identification.recordings.chirp import (
+    RATE,
+    ChirpLine,
+    find_line,
+    robust_fit,
+    uniform,
+)
+from hframe_post.identification.recordings.clock import Clock
 from hframe_post.identification.recordings.resonance_test import (
     DEFAULTS,
     FORMER_MAX_FREQ,
     ResonanceTest,
 )
 
-FRAME, HOP = 1.0, 0.25  # s of a spectrum, and between spectra
-LINE_HZ = (5.0, 200.0)  # frequencies in which lines are searched
-SLOPES = (0.08, 8.0)  # Hz/s
-TRIPLE = 110  # slopes from one to its triple
-ROW = 3.0  # Hz between the frequencies of the coarse search
-CLEAR = 10.0  # ratio of the line's power to the median power at its frequency
-NEAR = 3.0  # Hz around the line in which its power is looked for
-LOWEST_CENTRE = 8.0  # Hz; below it sweeping disturbs the line
-LEAST_ROWS = 8  # spectra through which a line is drawn
-CHIRP = 0.25  # score of a chirp, relative to that of its third harmonic, is more than this
-FITS = 4
-
-
-@dataclass(frozen=True, slots=True)
-class ChirpLine:
-    """A line f = slope·(t − origin), in Hz, Hz/s and s from the first sample of the recording.
-
-    first, last: frequencies between which it is clearly seen, Hz. score: how far it stands out
-    from the rest of the recording; 0.2 or less without a chirp, 2 or more with a whole one.
-    """
-
-    slope: float
-    origin: float
-    first: float
-    last: float
-    score: float
-
-
-def find_line(a: Array, rate: float) -> ChirpLine:
-    """Return the brightest line in a signal (n, k) with ``rate`` samples a second."""
-    size, hop = round(FRAME * rate), round(HOP * rate)
-    if len(a) < 4 * size:
-        return ChirpLine(1.0, 0.0, 0.0, 0.0, 0.0)
-    frames = sliding_window_view(a, size, axis=0)[::hop] * hann(size, sym=False)
-    power = (np.abs(rfft(frames, axis=-1)) ** 2).sum(axis=1).T
-    hz = rfftfreq(size, 1.0 / rate)
-    inside = (hz >= LINE_HZ[0]) & (hz <= LINE_HZ[1])
-    hz, power = hz[inside], power[inside]
-    floor = 1e-9 * float(power.max()) + 1e-300
-    contrast = power / np.maximum(np.median(power, axis=1, keepdims=True), floor)
-    score, slope, origin = _brightest(hz, contrast)
-    t = (np.arange(power.shape[1]) * hop + size / 2.0) / rate
-    origin += t[0]
-    line = ChirpLine(slope, origin, 0.0, 0.0, score)
-    for _ in range(FITS):
-        line = _fitted(line, t, hz, power, contrast)
-    return line
-
-
-def _brightest(hz: Array, contrast: Array) -> tuple[float, float, float]:
-    """Return score, slope and origin (s from the first spectrum) of the brightest line."""
-    rows = slice(0, None, max(1, round(ROW / (hz[1] - hz[0]))))
-    hz, bright = hz[rows], np.log1p(contrast[rows] / 3.0)
-    bright -= bright.mean(axis=1, keepdims=True)
-    factors = np.exp(np.arange(0.0, np.log(SLOPES[1] / SLOPES[0]), np.log(3.0) / TRIPLE))
-    sums, firsts = [], []
-    for slope in SLOPES[0] * factors:
-        delay = np.rint(hz / slope / HOP).astype(np.int64)
-        most, n = int(delay[-1]), bright.shape[1]
-        total = np.zeros(n + most)  # for each origin, from −most to n
-        for row, by in zip(bright, delay, strict=True):
-            total[most - by : most - by + n] += row
-        sums.append(total)
-        firsts.append(-most)
-    at = [int(np.argmax(total)) for total in sums]
-    k = int(np.argmax([total[i] for total, i in zip(sums, at, strict=True)]))
-    score, origin = float(sums[k][at[k]]), at[k] + firsts[k]
-    if k >= TRIPLE:  # a third harmonic has the origin of its chirp
-        near = sums[k - TRIPLE][max(origin - firsts[k - TRIPLE] - 4, 0) :][:9]
-        if near.size and near.max() > CHIRP * score:
-            k -= TRIPLE
-    return score / len(hz), float(SLOPES[0] * factors[k]), origin * HOP
-
-
-def _fitted(line: ChirpLine, t: Array, hz: Array, power: Array, contrast: Array) -> ChirpLine:
-    """Return the line through the centres of power near it, by robust least squares."""
-    near = NEAR + line.slope * HOP
-    seen = []
-    for k, centre in enumerate(line.slope * (t - line.origin)):
-        if hz[0] <= centre <= hz[-1]:
-            low, high = np.searchsorted(hz, (centre - near, centre + near))
-            share = power[low:high, k]
-            place = float((share * hz[low:high]).sum() / max(float(share.sum()), 1e-300))
-            seen.append((t[k], place, centre, float(contrast[low:high, k].max())))
-    clear = np.array([row for row in seen if row[3] > CLEAR])
-    if len(clear) < LEAST_ROWS:
-        return line
-    fit = clear[
-        (clear[:, 2] > min(LOWEST_CENTRE, clear[-1, 2] / 2.0)) & (clear[:, 2] < hz[-1] - near)
-    ]
-    if len(fit) < LEAST_ROWS:
-        return line
-    weight = np.ones(len(fit))
-    columns = np.column_stack([fit[:, 0], np.ones(len(fit))])
-    slope, offset = line.slope, -line.slope * line.origin
-    for _ in range(20):
-        slope, offset = np.linalg.lstsq(columns * weight[:, None], fit[:, 1] * weight, rcond=None)[
-            0
-        ]
-        miss = fit[:, 1] - columns @ (slope, offset)
-        weight = 1.0 / np.hypot(1.0, miss / (1.5 * np.median(np.abs(miss)) + 1e-9))
-    if not SLOPES[0] < slope < SLOPES[1]:
-        return line
-    first, last = (float(f) for f in clear[[0, -1], 2])
-    return ChirpLine(float(slope), float(-offset / slope), first, last, line.score)
-
-
-RATE = 500.0  # samples a second of a recording that is searched
 SMOOTHING = 9.0  # ms, of motions before they are compared
 STEP = 5  # ms between their samples
 START_REACH = 16  # steps by which the start may be off the line's
-ALIKE = (
-    0.01  # of the share explained, by which the first frequency expected may fall behind another
-)
+# of the share explained, by which the first frequency expected may fall behind another
+ALIKE = 0.01
 LEAD = 11  # steps of rest before a motion
 
 
@@ -152,15 +48,14 @@ LEAD = 11  # steps of rest before a motion
 class Match:
     """A test compared with a recording.
 
-    start: s on the command's clock; like: share explained; pulses, sweeping: responses to
-    accelerations of 1, (1,), along the direction in which the recording is strongest, axis (3,).
+    start: s on the command's clock; like: share explained; sweeping: size of the response to a
+    sweeping of 1, along the direction in which the recording is strongest, axis (3,).
     """
 
     test: ResonanceTest
     start: float
     like: float
-    pulses: Array
-    sweeping: Array
+    sweeping: float
     axis: Array
 
 
@@ -200,13 +95,13 @@ def best_match(
 
 
 def _strongest(a: Array) -> tuple[Array, Array]:
-    """Return the component (n, 1) of a signal (n, 3) along its strongest direction, and that (3,).
+    """Return the component (n,) of a signal (n, 3) along its strongest direction, and that (3,).
 
     The motion has one direction, noise has three.
     """
     centred = a - a.mean(axis=0)
-    axis = np.linalg.eigh(centred.T @ centred)[1][:, -1:]
-    return np.asarray(centred @ axis), np.asarray(axis[:, 0])
+    axis = np.linalg.eigh(centred.T @ centred)[1][:, -1]
+    return np.asarray(centred @ axis), np.asarray(axis)
 
 
 def _compared(low: Array, axis: Array, weight: Array, test: ResonanceTest, start: float) -> Match:
@@ -222,20 +117,20 @@ def _compared(low: Array, axis: Array, weight: Array, test: ResonanceTest, start
         for part in parts
     ]
     columns = np.stack([*views, np.ones_like(views[0])], axis=2) * weight[:, None]
-    wanted = low * weight[:, None]
+    wanted = low * weight
     transposed = columns.transpose(0, 2, 1)
-    solved = np.linalg.solve(transposed @ columns, transposed @ wanted)
-    left = np.square(wanted - columns @ solved).sum(axis=(1, 2))
-    offset = weight[:, None] * np.linalg.lstsq(weight[:, None], wanted, rcond=None)[0]
-    like = 1.0 - left / float(np.square(wanted - offset).sum())
+    solved = np.linalg.solve(transposed @ columns, (transposed @ wanted)[:, :, None])
+    left = np.square(wanted - (columns @ solved)[:, :, 0]).sum(axis=1)
+    still = wanted - weight * (weight @ wanted) / (weight @ weight)
+    like = 1.0 - left / float(still @ still)
     k = int(np.argmax(like))
     late, top = float(k - START_REACH), float(like[k])
     if 0 < k < len(like) - 1:  # the summit of a parabola
         before, after = like[k - 1], like[k + 1]
         by = 0.5 * float((before - after) / (before - 2.0 * top + after))
         late, top = late + by, top - 0.25 * float(before - after) * by
-    sweeping = solved[k, 1] if test.sweeping_period else np.zeros(1)
-    return Match(test, (first + late) * STEP * TS, top, solved[k, 0], sweeping, axis)
+    sweeping = abs(float(solved[k, 1, 0])) if test.sweeping_period else 0.0
+    return Match(test, (first + late) * STEP * TS, top, sweeping, axis)
 
 
 def _slow(displacement: Array) -> Array:
@@ -255,10 +150,6 @@ def cut_at_start(line: ChirpLine, expected: float) -> IdentificationError:
     )
 
 
-LEAST_LIKE = 0.6  # share of the recording at low frequencies that the motion explains
-LEAST_GROWTH = -0.5  # of the level at low frequencies, as a power of the frequency: sines have -1
-LEAST_MOVED = 0.2  # of the level expected: sensors and settings differ less
-LEAST_PEAK = 1.5  # of the level; with shaping 1.2, without 2.9 and more on 20 drawn printers
 REST = 0.05  # s before the motion that a whole recording has
 ELSEWHERE = (
     "the sensor did not move with this axis (it sat on the frame, on another head, or on the head "
@@ -276,11 +167,11 @@ def rests_before(a: Array, start: float) -> bool:
 def check_motion(fit: Match, line: ChirpLine, hz: Array, level: Array) -> None:
     """Raise IdentificationError if what a recording shows at low frequencies is another motion."""
     grows = f"the recording's frequency grows by {line.slope:.3g} Hz/s as in a resonance test, but"
-    if float(np.polyfit(np.log(hz), np.log(level), 1)[0]) < LEAST_GROWTH:
+    if float(np.polyfit(np.log(hz), np.log(level), 1)[0]) < verdict.TEST_GROWTH:
         raise IdentificationError(
             f"{grows} its acceleration does not grow with it: this is another program's sweep"
         )
-    if fit.like < LEAST_LIKE:
+    if fit.like < verdict.TEST_EXPLAINED:
         raise IdentificationError(
             f"{grows} only {100.0 * max(fit.like, 0.0):.0f} % of what it shows below "
             f"{hz[-1]:.0f} Hz is that motion. Either {ELSEWHERE}, or input shaping was on "
@@ -294,13 +185,11 @@ def check_level(fit: Match, level: float, expected: ResonanceTest) -> None:
     A test of weak pulses still has its sweeping in full.
     """
     share = level / expected.accel_per_hz
-    sweeps = bool(fit.test.sweeping_period)
-    if share >= LEAST_MOVED:
-        return
-    if sweeps and np.linalg.norm(fit.sweeping) > 2.0 * LEAST_MOVED * expected.sweeping_accel:
+    swept = fit.sweeping / expected.sweeping_accel
+    if share >= verdict.TEST_LEVEL or swept > 2.0 * verdict.TEST_LEVEL:
         return
     cause = ELSEWHERE
-    if not sweeps and level > 1.0:
+    if not fit.test.sweeping_period and level > 1.0:
         cause = (
             f"either {ELSEWHERE}, or the test was run with ACCEL_PER_HZ={level:.2g}: set "
             f"accel_per_hz in [resonance_tester], which is {expected.accel_per_hz:g}"
@@ -313,7 +202,7 @@ def check_level(fit: Match, level: float, expected: ResonanceTest) -> None:
 
 def check_shaping(hz: Array, level: Array, base: float) -> None:
     """Raise IdentificationError if a printer that falls behind its motors resonates nowhere."""
-    if level.max() < LEAST_PEAK * base and level.min() < 0.5 * base:
+    if level.max() < verdict.TEST_PEAK * base and level.min() < 0.5 * base:
         fades = float(hz[np.flatnonzero(level < 0.5 * base)[0]])
         raise IdentificationError(
             f"the recording shows no resonance, and from {fades:.0f} Hz on less than half of the "
@@ -323,8 +212,6 @@ def check_shaping(hz: Array, level: Array, base: float) -> None:
         )
 
 
-LEAST_SCORE = 0.3  # of a line
-MOST_DRIFT = 0.03
 USUAL_RATES = (1.0, 0.5, 2.0, 0.25, 0.2, 0.1, 1.5, 0.75, 3.0, 4.0, 5.0)  # Hz/s
 LOW_HZ = 20.0  # to which motions are compared, unless the printer resonates earlier
 RISE = 1.4  # of the level, where that is
@@ -339,14 +226,12 @@ SOON = 1.0  # s from the motion's end to that of a recording
 class Found:
     """What a recording shows of a resonance test.
 
-    test: the motion that was played; start: s on the sensor's clock at the first moment of the
-    motion, within 5 ms, the printer's delay included; drift: by how much that clock runs fast,
-    within 0.05 %. axis (3,): unit vector of the sensor's slow motion.
+    test: the motion that was played. clock: its start within 5 ms, the printer's delay included,
+    its drift within 0.05 %. axis (3,): unit vector of the sensor's slow motion.
     """
 
     test: ResonanceTest
-    start: float
-    drift: float
+    clock: Clock
     axis: Array
 
 
@@ -369,9 +254,9 @@ def find(recording: Recording, expected: ResonanceTest) -> Found:
 
 
 def _found(recording: Recording, expected: ResonanceTest) -> Found:
-    a = _uniform(recording)
-    line = find_line(a, RATE)
-    if line.score < LEAST_SCORE or line.last - line.first < 5.0:
+    a = uniform(recording.t, recording.a)
+    line = find_line(a)
+    if not line.clear:
         raise IdentificationError(
             "the recording shows no resonance test, whose frequency grows steadily. If it is of "
             "a sweep, put the CSV file that 'hframe-post measure' wrote next to it"
@@ -391,24 +276,15 @@ def _found(recording: Recording, expected: ResonanceTest) -> Found:
     last = _last_hz(a, line, drift, fit, expected)
     check_shaping(hz, level, low)
     test = _with_levels(fit, low / (1.0 + drift), expected)
-    start = float(recording.t[0] + fit.start * (1.0 + drift))
-    return Found(replace(test, max_freq=last), start, drift, fit.axis)
-
-
-def _uniform(recording: Recording) -> Array:
-    """Return accelerations (n, 3) without gravity, ``RATE`` samples a second."""
-    t = recording.t - recording.t[0]
-    at = np.arange(int(t[-1] * RATE)) / RATE
-    smooth = uniform_filter1d(recording.a, max(1, round(1.0 / RATE / recording.period)), axis=0)
-    a = np.column_stack([np.interp(at, t, column) for column in smooth.T])
-    return np.asarray(a - a.mean(axis=0))
+    clock = Clock(float(recording.t[0] + fit.start * (1.0 + drift)), drift)
+    return Found(replace(test, max_freq=last), clock, fit.axis)
 
 
 def _rate(slope: float, expected: float) -> tuple[float, float]:
     """Return hz_per_sec and the drift of the clock on which a line has a slope in Hz/s."""
     for rate in (expected, *USUAL_RATES):
         drift = float(np.sqrt(rate / slope)) - 1.0
-        if abs(drift) < MOST_DRIFT:
+        if abs(drift) < verdict.CLOCK_DRIFT:
             return rate, drift
     raise IdentificationError(
         f"the recording's frequency grows by {slope:.3g} Hz/s, not by hz_per_sec "
@@ -445,11 +321,7 @@ def _low_band(hz: Array, level: Array) -> tuple[float, float]:
     low = hz <= edge
     # below a mode at f₀ the level is that at 0 Hz / (1 − (f/f₀)²); other modes are outliers
     columns = np.column_stack([np.ones(int(low.sum())), -np.square(hz[low])])
-    wanted, weight = 1.0 / level[low], np.ones(int(low.sum()))
-    for _ in range(20):
-        fit = np.linalg.lstsq(columns * weight[:, None], wanted * weight, rcond=None)[0]
-        miss = np.abs(wanted - columns @ fit)
-        weight = 1.0 / np.sqrt(miss + 0.01 * np.median(miss) + 1e-12)
+    fit = robust_fit(columns, 1.0 / level[low])
     return (1.0 / float(fit[0]) if fit.min() > 0.0 else base), min(edge, max(LOW_HZ, hz[0] + 8.0))
 
 
@@ -472,38 +344,33 @@ def _last_hz(a: Array, line: ChirpLine, drift: float, fit: Match, expected: Reso
     """Return the frequency at which the pulses end; raises IdentificationError if cut off."""
     hz, size = _along_line(a, line, END)
     before = (hz > line.last - 2.0 * line.slope) & (hz < line.last - line.slope)
-    near = before | (hz >= line.last - line.slope) & (hz < line.last + 2.0 * line.slope)
+    near = np.abs(hz - line.last) < 2.0 * line.slope
     strong = size > 0.5 * np.median(size[before])
     last = float(hz[near & strong][-1]) * (1.0 + drift)
     end = float(hz[-1]) * (1.0 + drift)
     ended = end - last > END * line.slope
     usual = [expected.max_freq, DEFAULTS["max_freq"], FORMER_MAX_FREQ]
-    # the firmware stops recording soon after the motion, which noise may hide before
-    recorded = [f for f in [*usual, 5.0 * (end // 5.0)] if last < f <= end < f + SOON * line.slope]
-    if ended:
-        usual.append(5.0 * round(last / 5.0))
-    found = min(usual, key=lambda f: abs(f - last))
+    rounded = [5.0 * round(last / 5.0)] if ended else []
+    found = min([*usual, *rounded], key=lambda f: abs(f - last))
     if abs(found - last) < 0.4 * max(1.0, line.slope):
         return found
-    if ended and recorded:
-        return recorded[0]
-    if not ended and 0.0 <= end - expected.max_freq < SOON * line.slope:
-        return expected.max_freq  # all of it was recorded; noise hides where it ends
-    if not ended:
+    # the firmware stops recording soon after the motion, whose end noise may hide
+    usual = [*usual, 5.0 * (end // 5.0)] if ended else usual[:1]
+    hidden = [f for f in usual if f <= end < f + SOON * line.slope]
+    if not (hidden or ended):
         raise IdentificationError(
             f"the recording ends in the middle of the resonance test, at {last:.0f} Hz of "
             f"{expected.max_freq:g} Hz: it was cut. Use the whole file"
         )
-    return round(last, 1)
+    return hidden[0] if hidden else round(last, 1)
 
 
 def _with_levels(fit: Match, level: float, expected: ResonanceTest) -> ResonanceTest:
     """Return the test with levels from the recording where they are not those expected."""
-    swept = float(np.linalg.norm(fit.sweeping))
     sweeping_accel, gain = expected.sweeping_accel, 1.0
     if fit.test.sweeping_period:
-        sweeping_accel = _usual(swept, (sweeping_accel, 400.0, 200.0), 10.0)
-        gain = swept / sweeping_accel
+        sweeping_accel = _usual(fit.sweeping, (sweeping_accel, 400.0, 200.0), 10.0)
+        gain = fit.sweeping / sweeping_accel
     accel_per_hz = _usual(level / gain, (expected.accel_per_hz, 60.0, 75.0), 1.0)
     return replace(fit.test, accel_per_hz=accel_per_hz, sweeping_accel=sweeping_accel)
 
