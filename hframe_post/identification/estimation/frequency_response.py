@@ -202,12 +202,16 @@ def lowest(x: Array, costs: Sequence[float]) -> float:
 
 # ---------------------------------------------------------------------- noise
 
-NOISE_FLOOR = 0.003  # relative noise of H that is assumed at the least
+LEAST_FREQUENCIES = 50  # of a model
 SENSOR = (1.0, 0.03)  # gain of a sensor, as mean and standard deviation
 
 
 def largest_response(part: FrequencyResponse) -> float:
-    """Return the largest |H|; raise IdentificationError if nothing was measured."""
+    """Return the largest |H|; raise IdentificationError if too little was measured."""
+    if len(part.hz) < LEAST_FREQUENCIES:
+        raise IdentificationError(
+            f"only {len(part.hz)} frequencies were excited, too few for a model"
+        )
     if not (np.isfinite(part.H).all() and np.isfinite(part.coherence).all()):
         raise IdentificationError("the frequency response has values that are not finite")
     largest = float(np.abs(part.H).max(initial=0.0))
@@ -219,9 +223,9 @@ def largest_response(part: FrequencyResponse) -> float:
 def weights(part: FrequencyResponse) -> Array:
     """Return one over the standard deviation of H, (k,).
 
-    The standard deviation is at least 0.3 % of |H| and 0.2 % of the largest |H|.
+    The standard deviation is at least 0.3 % of the largest |H|.
     Frequencies that the sweep hardly excites get 0. Raises IdentificationError without a signal.
     """
     largest = largest_response(part)
-    sd = np.hypot(np.hypot(part.noise, NOISE_FLOOR) * np.abs(part.H), 0.002 * largest)
+    sd = np.hypot(part.noise * np.abs(part.H), 0.003 * largest)
     return np.asarray((part.power > 1e-3 * np.median(part.power)) / sd)

@@ -17,7 +17,6 @@ from scipy.fft import irfft, rfft
 from scipy.ndimage import uniform_filter1d
 
 from hframe_post.arrays import TS, Array, Complex
-from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation.frequency_response import (
     SENSOR,
     FrequencyResponse,
@@ -43,7 +42,6 @@ NOISE_HZ = 4.0  # over which the noise is alike
 NOISE = 0.1  # share of command and response that counts as noise at first
 LEAST_NOISE = 2e-3  # and at least
 LAG_SD = 10.0  # samples
-LEAST_FREQUENCIES = 50
 UNKNOWN = 64  # samples of the filter that holds the uncertainty
 FINE = 4096
 USUAL_PEAK = 5.0  # of an axis; a coupling is scaled to it
@@ -105,10 +103,6 @@ def _regressed(
     lag_sd: float = LAG_SD, swept: bool = False,
 ) -> tuple[Posterior, Complex]:  # fmt: skip
     """Return the posterior of (g − ĝ, g·lag, g·q), with the noise that it leaves, and its mean."""
-    if len(measured.hz) < LEAST_FREQUENCIES:
-        raise IdentificationError(
-            f"only {len(measured.hz)} frequencies were excited, too few for a model"
-        )
     largest_response(measured)
     linear, H, power = Linear(measured, sensor[0], max(lag_sd, NONE)), measured.H, measured.power
     least = power * (np.abs(H) ** 2 + 1.0) / measured.averages

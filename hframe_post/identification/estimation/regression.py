@@ -324,8 +324,10 @@ class _Search:
 
         now = self.prior.decay
         start = np.log([now.c, now.beta, now.alpha])
-        x = _minimised(cost, start, np.array([1.5, 0.6, 0.6]), 45, (0.05, 0.3))
-        self.prior = replace(self.prior, decay=decay(x))
+        simplex = np.vstack([start, start + np.diag([1.5, 0.6, 0.6])])
+        options = {"initial_simplex": simplex, "maxfev": 45, "xatol": 0.05, "fatol": 0.3}
+        found = optimize.minimize(cost, start, method="Nelder-Mead", options=options)
+        self.prior = replace(self.prior, decay=decay(found.x))
         self._integrate()
 
     def posterior(self) -> Posterior:
@@ -393,15 +395,6 @@ def _integrated(M: Array, v: Array) -> float:
     z = linalg.solve_triangular(R, v, lower=True, check_finite=False)
     cost = np.log(np.diag(R)).sum() + len(v) * np.log(AMPLITUDE) - 0.5 * z @ z
     return float(cost) if np.isfinite(cost) else WORST
-
-
-def _minimised(
-    cost: object, start: Array, steps: Array, most: int, tolerance: tuple[float, float]
-) -> Array:
-    simplex = np.vstack([start, start + np.diag(steps)])
-    options = {"initial_simplex": simplex, "maxfev": most, "xatol": tolerance[0],
-               "fatol": tolerance[1]}  # fmt: skip
-    return np.asarray(optimize.minimize(cost, start, method="Nelder-Mead", options=options).x)
 
 
 @dataclass(frozen=True, slots=True)

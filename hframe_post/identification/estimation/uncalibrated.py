@@ -42,8 +42,6 @@ from hframe_post.identification.recordings.clock import (
 
 EXCITED = 0.1  # of a test's usual power, from which a frequency counts as excited
 LEAST_HZ = 8.0  # to which a test lasts at least; slow sweeping lies below
-SHOWN = 2.0  # times the coherence that noise has, from which a frequency is seen
-ROUGH = 0.01  # share of a response that is not linear, where nothing is noisy
 LATEST = 0.08  # s by which the rough start may be off
 SLOW_HZ = 25.0  # below it a printer moves more than it racks
 ACROSS = 0.5  # of the response at low frequencies that may be out of phase
@@ -80,7 +78,7 @@ def direction(responses: list[FrequencyResponse]) -> Direction:
     low_end = max(0.7 * resonance, 2.5 * low)
     used = excited & (hz <= low_end)
     unit = H[:, used] / np.abs(H[strongest, used])
-    weight = _weights(responses[strongest])[used]
+    weight = np.clip(responses[strongest].coherence, 0.0, 1.0)[used]
     delays = np.arange(-LATEST, LATEST, 2e-4)
     turned = np.exp(2j * np.pi * np.outer(hz[used], delays)) * weight[:, None]
     delay = float(delays[np.argmax((np.abs(unit @ turned) ** 2).sum(axis=0))])
@@ -91,12 +89,6 @@ def direction(responses: list[FrequencyResponse]) -> Direction:
     if np.linalg.norm(mean.imag) > ACROSS * np.linalg.norm(mean.real):
         raise not_found()
     return Direction(axis / np.linalg.norm(axis), delay, resonance, (low, high))
-
-
-def _weights(response: FrequencyResponse) -> Array:
-    """Return the weights (k,) of responses, which fall with their noise."""
-    gamma = np.clip(response.coherence, 0.0, 1.0)
-    return np.asarray(np.sqrt(gamma / (1.0 - gamma + ROUGH)))
 
 
 def _excited(response: FrequencyResponse) -> Flags:
@@ -116,9 +108,7 @@ def _excited(response: FrequencyResponse) -> Flags:
     inside = ~middle & (steady > EXCITED * usual)
     if not inside.any() or np.median(coherence[inside]) < 0.25:
         raise not_found()
-    gap = steady < EXCITED * usual
-    gap |= coherence * response.averages < SHOWN
-    gaps = np.flatnonzero(gap & middle)
+    gaps = np.flatnonzero(middle & (steady < EXCITED * usual))
     flags = np.zeros(len(response.hz), dtype=bool)
     ends = slice(int(gaps[-1]) + 1 if gaps.size else 0, int(np.flatnonzero(inside)[-1]) + 1)
     flags[ends] = True

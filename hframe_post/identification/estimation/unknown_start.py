@@ -22,7 +22,11 @@ from scipy import linalg
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.estimation.frequency_response import BANDWIDTH, FrequencyResponse
+from hframe_post.identification.estimation.frequency_response import (
+    BANDWIDTH,
+    FrequencyResponse,
+    largest_response,
+)
 from hframe_post.identification.estimation.regression import Estimated
 from hframe_post.model.impulse_response import ImpulseResponse
 
@@ -38,7 +42,6 @@ LEAD, LENGTH = 32, 440  # samples of the result
 FIT_HZ = 125.0, 0.25  # up to which, and how densely, the result is fitted
 SLOW_HZ = 5.0  # of strokes as long as a bed
 FIT_SIZE = 1e-4  # weight of the result's own kernel
-LEAST_FREQUENCIES = 50
 
 
 def estimated(measured: FrequencyResponse) -> Estimated:
@@ -47,8 +50,7 @@ def estimated(measured: FrequencyResponse) -> Estimated:
     Raises IdentificationError if there are too few frequencies.
     """
     hz = measured.hz
-    if len(hz) < LEAST_FREQUENCIES:
-        raise IdentificationError(f"only {len(hz)} frequencies were excited, too few for a model")
+    largest_response(measured)
     f0 = _strongest(measured)
     gain, delay = gain_and_delay(measured)
     in_time = measured.H / gain * np.exp(2j * np.pi * hz * delay)
