@@ -10,24 +10,26 @@ import pytest
 from hframe_post.firmware.registry import firmware
 from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.predict import as_written
-from hframe_post.prediction.windows import EVERY, WINDOW, Windows
+from hframe_post.prediction.windows import FEW, SOME, WINDOW, Windows
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import smaller
 from hframe_post.stream.types import Samples
 from tests.paths import walk
 
-WHOLE = 2 * WINDOW
+WHOLE = 8 * WINDOW
 
 
 def moving(n: int) -> Samples:
-    """Return a walk that is commanded as it stands."""
-    path = walk(np.random.default_rng(3), n)
+    """Return walks, one after the other, that are commanded as they stand."""
+    rng = np.random.default_rng(3)
+    walks = [np.diff(walk(rng, 129), axis=0) for _ in range(0, n, 128)]
+    path = np.cumsum(np.concatenate(walks), axis=0)[:n]
     xyze = np.column_stack([path + 100.0, np.zeros(n), 0.01 * np.arange(n)])
     commands = {"none": xyze[:, :2]}
     return Samples(0, xyze, np.zeros(n, np.int64), commands=commands, ends_stretch=True)
 
 
-@pytest.mark.parametrize("n", [WINDOW // 2, 21 * WINDOW + 100])
+@pytest.mark.parametrize("n", [WINDOW // 2, 63 * WINDOW + 100])
 def test_errors_of_windows_are_those_of_the_whole_print(paper: Printer, n: int) -> None:
     """What is judged has the same errors as in the whole print, wherever that is cut."""
     whole = moving(n)
@@ -42,7 +44,7 @@ def test_errors_of_windows_are_those_of_the_whole_print(paper: Printer, n: int) 
         pass
     judged, errors = found[0]
     one, other = (each.contour["none"] for each in (expected, meter))
-    assert judged == min(n, WHOLE + 3 * WINDOW)
+    assert judged == min(n, WHOLE + 4 * WINDOW)
     assert other.all.count == pytest.approx(one.all.count, rel=0.1)
     assert errors["rms"] == pytest.approx(one.micrometres()["rms"], rel=0.05)
     if judged == n:
@@ -69,9 +71,9 @@ def test_errors_are_those_of_the_motion_that_lines_make(paper: Printer) -> None:
 
 
 def test_a_window_is_one_of_so_many() -> None:
-    chunks = smaller([moving(40 * WINDOW)], 3000)
+    chunks = smaller([moving(64 * WINDOW)], 3000)
     windows = [each for _, found in Windows(1000, 60, WHOLE).samples(chunks) for each in found]
     starts = [each.piece.first + each.start for each in windows]
-    assert starts == [0, WINDOW, *range(EVERY // 2 * WINDOW, 40 * WINDOW, EVERY * WINDOW)]
-    assert [each.weight for each in windows[:3]] == [1, 1, EVERY]
+    assert [start // WINDOW for start in starts] == [*range(8), 12, 20, 28, 48]
+    assert [each.weight for each in windows] == [1] * 8 + [SOME] * 3 + [FEW]
     assert {each.stop - each.start for each in windows} == {WINDOW}
