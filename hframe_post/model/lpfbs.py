@@ -114,11 +114,11 @@ class Lpfbs:
         self.window, self.lead = window, max(G.ahead, lead)
         self._basis = np.asfortranarray(uniform_basis(window.L, window.degree))
         K_target, K_past, step_past = _solve(G, window, self.lead, reach)
-        # their transposes are multiplied, window by window, and need no copy then
-        self._K_past, self._step_past = np.asfortranarray(K_past), np.asfortranarray(step_past)
+        # its transpose is multiplied, window by window, and needs no copy then
+        self._K_past = np.asfortranarray(K_past)
         self._by_target = np.ascontiguousarray(K_target.T)
-        self.rest = np.zeros(len(self._step_past))  # the past of an axis that stood at zero
-        self.radius = float(np.abs(np.linalg.eigvals(self._step_past)).max())
+        self.rest = np.zeros(len(step_past))  # the past of an axis that stood at zero
+        self.radius = float(np.abs(np.linalg.eigvals(step_past)).max())
         if not self.radius < 1.0:
             raise ArgumentError(
                 f"the recursion diverges: spectral radius {self.radius:.3g} with L = {window.L}, "
@@ -164,13 +164,9 @@ class Lpfbs:
                 f"of {w.stride}); command() takes any length"
             )
         by_target = windows_product(np.ascontiguousarray(x_d), w.stride, self._by_target)
-        points = min(w.n_up, len(s))  # that the next window needs
-        steps = np.zeros((len(by_target), len(s)))
-        steps[:, len(s) - points :] = by_target[:, w.n_up - points :]
-        past = recursion(self._step_past, steps, s)
-        p = by_target + product(past[:-1], self._K_past.T)  # (W, n_up), eq. 39
-        control = np.concatenate([s[-w.degree :], p.ravel()])
-        return windows_product(control, 1, self._basis.T).ravel(), past[-1]
+        control = recursion(self._K_past, by_target, s)  # s and then p of each window, eq. 39
+        command = windows_product(control[len(s) - w.degree :], 1, self._basis.T).ravel()
+        return command, control[-len(s) :].copy()
 
 
 def _solve(G: ImpulseResponse, w: Window, lead: int, reach: int) -> tuple[Array, Array, Array]:

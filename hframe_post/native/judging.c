@@ -315,52 +315,83 @@ static int64_t joined_pieces(const float *values, int64_t rows, int64_t n, int64
 LOOP(joined_pieces, SINGLES(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2), COUNT(3),
      WITHIN(4, 1, COUNT(1)), REAL(5), REAL(6), REAL(7), WHOLE(8), OUT_INTEGERS(9, COUNT(2)))
 
-static struct vector difference(struct vector a, struct vector b)
-{
-    return (struct vector){a.x - b.x, a.y - b.y};
-}
+enum { LANES = 8 }; /* samples that are checked side by side */
 
-static double faster(const double *belts, struct vector v)
-{
-    return greater(fabs(belts[0] * v.x + belts[1] * v.y), fabs(belts[2] * v.x + belts[3] * v.y));
-}
+struct extremes { /* by lane: of z and of the command; rates of belts, then of x and y; 0, or not finite */
+    double low[3][LANES], high[3][LANES], most[4][LANES], zero[LANES];
+};
 
-/* xyze (n, 4), command (n) after the samples before[0], before[1]. limits: lower and upper bounds of
- * z, x, y, then belt velocity and acceleration; belts (2, 2). Return whether all is finite and within
- * the limits; only then before and peaks are updated: of both belts' velocity and acceleration, and
- * of the acceleration in x and in y. */
-static int64_t safe(const double *xyze, const struct vector *command, int64_t n,
-                    struct vector *before, const double *limits, const double *belts,
-                    double interval, double *peaks)
+/* Take count samples of a path and of a command, which begins two samples before. */
+INSIDE void take(struct extremes *of, const double *xyze, const double *command, const double *belts,
+                 double interval, int count)
 {
-    struct vector earlier = before[0], last = before[1], low = last, high = last;
-    double z_low = xyze[Z], z_high = z_low, zero = 0.0, most[4] = {0};
-    for (int64_t i = 0; i < n; i++) {
+    double x[LANES + 2], y[LANES + 2];
+    for (int i = 0; i < count + 2; i++)
+        x[i] = command[2 * i + X], y[i] = command[2 * i + Y];
+    for (int i = 0; i < count; i++) {
         const double *p = xyze + COLUMNS * i;
-        struct vector c = command[i], v = difference(c, last);
-        struct vector a = difference(v, difference(last, earlier));
-        zero += 0.0 * p[X] + 0.0 * p[Y] + 0.0 * p[Z] + 0.0 * p[E] + 0.0 * c.x + 0.0 * c.y;
-        z_low = lesser(z_low, p[Z]), z_high = greater(z_high, p[Z]);
-        low.x = lesser(low.x, c.x), high.x = greater(high.x, c.x);
-        low.y = lesser(low.y, c.y), high.y = greater(high.y, c.y);
-        v.x /= interval, v.y /= interval;
-        a.x /= interval * interval, a.y /= interval * interval;
-        most[0] = greater(most[0], faster(belts, v)), most[1] = greater(most[1], faster(belts, a));
-        most[2] = greater(most[2], fabs(a.x)), most[3] = greater(most[3], fabs(a.y));
-        earlier = last, last = c;
+        double vx = x[i + 2] - x[i + 1], vy = y[i + 2] - y[i + 1];
+        double ax = vx - (x[i + 1] - x[i]), ay = vy - (y[i + 1] - y[i]);
+        double places[] = {p[Z], x[i + 2], y[i + 2]};
+        of->zero[i] += 0.0 * p[X] + 0.0 * p[Y] + 0.0 * p[Z] + 0.0 * p[E] + 0.0 * x[i + 2] + 0.0 * y[i + 2];
+        for (int k = 0; k < 3; k++) {
+            of->low[k][i] = lesser(of->low[k][i], places[k]);
+            of->high[k][i] = greater(of->high[k][i], places[k]);
+        }
+        vx /= interval, vy /= interval, ax /= interval * interval, ay /= interval * interval;
+        double rates[] = {
+            greater(fabs(belts[0] * vx + belts[1] * vy), fabs(belts[2] * vx + belts[3] * vy)),
+            greater(fabs(belts[0] * ax + belts[1] * ay), fabs(belts[2] * ax + belts[3] * ay)),
+            fabs(ax), fabs(ay),
+        };
+        for (int k = 0; k < 4; k++)
+            of->most[k][i] = greater(of->most[k][i], rates[k]);
     }
-    if (zero != 0.0 || z_low < limits[0] || z_high > limits[1] || low.x < limits[2] ||
-        high.x > limits[3] || low.y < limits[4] || high.y > limits[5] || most[0] > limits[6] ||
-        most[1] > limits[7])
+}
+
+/* xyze (n, 4), command (n, 2) after the two samples before (2, 2). limits: lower and upper bounds of z,
+ * x, y, then belt velocity and acceleration; belts (2, 2). Return whether all is finite and within the
+ * limits; only then before and peaks are updated: of both belts' velocity and acceleration, and of the
+ * acceleration in x and in y. */
+WIDE static int64_t safe(const double *xyze, const double *command, int64_t n, double *before,
+                         const double *limits, const double *belts, double interval, double *peaks)
+{
+    struct extremes of = {{{0.0}}, {{0.0}}, {{0.0}}, {0.0}};
+    double begin[2 * (LANES + 2)];
+    int64_t at = n < LANES ? n : LANES;
+    for (int i = 0; i < LANES; i++)
+        for (int k = 0; k < 3; k++)
+            of.low[k][i] = of.high[k][i] = k == 0 ? xyze[Z] : command[k - 1];
+    memcpy(begin, before, 4 * sizeof(double));
+    memcpy(begin + 4, command, 2 * sizeof(double) * (size_t)at);
+    take(&of, xyze, begin, belts, interval, (int)at);
+    for (; at + LANES <= n; at += LANES)
+        take(&of, xyze + COLUMNS * at, command + 2 * (at - 2), belts, interval, LANES);
+    if (at < n)
+        take(&of, xyze + COLUMNS * at, command + 2 * (at - 2), belts, interval, (int)(n - at));
+    for (int i = 1; i < LANES; i++) {
+        for (int k = 0; k < 3; k++) {
+            of.low[k][0] = lesser(of.low[k][0], of.low[k][i]);
+            of.high[k][0] = greater(of.high[k][0], of.high[k][i]);
+        }
+        for (int k = 0; k < 4; k++)
+            of.most[k][0] = greater(of.most[k][0], of.most[k][i]);
+        of.zero[0] += of.zero[i];
+    }
+    for (int k = 0; k < 3; k++)
+        if (of.low[k][0] < limits[2 * k] || of.high[k][0] > limits[2 * k + 1])
+            return 0;
+    if (of.zero[0] != 0.0 || of.most[0][0] > limits[6] || of.most[1][0] > limits[7])
         return 0;
     for (int k = 0; k < 4; k++)
-        peaks[k] = greater(peaks[k], most[k]);
-    before[0] = earlier, before[1] = last;
+        peaks[k] = greater(peaks[k], of.most[k][0]);
+    const double *last = n > 1 ? command + 2 * (n - 2) : begin + 2;
+    memcpy(before, last, 4 * sizeof(double));
     return 1;
 }
 
-LOOP(safe, FLOATS(0, COLUMNS * COUNT(2)), (const struct vector *)FLOATS(1, 2 * COUNT(2)),
-     WITHIN(2, 1, MOST_ITEMS), (struct vector *)OUT_FLOATS(3, 4), FLOATS(4, 8), FLOATS(5, 4),
+LOOP(safe, FLOATS(0, COLUMNS * COUNT(2)), FLOATS(1, 2 * COUNT(2)), WITHIN(2, 1, MOST_ITEMS),
+     OUT_FLOATS(3, 4), FLOATS(4, 8), FLOATS(5, 4),
      REAL(6), OUT_FLOATS(7, 4))
 
 /* Return the sample whose command (n) is farthest from the path xyze (n, 4), or one without a number. */

@@ -32,18 +32,20 @@ WIDE static int64_t product(const double *a, int64_t step, const double *b, int6
 LOOP(product, FLOATS(0, (COUNT(3) - 1) * COUNT(1) + COUNT(4)), COUNT(1), FLOATS(2, COUNT(4) * COUNT(5)),
      COUNT(3), COUNT(4), COUNT(5), OUT_FLOATS(6, COUNT(3) * COUNT(5)))
 
-/* s[k + 1] = s[k] M + w[k], for M (d, d), w (n, d), and s (n + 1, d) with the first row given. */
-WIDE static int64_t recursion(const double *M, const double *w, int64_t n, int64_t d, double *s)
+/* s (d + m n), of which the first d numbers are given: n more are those d before them times M (d, n),
+ * plus a row of w (m, n). */
+WIDE static int64_t recursion(const double *M, const double *w, int64_t m, int64_t d, int64_t n, double *s)
 {
-    for (int64_t k = 0; k < n; k++, s += d, w += d) {
-        for (int64_t j = 0; j < d; j++)
-            s[d + j] = 0.0;
-        add_product(s, M, d, d, s + d);
-        for (int64_t j = 0; j < d; j++)
-            s[d + j] += w[j];
+    for (int64_t k = 0; k < m; k++, s += n, w += n) {
+        double *next = s + d;
+        for (int64_t j = 0; j < n; j++)
+            next[j] = 0.0;
+        add_product(s, M, d, n, next);
+        for (int64_t j = 0; j < n; j++)
+            next[j] += w[j];
     }
-    return n;
+    return m;
 }
 
-LOOP(recursion, FLOATS(0, COUNT(3) * COUNT(3)), FLOATS(1, COUNT(2) * COUNT(3)), COUNT(2), COUNT(3),
-     OUT_FLOATS(4, (COUNT(2) + 1) * COUNT(3)))
+LOOP(recursion, FLOATS(0, FEW(3) * FEW(4)), FLOATS(1, COUNT(2) * FEW(4)), COUNT(2), FEW(3), FEW(4),
+     OUT_FLOATS(5, FEW(3) + COUNT(2) * FEW(4)))

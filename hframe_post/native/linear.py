@@ -32,12 +32,15 @@ def _by_rows(x: Array, step: int, m: int, B: Array) -> Array:
 
 
 def recursion(A: Array, W: Array, s: Array) -> Array:
-    """Return the states (n + 1, d) of s[k+1] = A s[k] + w[k], for W (n, d) from s (d,)."""
-    M, W = np.ascontiguousarray(A.T), np.ascontiguousarray(W)
-    states = np.empty((len(W) + 1, len(A)))
-    states[0] = s
-    kernels.recursion(M, W, len(W), len(A), states)
-    return states
+    """Return s (d,) and what follows: n numbers at a time, A (n, d) times the d before, plus a row.
+
+    W (m, n): these rows. The result has d + m·n numbers.
+    """
+    M, W, d = np.ascontiguousarray(A.T), np.ascontiguousarray(W), len(s)
+    following = np.empty(d + W.size)
+    following[:d] = s
+    kernels.recursion(M, W, len(W), d, len(A), following)
+    return following
 
 
 def pseudo_inverse(A: Array, condition: float) -> Array | None:

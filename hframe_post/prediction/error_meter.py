@@ -122,7 +122,7 @@ class Melt:
         """Return what comes out in steps that feed this much, with one K."""
         kept = np.exp(-TS / K) if K else 0.0
         fed[0] += self._held
-        laid = recursion(np.array([[kept]]), (1.0 - kept) * fed[:, None], np.zeros(1))[1:, 0]
+        laid = recursion(np.array([[kept]]), (1.0 - kept) * fed[:, None], np.zeros(1))[1:]
         self._held = float(laid[-1]) * kept / (1.0 - kept)
         return laid
 

@@ -25,14 +25,14 @@ def test_products_take_their_terms_in_order(m: int, k: int, n: int, seed: int) -
 
 
 @settings(deadline=None)
-@given(st.integers(0, 40), st.integers(1, 5), seeds)
-def test_recursion_takes_the_steps_one_by_one(n: int, d: int, seed: int) -> None:
+@given(st.integers(0, 40), st.integers(1, 5), st.integers(1, 5), seeds)
+def test_recursion_takes_the_steps_one_by_one(m: int, d: int, n: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    A, W, s = rng.normal(size=(d, d)) / (2 * d), rng.normal(size=(n, d)), rng.normal(size=d)
-    states = recursion(A, W, s)
-    for k in range(n + 1):
-        np.testing.assert_allclose(states[k], s, atol=1e-12)
-        s = A @ s + W[min(k, n - 1)] if n else s
+    A, W, s = rng.normal(size=(n, d)) / (2 * d), rng.normal(size=(m, n)), rng.normal(size=d)
+    expected = s
+    for row in W:
+        expected = np.concatenate([expected, A @ expected[-d:] + row])
+    np.testing.assert_allclose(recursion(A, W, s), expected, atol=1e-12)
 
 
 def test_pseudo_inverse_of_columns_that_are_almost_the_same() -> None:
