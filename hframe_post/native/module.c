@@ -46,8 +46,8 @@
     EACH(path_lengths)                                                                        \
     EACH(phases)                                                                              \
     EACH(plain_moves)                                                                         \
+    EACH(profiles)                                                                            \
     EACH(product)                                                                             \
-    EACH(ramps)                                                                               \
     EACH(recursion)                                                                           \
     EACH(safe)                                                                                \
     EACH(sliding_sums)                                                                        \

@@ -337,26 +337,85 @@ LOOP(smoothed_runs, FLOATS(0, COUNT(1)), COUNT(1), INDICES(2, COUNT(6) + 1, 0, C
 
 enum { PHASES = 7 }; /* of a run; t, j (r, 7) are their durations and jerks */
 
-/* Fill t and j with one change of speed along the whole of each length, and its acceleration (r). */
-static int64_t ramps(const double *v0, const double *v1, const double *length, int64_t r, double jerk,
-                     double *t, double *j, double *acceleration)
+struct wanted { /* a run: from speed v0 to v1 over a length */
+    double v0, v1, length, cruise, up, down;
+};
+
+/* Fill t and j with one change of speed along the whole length; return its acceleration. */
+static double ramp(struct wanted run, double jerk, double *t, double *j)
 {
-    for (int64_t i = 0; i < r; i++, t += PHASES, j += PHASES) {
-        double change = v1[i] - v0[i], T = 2.0 * length[i] / (v0[i] + v1[i]);
-        double root = sqrt(greater(T * T - 4.0 * fabs(change) / jerk, 0.0));
-        double a = 2.0 * fabs(change) / (T + root), ramp = a / jerk;
-        for (int k = 0; k < PHASES; k++)
-            t[k] = j[k] = 0.0;
-        t[0] = t[2] = ramp;
-        t[1] = isfinite(T) ? T - 2.0 * ramp : 0.0;
-        j[0] = copysign(jerk, change), j[2] = -j[0];
-        acceleration[i] = a;
-    }
-    return r;
+    double change = run.v1 - run.v0, T = 2.0 * run.length / (run.v0 + run.v1);
+    double root = sqrt(greater(T * T - 4.0 * fabs(change) / jerk, 0.0));
+    double a = 2.0 * fabs(change) / (T + root), part = a / jerk;
+    for (int k = 0; k < PHASES; k++)
+        t[k] = j[k] = 0.0;
+    t[0] = t[2] = part;
+    t[1] = isfinite(T) ? T - 2.0 * part : 0.0;
+    j[0] = copysign(jerk, change), j[2] = -j[0];
+    return a;
 }
 
-LOOP(ramps, FLOATS(0, COUNT(3)), FLOATS(1, COUNT(3)), FLOATS(2, COUNT(3)), COUNT(3), REAL(4),
-     OUT_FLOATS(5, PHASES * COUNT(3)), OUT_FLOATS(6, PHASES * COUNT(3)), OUT_FLOATS(7, COUNT(3)))
+/* Fill three phases with a change of speed; return the way. */
+static double change_speed(double slower, double faster, double acceleration, double jerk, double *t)
+{
+    double gain = faster - slower, full = acceleration / jerk;
+    int reached = gain >= acceleration * full;
+    t[0] = t[2] = reached ? full : sqrt(gain / jerk);
+    t[1] = reached ? gain / acceleration - full : 0.0;
+    return (slower + faster) / 2.0 * (t[0] + t[1] + t[2]);
+}
+
+/* Fill t with up to a peak, along, and down. Return whether the length is enough. */
+static int peaked(struct wanted run, double peak, double jerk, double *t)
+{
+    double left = run.length - change_speed(run.v0, peak, run.up, jerk, t)
+        - change_speed(run.v1, peak, run.down, jerk, t + 4);
+    t[3] = greater(left, 0.0) / peak;
+    return left >= 0.0;
+}
+
+/* Return the peak where both accelerations are reached and there is no cruise; NAN if they are not. */
+static double peak_of(struct wanted run, double jerk)
+{
+    double a = run.up, b = run.down, square = (1.0 / a + 1.0 / b) / 2.0, half = (a + b) / (4.0 * jerk);
+    double rest = (run.v0 * (a / jerk - run.v0 / a) + run.v1 * (b / jerk - run.v1 / b)) / 2.0 - run.length;
+    double peak = (sqrt(greater(half * half - square * rest, 0.0)) - half) / square;
+    int reached = peak - run.v0 >= a * (a / jerk) && peak - run.v1 >= b * (b / jerk);
+    return reached ? peak : NAN;
+}
+
+/* Fill the phases of r runs whose fastest profile has a closed form: at one speed, one change of speed, up
+ * to cruise and down, or up and down with both accelerations reached. Note the others, which are one change
+ * of speed until they are solved; return how many. ``almost``: share of a limit that counts as all of it. */
+static int64_t profiles(const double *v0, const double *v1, const double *length, const double *cruise,
+                        const double *most, int64_t r, double braking, double jerk, double almost,
+                        double *t, double *j, int64_t *others)
+{
+    int64_t count = 0;
+    for (int64_t i = 0; i < r; i++, t += PHASES, j += PHASES) {
+        struct wanted run = {v0[i], v1[i], length[i], cruise[i], most[i], lesser(most[i], braking)};
+        double taken = ramp(run, jerk, t, j), found[PHASES];
+        int even = run.v0 == run.v1 && run.v0 >= almost * run.cruise;
+        if (even || taken >= almost * (run.v1 < run.v0 ? run.down : run.up))
+            continue;
+        if (!peaked(run, run.cruise, jerk, found)) {
+            double peak = peak_of(run, jerk);
+            if (!isfinite(peak)) {
+                others[count++] = i;
+                continue;
+            }
+            peaked(run, peak, jerk, found);
+        }
+        for (int k = 0; k < PHASES; k++)
+            t[k] = found[k];
+        j[0] = j[6] = jerk, j[2] = j[4] = -jerk;
+    }
+    return count;
+}
+
+LOOP(profiles, FLOATS(0, COUNT(5)), FLOATS(1, COUNT(5)), FLOATS(2, COUNT(5)), FLOATS(3, COUNT(5)),
+     FLOATS(4, COUNT(5)), COUNT(5), REAL(6), REAL(7), REAL(8), OUT_FLOATS(9, PHASES * COUNT(5)),
+     OUT_FLOATS(10, PHASES * COUNT(5)), OUT_INTEGERS(11, COUNT(5)))
 
 /* Acceleration, speed, path length from the start, and time from the start, when a phase begins. */
 struct phase {

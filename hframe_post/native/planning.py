@@ -171,6 +171,7 @@ def smoothed_runs(
 # A profile has seven phases of constant jerk for each of r runs: durations t and jerks j, (r, 7).
 
 DRIFT = 1e-6  # mm by which a profile may miss its run's end through rounding
+ALMOST = 0.999  # share of a limit that counts as all of it
 FORGIVEN = 1e-9  # of a sample, by which a time may be after it
 
 
@@ -179,15 +180,19 @@ def samples_until(seconds: float) -> int:
     return math.ceil(seconds / TS - FORGIVEN)
 
 
-def ramps(v0: Array, v1: Array, length: Array, jerk: float) -> tuple[Array, Array, Array]:
-    """Return one change of speed along the whole of each length, with the least acceleration.
+def profiles(
+    v0: Array, v1: Array, length: Array, cruise: Array, most: Array, braking: float, jerk: float
+) -> tuple[Array, Array, Integers]:
+    """Return durations and jerks of the fastest runs, (r, 7), and which have no closed form.
 
-    All (r,). Returns durations and jerks of the seven phases, (r, 7), and the acceleration
-    (r,): the root of a²/j − T·a + |v1 − v0| = 0 with T = 2·length/(v0 + v1).
+    All (r,): speeds at both ends, length, greatest speed and acceleration; braking: the greatest in
+    any run. Those without a closed form are filled with one change of speed along all of the
+    length, with the least acceleration.
     """
-    (t, j), a = np.empty((2, len(v0), 7)), np.empty(len(v0))
-    kernels.ramps(v0, v1, length, len(v0), jerk, t, j, a)
-    return t, j, a
+    (t, j), r = np.empty((2, len(v0), 7)), len(v0)
+    others = np.empty(r, np.int64)
+    limits = v0, v1, length, cruise, most, r, braking, jerk, ALMOST
+    return t, j, others[: kernels.profiles(*limits, t, j, others)]
 
 
 def misses(t: Array, j: Array, v0: Array, length: Array) -> Flags:

@@ -48,6 +48,9 @@ class WithinMotors:
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
         """Yield the items with moves that the motors can follow."""
+        if math.isinf(self._corner) and math.isinf(self._limits.velocity[0]):  # none are stated
+            yield from items
+            return
         for item in items:
             yield self._slower(item) if isinstance(item, Moves) else item
 

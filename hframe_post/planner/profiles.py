@@ -17,13 +17,12 @@ from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import HframeError
 from hframe_post.model.constant_acceleration import Trapezoid
-from hframe_post.native.planning import misses, move_at_rest, ramps, samples_until
+from hframe_post.native.planning import misses, move_at_rest, profiles, samples_until
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import MoveAtRest, Plan
 
 NO_JERK_LIMIT = 1e12  # mm/s³ from which on profiles are trapezoids, as firmware makes them
 STEP_S = 1e-9  # that acceleration takes to change in a trapezoid
-ALMOST = 0.999  # share of a limit that counts as all of it
 # mm in which Ruckig is asked, again where the first fails. It checks in absolute numbers, which
 # rounding fails at great accelerations in mm: it finds no profile, or one as slow as a ramp. A
 # power of two changes no digit
@@ -57,12 +56,6 @@ class _Runs(NamedTuple):
             np.minimum(most, deceleration),
         )
 
-    def without_choice(self, acceleration: Array) -> Flags:
-        """Flag runs at one speed, or with as much acceleration as a ramp over all of them needs."""
-        one_speed = (self.v0 == self.v1) & (self.v0 >= ALMOST * self.cruise)
-        most = np.where(self.v1 < self.v0, self.braking, self.acceleration)
-        return np.asarray(one_speed | (acceleration >= ALMOST * most))
-
     def trapezoids(self) -> Profile:
         """Return profiles without a limit on jerk: full acceleration, cruise, full braking."""
         v0, v1, length, cruise, a, b = self
@@ -85,7 +78,7 @@ class _Runs(NamedTuple):
 
 
 class Profiler:
-    """Profiles of runs: in closed form where the limits leave no choice, else from Ruckig."""
+    """Profiles of runs: in closed form where there is one, else from Ruckig."""
 
     def __init__(self, jerk: float, deceleration: float = math.inf) -> None:
         self._jerk, self._deceleration = jerk, deceleration
@@ -95,11 +88,7 @@ class Profiler:
         self._input.target_acceleration = [0.0]
 
     def profiles(self, plans: Sequence[Plan]) -> list[Profile]:
-        """Return the profile of each plan. Raises HframeError where none fits.
-
-        Runs that leave no choice (one speed, or all of the length needed to change it) have a
-        closed form; close to that edge Ruckig's arithmetic fails or overshoots.
-        """
+        """Return the profile of each plan. Raises HframeError where none fits."""
         if not plans:
             return []
         runs = _Runs.from_plans(plans, self._deceleration)
@@ -108,12 +97,13 @@ class Profiler:
         if self._jerk >= NO_JERK_LIMIT:
             t, j = runs.trapezoids()
             return [(t[cut], j[cut]) for cut in cuts]
-        ramp_t, ramp_j, acceleration = ramps(runs.v0, runs.v1, runs.length, self._jerk)
-        t, j = ramp_t.copy(), ramp_j.copy()
-        self._search(runs, np.flatnonzero(~runs.without_choice(acceleration)), t, j)
+        t, j, others = profiles(*runs[:-1], self._deceleration, self._jerk)
+        ramp_t, ramp_j = t[others], j[others]
+        self._search(runs, others, t, j)
         wrong = runs.missed_by(t, j)
         if wrong.any():
-            t[wrong], j[wrong] = ramp_t[wrong], ramp_j[wrong]
+            slow = wrong[others]
+            t[others[slow]], j[others[slow]] = ramp_t[slow], ramp_j[slow]
             wrong = runs.missed_by(t, j)
         if wrong.any():
             lines = np.concatenate([plan.line[plan.ends[:-1]] for plan in plans])

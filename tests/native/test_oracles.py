@@ -66,7 +66,8 @@ def test_phases_reach_the_ends_of_runs_at_their_speeds(seed: int) -> None:
     for low, high in ((speed[:-1], speed[1:]), (speed[1:], speed[:-1])):
         reached = oracles.reachable_speed(low, length, np.full(len(length), 2e4), 1e6)
         assert (high <= reached * (1.0 + 1e-6) + 1e-9).all()
-    t, j, _ = planning.ramps(speed[:-1], speed[1:], length, 1e6)
+    run, most = moves[ends[:-1], 1:3].T.copy()
+    t, j, _ = planning.profiles(speed[:-1], speed[1:], length, run, most, 1e4, 1e6)
     _, _, steps = oracles.integrate(t, j, speed[:-1])
     straight = planning.misses(t, j, speed[:-1], length)
     assert np.abs(steps.sum(axis=1) - length)[~straight].max(initial=0.0) < 1e-6

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
 
 from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.errors import HframeError
-from hframe_post.native.planning import ramps
+from hframe_post.native.planning import profiles
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.profiles import Profiler
 from hframe_post.planner.sampling import SAMPLES_PER_CHUNK, SPARED, sample
@@ -33,7 +34,7 @@ from hframe_post.stream.types import (
     SlowStraight,
     StopRules,
 )
-from tests.native.oracles import integrate, reachable_speed
+from tests.native.oracles import integrate
 from tests.planner.planning import (
     LIMITS,
     STATE,
@@ -545,21 +546,31 @@ def test_every_planned_run_gets_a_profile_within_its_limits(
     assert_profiles_fit(one(random_moves(seed, n), limits), jerk, deceleration)
 
 
-@given(st.floats(0.01, 300.0), st.floats(0.01, 300.0), st.floats(1.0, 50.0))
-def test_ramp_uses_the_whole_length_with_the_least_acceleration(
-    v0: float, v1: float, share: float
-) -> None:
-    start, end = np.array([v0]), np.array([v1])
-    length = shortest(start, end, np.array([1e4]), 5e7) * share + 1e-6
-    t, j, acceleration = ramps(start, end, length, 5e7)
-    _, _, steps = integrate(t, j, start)
-    assert steps.sum() == pytest.approx(float(length[0]), rel=1e-6)
-    assert acceleration[0] <= 1e4 * (1 + 1e-6)
-    low, high = min(v0, v1), max(v0, v1)
-    # with a little less acceleration the change would need more than the length
-    if high - low > 1e-3:
-        less = reachable_speed(np.array([low]), length, acceleration * (1 - 1e-4), 5e7)
-        assert less[0] <= high * (1 + 1e-9)
+def test_closed_forms_take_as_long_as_ruckigs_profiles() -> None:
+    """To 0.1 %, the share of a limit that counts as all of it; Ruckig finds no profile for some."""
+    rng, n, jerk, most = np.random.default_rng(1), 2000, 2e7, 8e3
+    v0, v1 = rng.uniform(0.0, 300.0, (2, n)) * (rng.random((2, n)) < 0.7)
+    cruise = np.maximum(v0, v1) * (1.0 + rng.random(n) ** 3) + 1e-3
+    up = 10.0 ** rng.uniform(2.5, 4.5, n)
+    down = np.minimum(up, most)
+    length = shortest(v0, v1, np.where(v1 < v0, down, up), jerk)
+    length = length * (1.0 + 10.0 ** rng.uniform(-5.0, 2.0, n)) + 1e-3 * rng.random(n)
+    t, _, others = profiles(v0, v1, length, cruise, up, most, jerk)
+    solver, problem, trajectory = Ruckig(1), InputParameter(1), Trajectory(1)
+    problem.current_position = problem.current_acceleration = problem.target_acceleration = [0.0]
+    problem.max_jerk, compared = [jerk], 0
+    for k in np.setdiff1d(np.arange(n), others).tolist():
+        problem.current_velocity, problem.target_velocity = [v0[k]], [v1[k]]
+        problem.target_position, problem.max_velocity = [length[k]], [cruise[k]]
+        problem.max_acceleration, problem.min_acceleration = [up[k]], [-down[k]]
+        try:
+            solver.calculate(problem, trajectory)
+        except RuckigError:
+            continue
+        compared += 1
+        assert t[k].sum() <= trajectory.duration * 1.001
+    assert compared > 0.7 * n
+    assert len(others) > 0.1 * n
 
 
 def test_end_that_cannot_be_reached_is_an_error_with_its_line() -> None:
