@@ -45,7 +45,7 @@ from hframe_post.model.lpfbs import bsplines
 from hframe_post.model.plant import Plant
 from hframe_post.model.stop_cost import BESIDE, BEYOND, Rows, Stop, Surroundings, judged
 from hframe_post.native.linear import product
-from hframe_post.native.stop import Problem, Splines, least_squares
+from hframe_post.native.stop import BED, Problem, Splines, least_squares
 
 USABLE = 0.8  # share of the belts' acceleration to use: firmware needs the rest to be in time
 AT_DWELL = 0.5  # share of that next to the dwell, where firmware stops within one segment
@@ -67,10 +67,10 @@ class StopSolver:
         acceleration: float,
         bed: tuple[tuple[float, float], tuple[float, float]],
     ) -> None:
+        self._limit = USABLE * acceleration * TS**2
         # a tenth of the effort elsewhere, since a stop is short and asks for more
-        self._effort = np.array([max(0.1 * e, 1e-3) for e in effort])
-        self._belts, self._limit = belts, USABLE * acceleration * TS**2
-        self._bed = np.array(bed)
+        efforts, edges = (max(0.1 * e, 1e-3) for e in effort), np.transpose(bed).ravel()
+        self._bounds = np.array([*efforts, *belts.ravel(), *edges, self._limit])
         away, reach = _graded_splines()
         self._reach = reach.tolist()
         self._N_before, self._N_after = away[::-1, ::-1], away
@@ -85,12 +85,11 @@ class StopSolver:
         for ``around.ahead`` after that.
         """
         rows, n, first = Rows.from_stop(around, stop), stop.b - stop.a, stop.a - BESIDE
-        path = around.path[rows.index] + around.origin
         begun = first - self.around.memory
         held = command[stop.a]
         dwelling = command[begun : stop.b + BESIDE + BEYOND + self.around.ahead].copy()
         dwelling[stop.a - begun : stop.b - begun] = held
-        known, levers = self.around.known(dwelling, path, n, float(around.origin[X]))
+        known, levers = self.around.known(dwelling, rows, n, around.origin)
         reach = bisect_right(self._reach, stop.before), bisect_right(self._reach, stop.after)
         node = self.around.node(float(around.path[stop.a, X] + around.origin[X]))
         splines = self._splines(*reach, stop.movable, n, node)
@@ -99,10 +98,11 @@ class StopSolver:
         sequence[: BESIDE + 2] = command[first - 2 : stop.a]
         sequence[BESIDE + 2 : -BESIDE - 2] = held
         sequence[-BESIDE - 2 :] = command[stop.b : stop.b + BESIDE + 2]
-        bed = self._bed - around.origin[:, None]
+        bounds = self._bounds.copy()
+        bounds[BED] -= np.tile(around.origin, 2)
         problem = Problem(
             rows.path, rows.index, rows.dwell, rows.weight, rows.extruding, known, levers,
-            self.around.axes, splines, sequence, self._effort, self._belts, self._limit, bed,
+            self.around.axes, splines, sequence, bounds,
         )  # fmt: skip
         sequence += product(least_squares(problem).T, splines.by_column).T
         solved = np.empty((n + 2 * BESIDE, 2))
@@ -176,19 +176,21 @@ class AroundStops:
         functions = plant.Gxx, plant.Gyy, *(c.G for c in plant.couplings)
         return [stream_filter(G, self.ahead) for G in functions]
 
-    def known(self, command: Array, path: Array, n: int, x: float) -> tuple[Array, Array]:
+    def known(self, command: Array, rows: Rows, n: int, origin: Array) -> tuple[Array, Array]:
         """Return the nozzle (r, 2) without p, and lever arms (couplings, r), at the judged samples.
 
         command: from ``memory`` + BESIDE samples before a dwell of n samples to BESIDE + BEYOND +
-        ahead after it, from an origin at x, mm; path (r, 2): on the bed, at the judged samples.
+        ahead after it, from the origin (2,), mm on the bed, as the rows' path.
         """
         u, at, couplings = np.ascontiguousarray(command.T), judged(n) + self.ahead, self._couplings
-        place = u[X, self.memory - self.ahead : len(command) - self.ahead] + x
+        place = u[X, self.memory - self.ahead : len(command) - self.ahead] + origin[X]
         axes = X, Y, *(coupling.command for coupling in couplings)
         outputs = [
             f.output(u[axis], place)[at] for f, axis in zip(self._filters, axes, strict=True)
         ]
-        nozzle, levers = np.stack(outputs[:2], axis=1), np.ones((len(couplings), len(at)))
+        nozzle, levers = np.empty((len(at), 2)), np.ones((len(couplings), len(at)))
+        nozzle[:, X], nozzle[:, Y] = outputs[:2]
+        path = rows.path[rows.index] + origin if couplings else nozzle
         for coupling, output, lever in zip(couplings, outputs[2:], levers, strict=True):
             lever[:] = coupling.lever(path)
             nozzle[:, coupling.answer] += lever * output

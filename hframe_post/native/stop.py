@@ -25,6 +25,7 @@ HARDEST = 0.97 / 0.8  # times its bound, an acceleration that is exceeded only i
 EXCESS_COST = 0.2  # mm² for exceeding a bound by as much again, next to the squared deviations
 SHORT2 = 1e-14  # mm², squared length up to which a vector has no direction
 ROOM = 45_000  # numbers that the compiled loop needs to work in; C takes no fewer
+BED = slice(6, 10)  # of a problem's bounds: the bed's edges
 CLEARANCE = 0.02  # mm to the bed's edge for a command that would leave it
 RULES = np.array([
     ALONG, FAR, EMPHASIS, MOST_EMPHASIS, TARGET, EASY, RAISED, MOST_RAISED, HARDEST,
@@ -72,8 +73,8 @@ class Problem:
     path (n, 2): of a stretch; index (r,): the rows' places in it; dwell: those in the dwell, where
     the path is at rest; weight (r,); extruding (r,): which count as printed. known (r, 2): the
     nozzle without p; levers (couplings, r); axes (couplings, 2): where these respond, and their
-    command; command (q, 2): without p; effort (2,); belts (2, 2): from x, y; full_limit: of theirs,
-    where nothing lowers it; bed (2, 2): least and greatest command.
+    command; command (q, 2): without p; bounds (11,): effort of x and y; from x, y to the belts, by
+    rows; the least and then the greatest command; the belts' limit where nothing lowers it.
     """
 
     path: Array
@@ -86,10 +87,7 @@ class Problem:
     axes: Integers
     splines: Splines
     command: Array
-    effort: Array
-    belts: Array
-    full_limit: float
-    bed: Array
+    bounds: Array
 
 
 def least_squares(problem: Problem) -> Array:
@@ -97,11 +95,10 @@ def least_squares(problem: Problem) -> Array:
     if not (k := len(problem.splines.first)):
         return np.zeros((0, 2))
     q, splines, p = problem, problem.splines, np.empty((k, 2))
-    bounds = np.concatenate([q.effort, q.belts.ravel(), q.bed.T.ravel(), [q.full_limit]])
     fits = kernels.least_squares(
         q.path, q.index, len(q.index), q.dwell.start, q.dwell.stop, q.weight, q.extruding, q.known,
         q.levers, q.axes, len(q.axes), splines.by_p, splines.first, k, q.command, len(q.command),
-        splines.N, splines.D, splines.bands, splines.limit, bounds, NEAREST, SEARCHES,
+        splines.N, splines.D, splines.bands, splines.limit, q.bounds, NEAREST, SEARCHES,
         EMPHASES, TRIALS, RULES, np.empty(ROOM), p,
     )  # fmt: skip
     assert fits
