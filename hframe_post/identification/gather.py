@@ -208,8 +208,8 @@ def _experiment(one: Measurement, config: KlipperConfig | None, travel: Travel) 
             one, Run(one.label, motion, _in_sensor_axes(one, config)), f"sweep {name}", notes
         )
     clock, unusual = known_start(one.recording, len(motion), one.name.ended)
-    on_command_clock(motion, one.recording, clock)  # raises if another motion was recorded
-    run = Run(one.label, motion, one.recording, clock)
+    in_time = on_command_clock(motion, one.recording, clock)
+    run = Run(one.label, motion, one.recording, clock, in_time)
     return Experiment(one, run, f"{command.kind} {name}", [*unusual, *notes])
 
 

@@ -36,12 +36,14 @@ class Run:
     """A recording. command (m, 2): x and y in mm, every 1 ms; nozzle: in the sensor's axes.
 
     clock: if it is known to 20 ms, or better for motions of `measure`, whose recordings tell it.
+    in_time (m, 3): what ``on_command_clock`` returns, if it was computed already.
     """
 
     name: str
     command: Array
     nozzle: Recording
     clock: Clock | None = None
+    in_time: Array | None = None
 
     @property
     def known_start(self) -> bool:
@@ -63,6 +65,8 @@ class Run:
 
         It is along the printer's axes at each row of the command. Raises IdentificationError.
         """
+        if self.in_time is not None:
+            return self.in_time
         if self.clock is None or self.clock.sd is None:
             raise IdentificationError(f"{self.name}: the start of this recording is not known")
         try:
