@@ -23,12 +23,10 @@ from hframe_post.compensation.guard import (
 )
 from hframe_post.errors import HframeError, LimitError
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Motors, Printer, Travel
 from hframe_post.stream.chunks import batches, join
 from hframe_post.stream.types import Dwell, Handling, ModalState, Passthrough, Samples
 from tests.paths import walk
-from tests.plants import as_response
 from tests.quantities import below
 
 TRAVEL, MOTORS = Travel((0.0, 200.0), (0.0, 150.0)), Motors(100.0, 2000.0)
@@ -67,9 +65,6 @@ def checked(chunks: Iterable[Samples], limits: tuple[Travel, Motors, Kinematics]
 # ---------------------------------------------------------------------- the model's reach
 
 
-IDEAL = TransferFunction(np.zeros(0, complex), np.zeros(0, complex), 1.0)
-
-
 @pytest.mark.parametrize("share", [0.99, 1.01])
 def test_a_command_farther_off_its_path_than_any_lag_explains_is_refused(
     paper: Printer, share: float
@@ -83,16 +78,6 @@ def test_a_command_farther_off_its_path_than_any_lag_explains_is_refused(
     else:
         with pytest.raises(HframeError, match=rf"line 1030: .* {share * most:.1f} mm off its path"):
             list(chunks)
-
-
-def test_the_axis_that_lags_more_decides_how_far_a_command_may_lead(paper: Printer) -> None:
-    both, limits = paper.plant, paper.limits
-    x = max_deviation(replace(both, Gyy=as_response(IDEAL)), limits)
-    y = max_deviation(replace(both, Gxx=as_response(IDEAL)), limits)
-    neither = max_deviation(replace(both, Gxx=as_response(IDEAL), Gyy=as_response(IDEAL)), limits)
-    assert neither == pytest.approx(3.0), "mm"
-    assert min(x, y) > 3.1, "mm"
-    assert max_deviation(both, limits) == max(x, y)
 
 
 def test_a_model_that_predicts_what_no_working_printer_does_is_refused() -> None:
@@ -208,14 +193,6 @@ def test_what_needs_no_reduction_passes_as_it_is(paper: Printer, seed: int, powe
 def clamped(whole: Samples, limits: tuple[Travel, Motors, Kinematics]) -> tuple[Array, Clamp]:
     clamp = Clamp(*limits)
     return join(list(clamp.limit([whole], "racking"))).commands["racking"], clamp
-
-
-def test_commands_within_the_limits_stay_bit_for_bit() -> None:
-    path = standing(500)
-    command = path + 0.3 * bump(500, 250, 1.0, 100)[:, None]
-    result, clamp = clamped(chunk(path, command), LIMITS)
-    np.testing.assert_array_equal(result, command)
-    assert clamp.clamped.samples == 0
 
 
 @pytest.mark.parametrize("height", [0.2, 1.0, 5.0])

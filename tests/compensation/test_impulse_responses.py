@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array, X, Y
-from hframe_post.compensation.compensate import compensate, settling_samples
+from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import ArgumentError
@@ -298,12 +298,6 @@ def test_a_two_sided_plant_stays_on_the_path_at_stops(hbot: Printer) -> None:
     off = judged.contour["racking"][judged.extruding]
     assert len(off) > 300
     assert np.sqrt(np.square(off).mean()) < 5e-3  # mm
-
-
-def test_a_command_of_a_two_sided_plant_settles(hbot: Printer) -> None:
-    printer = replace(hbot, plant=early())
-    found = settling_samples(prepared(printer), printer.limits, printer.travel)
-    assert 10 < found < 1000  # samples
 
 
 # ---------------------------------------------------------------------- other printers

@@ -105,14 +105,6 @@ def test_command_outside_the_bed_is_an_error_with_its_line(paper: Printer) -> No
         converted(TO_THE_EDGE, paper, STRICT)
 
 
-def test_clamping_keeps_the_command_on_the_bed_and_reports(paper: Printer) -> None:
-    text, report = converted(TO_THE_EDGE, paper, Options("racking", clamp=True))
-    assert min(x for x, _, _ in follow(text).points[1:]) >= 0.0
-    assert report.clamped.samples > 0
-    assert report.clamped.line == 3
-    assert "\nWARNING          less is compensated on " in report.as_text()
-
-
 def weak(profile: Printer, **motors: float) -> Printer:
     return replace(profile, motors=replace(profile.motors, **motors))
 
@@ -157,19 +149,6 @@ def test_places_renamed_by_g92_are_the_firmwares_too(paper: Printer) -> None:
     assert b"G92 X110" in after
     last = [line for line in after if line.startswith(b"G1 X1")][-1]
     assert float(last.split()[1][1:]) == pytest.approx(120.0, abs=1e-3)
-
-
-def test_skipped_objects_are_caught_up_on_with_the_users_limits(paper: Printer) -> None:
-    lines = [
-        b"G1 X100 Y100 Z1 F6000\n", b"EXCLUDE_OBJECT_START NAME=a\n", b"G1 X120\n", b"G1 X140\n",
-        b"EXCLUDE_OBJECT_END NAME=a\n", b"G1 X160\n", b"G1 X180 Y120\n", b"G1 X190\n",
-        b"EXCLUDE_OBJECT_START NAME=b\n",
-    ]  # fmt: skip
-    text = converted(lines, paper)[0].splitlines()
-    after = text[text.index(b"EXCLUDE_OBJECT_END NAME=a") + 1 :]
-    move = after.index(b"G1 X160")
-    assert b"ACCEL=10000" in after[1]
-    assert not [line for line in after[:move] if line.startswith(b"G1 X")]
 
 
 @pytest.mark.parametrize("strategy", ["none", "racking"])

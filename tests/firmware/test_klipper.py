@@ -126,13 +126,6 @@ def test_stream_begins_unshaped_with_its_own_limits_and_modes() -> None:
     ]
 
 
-def test_limits_are_set_in_whole_numbers_and_corners_to_a_hundredth() -> None:
-    assert KlipperCode(RESTORE, STREAM).set_limits(150.4, 1234.6, 3.14159)[-1] == (
-        "SET_VELOCITY_LIMIT VELOCITY=150 ACCEL=1235 MINIMUM_CRUISE_RATIO=0 "
-        "SQUARE_CORNER_VELOCITY=3.14"
-    )
-
-
 def test_stream_ends_with_the_users_limits_and_the_files_feed() -> None:
     assert end() == [
         b"G4 P0",

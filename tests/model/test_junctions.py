@@ -24,17 +24,6 @@ def junction(first: tuple[float, ...], second: tuple[float, ...]) -> float:
     return float(v)
 
 
-def test_square_corner_of_long_segments_has_the_square_corner_velocity() -> None:
-    expected = pytest.approx(SQUARE)
-    assert junction((50.0, 0, 0, 0), (0, 50.0, 0, 0)) == expected
-
-
-def test_square_corner_of_short_segments_is_slower() -> None:
-    expected = math.sqrt(0.5 * 0.02 * 2.5e5)
-    assert junction((0.02, 0, 0, 0), (0, 5.0, 0, 0)) == pytest.approx(expected)
-    assert junction((5.0, 0, 0, 0), (0, 0.02, 0, 0)) == pytest.approx(expected)
-
-
 def test_turning_back_is_as_fast_as_klippers_rounding_makes_it() -> None:
     """Its unit vectors are d·(1/|d|), which is not always ±1: the speed is 0.7 µm/s, not 0."""
     for d in np.random.default_rng(1).uniform(1e-4, 0.1, (200, 2)):
@@ -44,11 +33,6 @@ def test_turning_back_is_as_fast_as_klippers_rounding_makes_it() -> None:
         corner = half / (1.0 - half) * float(DEVIATION) * A
         expected = math.sqrt(min(corner, 0.5 * d.min() * A * half / other))
         assert junction((d[0], 0.0, 0.0, 0.0), (-d[1], 0.0, 0.0, 0.0)) == expected
-
-
-def test_straight_on_is_free_and_reversal_a_stop() -> None:
-    assert junction((1.0, 0, 0, 0.04), (2.0, 0, 0, 0.08)) == math.inf
-    assert junction((1.0, 0, 0, 0), (-1.0, 0, 0, 0)) == 0.0
 
 
 @given(st.floats(1.0, 179.0), st.floats(0.01, 100.0), st.floats(0.01, 100.0))

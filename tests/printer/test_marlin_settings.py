@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -84,95 +85,7 @@ def test_a_profile_has_the_values_of_m503_and_m115(answers: Path) -> None:
     assert own.extruder.advance == 0.05
 
 
-# What owners of these boards have published of their answers to M503: what `setup` reads of them
-BOARDS = {
-    "Creality, Marlin 2.0, BLTouch": """
-  M92 X80.00 Y80.00 Z400.00 E93.00
-  M203 X500.00 Y500.00 Z5.00 E25.00
-  M201 X500.00 Y500.00 Z100.00 E5000.00
-  M204 P500.00 R500.00 T500.00
-  M205 B20000.00 S0.00 T0.00 X10.00 Y10.00 Z0.30 E5.00
-  M420 S1
-""",
-    "Artillery, Marlin 2.0": """
-; Steps per unit:
- M92 X80.12 Y80.12 Z399.78 E414.26
-  M203 X300.00 Y300.00 Z50.00 E40.00
-  M201 X2000.00 Y2000.00 Z100.00 E10000.00
-; Acceleration (units/s2): P<print_accel> R<retract_accel> T<travel_accel>
-  M204 P800.00 R10000.00 T2000.00
-  M205 B20000.00 S0.00 T0.00 J0.03
-""",
-    "Marlin 1.1 of 2017, one jerk for x and y": """
-echo:  M92 X80.00 Y80.00 Z400.00 E93.00
-echo:  M203 X300.00 Y300.00 Z5.00 E25.00
-echo:  M201 X1000 Y1000 Z100 E5000
-echo:  M204 P500.00 R500.00 T1000.00
-echo:Advanced variables: S=Min feedrate (mm/s), B=minimum segment time (ms), X=maximum XY jerk
-echo:  M205 S0.00 T0.00 B20000 X20.00 Z0.40 E5.00
-""",
-    "a clone of a Prusa, log with times": """
-20:31:07.791 -> echo: M92 X100.00 Y100.00 Z400.00 E280.00
-20:31:07.791 -> echo:  M203 X200.00 Y200.00 Z12.00 E120.00
-20:31:07.791 -> echo:  M201 X1250.00 Y1250.00 Z200.00 E5000.00
-20:31:07.838 -> echo:  M204 S1250.00 T1500.00
-20:31:07.838 -> echo:  M205 S0.00 T0.00 B20000.00 X10.00 Y10.00 Z0.20 E4.50
-""",
-    "Prusa MK3, stealth mode too": """
-Recv: echo:  M92 X100.00 Y100.00 Z400.00 E280.00
-Recv: echo: M350 X16 Y16 Z16 E32
-Recv: echo:Maximum feedrates - normal (mm/s):
-Recv: echo:  M203 X200.00 Y200.00 Z12.00 E120.00
-Recv: echo:Maximum feedrates - stealth (mm/s):
-Recv: echo:  M203 X100.00 Y100.00 Z12.00 E120.00
-Recv: echo:Maximum acceleration - normal (mm/s2):
-Recv: echo:  M201 X1250 Y1250 Z1000 E5000
-Recv: echo:Maximum acceleration - stealth (mm/s2):
-Recv: echo:  M201 X960 Y960 Z1000 E5000
-Recv: echo:Acceleration: P=print, R=retract, T=travel
-Recv: echo:  M204 P1250.00 R1250.00 T1250.00
-Recv: echo:  M205 S0.00 T0.00 B0.00 X8.00 Y8.00 Z0.40 E4.50
-""",
-    "CR-10S of 2017, slow filament": """
-Recv: echo:  M92 X80.00 Y80.00 Z400.00 E95.00
-Recv: echo:  M203 X300.00 Y300.00 Z5.00 E25.00
-Recv: echo:  M201 X1000 Y1000 Z100 E25
-Recv: echo:  M204 P5000.00 R1000.00 T5000.00
-Recv: echo:  M205 S0.00 T0.00 B20000 X20.00 Z0.40 E5.00
-""",
-    "Snapmaker A350, a rotary axis": """
-Recv:   M92 X400.00 Y400.00 Z400.00 B888.89 E258.79
-Recv:   M203 X120.00 Y120.00 Z40.00 E25.00
-Recv:   M201 X3000.00 Y3000.00 Z100.00 E10000.00
-Recv:   M204 P750.00 R1000.00 T1000.00
-Recv:   M205 B20000.00 S0.00 T0.00 P0.05 L3.00 C0.05 J0.02
-Recv:   M420 S1 Z0.00
-""",
-    "Tevo, two extruders": """
-echo: M92 X80.06 Y80.06 Z399.29
-echo: M92 T0 E408.00
-echo: M92 T1 E415.00
-echo:  M203 X500.00 Y500.00 Z12.00
-echo:  M203 T0 E70.00
-  M203 T1 E45.00
-echo:  M201 X1000.00 Y1000.00 Z100.00
-echo:  M201 T0 E3000.00
-  M201 T1 E2000.00
-echo:  M204 P800.00 R1500.00 T1000.00
-echo:  M205 B20000.00 S0.00 T0.00 J0.02
-""",
-}
-# steps per mm, mm/s² of path, travel and retraction, mm/s at most and at corners, mesh
-READ = {
-    "Creality, Marlin 2.0, BLTouch": (80.0, 500.0, 500.0, 500.0, 500.0, 10.0, True),
-    "Artillery, Marlin 2.0": (80.12, 800.0, 2000.0, 10000.0, 300.0, 7.61, False),
-    "Marlin 1.1 of 2017, one jerk for x and y": (80.0, 500.0, 1000.0, 500.0, 300.0, 20.0, False),
-    "a clone of a Prusa, log with times": (100.0, 1250.0, 1250.0, 1500.0, 200.0, 10.0, False),
-    "Prusa MK3, stealth mode too": (100.0, 1250.0, 1250.0, 1250.0, 200.0, 8.0, False),
-    "CR-10S of 2017, slow filament": (80.0, 1000.0, 5000.0, 1000.0, 300.0, 20.0, False),
-    "Snapmaker A350, a rotary axis": (400.0, 750.0, 1000.0, 1000.0, 120.0, 6.02, True),
-    "Tevo, two extruders": (80.06, 800.0, 1000.0, 1500.0, 500.0, 6.22, False),
-}  # fmt: skip
+BOARDS = tomllib.loads(Path(__file__).with_name("boards.toml").read_text("utf-8"))
 
 
 @pytest.mark.parametrize(
@@ -199,7 +112,7 @@ def test_soft_endstops_are_the_range_of_travel(
 
 @pytest.mark.parametrize("board", BOARDS)
 def test_answers_of_real_boards(answers: Path, board: str) -> None:
-    answers.write_text(BOARDS[board])
+    answers.write_text(BOARDS[board]["answers"])
     tables = from_marlin(MarlinSettings([answers]), BED)
     named = {"kinematics": {"type": Known("cartesian", "test")}, **tables}
     own = parse(profile_text(named, "own"), "own")
@@ -211,7 +124,7 @@ def test_answers_of_real_boards(answers: Path, board: str) -> None:
         own.limits.extruder_acceleration, own.limits.velocity, own.limits.square_corner_velocity,
         table.bed_levelling,
     )  # fmt: skip
-    assert read == pytest.approx(READ[board], rel=1e-3)
+    assert read == pytest.approx(tuple(BOARDS[board]["read"]), rel=1e-3)
 
 
 def test_whatever_the_log_writes_before_the_answers(answers: Path) -> None:
