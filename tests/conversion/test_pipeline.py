@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 import pytest
 
 from hframe_post.conversion import pipeline
 from hframe_post.conversion.conversions import GcodeConversion
+from hframe_post.conversion.ledger import FileNotes
 from hframe_post.conversion.options import Options
-from hframe_post.errors import LimitError
+from hframe_post.errors import HframeError, LimitError
 from hframe_post.gcode import batching
 from hframe_post.planner import sampling
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import Item
 from tests.gcode_tools import assert_same_stream, converted, follow, layers, sample, small_rectangle
 from tests.quantities import below
 
@@ -118,6 +120,17 @@ def test_clamp_compensates_less_where_the_belts_cannot_follow(paper: Printer) ->
     assert report.clamped.samples > 0
     error = report.as_json()["contour_error_um"]
     below(error["racking"]["rms"], error["none"]["rms"], "RMS contour error, µm")
+
+
+def test_lost_filament_is_an_error(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Forgetful(FileNotes):
+        def items(self, items: Iterable[Item]) -> Iterator[Item]:
+            self.read.filament += 1.0
+            return super().items(items)
+
+    monkeypatch.setattr(pipeline, "FileNotes", Forgetful)
+    with pytest.raises(HframeError, match="filament"):
+        converted(sample("rectangle.gcode"), paper)
 
 
 def test_relative_end_code_ends_where_the_file_says(paper: Printer) -> None:

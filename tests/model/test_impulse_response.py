@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import ImpulseResponse
 from tests.modes import axis_mode, damped_by_the_frame, deviation_of_mode
 
@@ -79,3 +82,13 @@ def test_a_stretched_response_lags_as_much_longer() -> None:
     assert np.abs(longer.unknown - expected).max() < 0.01  # µm, of 0.3
     slow = np.array([1e-3])
     assert longer.response(slow) == pytest.approx(G.response(1.25 * slow), abs=1e-5)  # of 1
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"deviation": []}, {"deviation": [0.0, np.inf]}, {"lead": 2}, {"rest": np.nan},
+     {"drift": 1.0}, {"unknown": np.zeros((2, 2))}],
+)  # fmt: skip
+def test_an_impossible_response_is_refused(bad: dict[str, Any]) -> None:
+    with pytest.raises(ArgumentError, match=next(iter(bad))):
+        ImpulseResponse(**{"deviation": np.array([0.0, 1.0]), "lead": 0, **bad})
