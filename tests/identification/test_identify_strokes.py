@@ -7,16 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from hframe_post.arrays import TS
+from hframe_post.cli.main import main
 from hframe_post.identification.estimation.measured import stroke_responses
 from hframe_post.identification.identify import MeasurementSettings
 from hframe_post.identification.recordings.formats import command_csv
 from hframe_post.identification.recordings.strokes import runs
-from tests.command_line import run as run_command
+from hframe_post.printer.profile import load
 from tests.quantities import below
 from tests.random_printers import BAND, drawn, identified, judged, printer, struck
 from tests.recordings import write_klipper
+from tests.simulator import Axis, Chip, Machine, Mode
 
 
 def test_the_responses_are_those_of_the_printer_with_its_delay() -> None:
@@ -62,13 +65,19 @@ def test_drawn_printers_become_better(seed: int) -> None:
 
 
 def test_the_command_line_makes_a_profile_of_strokes(tmp_path: Path) -> None:
-    machine, chip, _ = drawn(4)
-    (one,) = runs(printer(machine), seconds=12.0)
+    """One axis of a printer that moves its bed, which is soon found."""
+    axes = Axis((Mode(40.0, 0.06),)), Axis((Mode(30.0, 0.08),))
+    machine, new = Machine(*axes, kinematics="cartesian"), tmp_path / "new.toml"
+    one, _ = runs(load("example-cartesian"), seconds=9.0)
     with (tmp_path / f"m.{one.name}.csv").open("wb") as file:
         file.writelines(command_csv(one.command))
-    recording = chip.record(machine, one.command, 1)
+    recording = Chip(noise=4.0).record(machine, one.command, 1)
     write_klipper(tmp_path / f"adxl345-{one.name}.csv", recording)
-    held = tmp_path
-    done = run_command("identify", "-p", "example-corexy", held, "-o", tmp_path / "new.toml")
-    assert done.returncode == 0, done.stderr
-    assert b"measure m.measure-at-140.csv" in done.stdout
+    words = ["identify", "-p", "example-cartesian", str(tmp_path), "-o", str(new)]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    assert f"m.{one.name}.csv" in done.output
+    assert "y was not recorded" in done.output
+    omega = 2.0 * np.pi * TS * np.arange(10.0, 80.0)
+    found, exact = (G.response(omega) for G in (load(str(new)).plant.Gxx, machine.exact().Gxx))
+    below(float(np.linalg.norm(found - exact) / np.linalg.norm(exact)), 0.03, "relative error")
