@@ -32,6 +32,7 @@ ASIDE = 80  # samples of rest around a longer one, on whose path the command mus
 BEFORE = BESIDE + NEAREST + 2  # samples before and after a stop that its solution depends on
 AFTER = BESIDE + BEYOND + NEAREST + 2
 FOREVER = 1 << 60
+SHORTEST = "fast"  # of STOPS
 AT_REST = StopRules()  # lifts come to rest
 
 
@@ -39,7 +40,7 @@ def stop_rules(stops: str, strategy: str, lifts: StopRules = AT_REST) -> StopRul
     """Return how long the path rests at stops for a setting of ``stops``; lifts: see there."""
     if strategy == "none":
         return lifts
-    n = STOPS[stops]
+    n = 0 if lifts.joined and stops == SHORTEST else STOPS[stops]
     return replace(lifts, before=n, after=n, long_rest=ASIDE, long_from=LONGEST)
 
 

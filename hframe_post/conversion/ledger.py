@@ -287,7 +287,9 @@ class FileNotes:
             if isinstance(item, Plan):
                 self.ramps += float(item.seconds.sum())
             elif isinstance(item, MoveAtRest):
-                self.ramps += ProfileAtRest.from_move(item, self._limits).trapezoid.seconds
+                at_ends = item.entry, item.leaving
+                profile = ProfileAtRest.from_move(item, self._limits, *at_ends)
+                self.ramps += profile.trapezoid.seconds
             elif isinstance(item, Passthrough) and (item.end or not item.cause):
                 self.ramps += item.seconds
             yield item

@@ -45,6 +45,7 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.planner.motors import WithinMotors, with_ramps
 from hframe_post.planner.pacing import Paces, PieceStart, pace
 from hframe_post.planner.sampling import sample
+from hframe_post.planner.short_moves import ShortMoves
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.statistics import Labels
@@ -118,7 +119,11 @@ class Chain:
         items = items if followed is None else followed.items(items)
         items = (within or self.within_motors()).items(items)
         caps = with_ramps(self.firmware.caps(), self.printer.motors.stated)
-        return plan(avoid_bands(items, self.bands, caps, start), caps)
+        items, own = avoid_bands(items, self.bands, caps, start), self.firmware.limits()
+        if not own.least:
+            return plan(items, caps)
+        joined = ShortMoves(own.least, own.step, own.motors).joined_travel(items)
+        return plan(joined, caps, joins=own.joins, step=own.step[0] if own.joins else 0.0)
 
     def within_motors(self) -> WithinMotors:
         """Return what slows moves down so that the motors can follow."""
@@ -143,7 +148,7 @@ class Chain:
         options, printer = self.options, self.printer
         rules = self.firmware.motion(options.tolerance, options.retract == "moving")
         rests = stop_rules(printer.compensation.stops, options.strategy, rules.stop_rules)
-        limits = with_ramps(printer.limits, printer.motors.stated)
+        limits = with_ramps(self.firmware.caps(), printer.motors.stated)
         return sample(items, limits, rests, skip_slow=skip_slow)
 
 
@@ -289,7 +294,7 @@ class PlannedFile:
     def __init__(self, lines: Iterable[bytes], chain: Chain) -> None:
         printer = chain.printer
         self._lines, self._chain, self._options = lines, chain, chain.options
-        self._notes = FileNotes(chain.firmware.dialect.label, printer.limits)
+        self._notes = FileNotes(chain.firmware.dialect.label, chain.firmware.caps())
         self._sliced = SlicedFile(printer, chain.firmware, chain.bands)
         self._following = chain.following()
         self._within = chain.within_motors()

@@ -67,7 +67,8 @@ class Span:
         others = [None if isinstance(item, Plan) else item for item in self.items]
         parts = ([getattr(plan, name) for plan in plans] for name in ARRAYS)
         joined = [(np.concatenate(part), [*map(len, part)]) for part in parts if plans]
-        return _unpickled, (self.beginning, others, joined, [plan.marks for plan in plans])
+        own = [plan.marks for plan in plans], [plan.rests for plan in plans]
+        return _unpickled, (self.beginning, others, joined, *own)
 
 
 def _unpickled(
@@ -75,9 +76,10 @@ def _unpickled(
     others: list[Planned | None],
     joined: list[tuple[Array, list[int]]],
     marks: list[tuple[Mark, ...]],
+    rests: list[bool],
 ) -> Span:
     parts = (_cut(array, counts) for array, counts in joined)
-    plans = map(Plan, *parts, marks)
+    plans = map(Plan, *parts, marks, rests)
     return Span(beginning, tuple(next(plans) if item is None else item for item in others))
 
 

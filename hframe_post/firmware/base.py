@@ -20,7 +20,7 @@ from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.firmware_tables import FirmwareTable
 from hframe_post.printer.new_profile import Tables, differences
 from hframe_post.printer.settings import Limits, Printer, Steps
-from hframe_post.stream.types import FileLimits
+from hframe_post.stream.types import FileLimits, Position
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ class Source(ABC):
 CORNER_ROUNDING = 5e-3  # share by which `setup` rounds the speed through a right angle
 UNLIMITED_DEVIATION = 1e3  # mm, more than any board has: it tells that the board has one
 
-# seconds (n,) of moves: mm that their leading motor makes, their length, speeds at both ends and
+# seconds (n,) of moves: steps that their leading motor makes, their length, speeds at both ends and
 # between, acceleration, (n,) each
 Durations = Callable[[Array, Array, Array, Array, Array, Array], Array]
 
@@ -107,7 +107,8 @@ class FirmwareLimits:
 
     limits: of any move. Until the file sets others, printing and travel are the accelerations,
     corner is the speed through a right angle, and others has what else holds. durations: of moves;
-    None: those of exact ramps.
+    None: those of exact ramps. step: mm of motors A and B, z and e. least: steps of the shortest
+    move, which joins shorter ones; 0: it makes every move.
     """
 
     limits: Limits
@@ -116,11 +117,20 @@ class FirmwareLimits:
     corner: float
     others: FileLimits = field(default_factory=FileLimits)
     durations: Durations | None = None
+    step: Position = (1.0, 1.0, 1.0, 1.0)
+    least: int = 0
+
+    @property
+    def joins(self) -> bool:
+        """Return whether junctions are those of a board with junction deviation."""
+        return math.isfinite(self.limits.junction_deviation)
 
     @property
     def motors(self) -> Array:
-        """Return the matrix (3, 3) from x, y, z to A, B, z."""
-        return np.block([[np.array(self.others.belts), np.zeros((2, 1))], [0.0, 0.0, 1.0]])
+        """Return the matrix (4, 4) from x, y, z, e to steps of A, B, z, e."""
+        mm = np.eye(4)
+        mm[:Z, :Z] = self.others.belts
+        return np.asarray(mm / np.array(self.step)[:, None])
 
 
 class Firmware(ABC):

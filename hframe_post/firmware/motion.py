@@ -28,7 +28,12 @@ class NextTo(Enum):
     RETRACTION = "a retraction"
 
 
-Way = tuple[Position, Position]  # of a retraction or a lift, mm: its start and its end
+class Way(NamedTuple):
+    """The way of a retraction or a lift, mm, and its acceleration, mm/s²; inf: the profile's."""
+
+    start: Position
+    end: Position
+    acceleration: float = math.inf
 
 
 class Stroke(NamedTuple):
@@ -37,7 +42,8 @@ class Stroke(NamedTuple):
     left: speed, mm/s, at which motion may go on from it; 0: from rest. before: a line to write
     before it; after: one that reverts that, after the first segment of the next motion. fastest:
     greatest speed, mm/s, where the next segment must not be faster than this; inf: it may.
-    cruise: mm that it then runs at its speed.
+    cruise: mm that it then runs at its speed. limit: a line that sets its acceleration, if the
+    firmware needs one.
     """
 
     speed: float
@@ -47,6 +53,7 @@ class Stroke(NamedTuple):
     after: bytes = b""
     fastest: float = math.inf
     cruise: float = 0.0
+    limit: bytes = b""
 
     def time_of_next(self, d: float, T: float) -> float:
         """Return the seconds of the next segment, d mm, that is to last T.

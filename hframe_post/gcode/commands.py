@@ -180,7 +180,7 @@ MOTION_WORDS = {
 }
 MODAL = frozenset({"G90", "G91", "M82", "M83", "G20", "G21", "G17", "G18", "G19"})
 LIMITS = "SET_VELOCITY_LIMIT"
-LIMIT_WORDS = {"M201": "XYZE", "M203": "XYZE", "M204": "PTS", "M205": "XYJ", "M220": "S"}
+LIMIT_WORDS = {"M201": "XYZE", "M203": "XYZE", "M204": "PRTS", "M205": "XYJ", "M220": "S"}
 LIMIT_PARAMETERS = (
     "VELOCITY",
     "ACCEL",

@@ -6,7 +6,8 @@ Rules:
  3. After a line whose motion cannot be known (homing, a macro, a tool change) the position
     is unknown, and the next move passes through to the firmware.
  4. Lines that only set limits or the feed-rate factor are applied here and do not pass through:
-    inside a dense stream the firmware would apply them a second time.
+    inside a dense stream the firmware would apply them a second time. Speeds of z and filament
+    (M203) pass, where the firmware obeys them.
  5. After an object that may be excluded, the next move of x and y passes through in one piece.
  6. Firmware retraction becomes a move of filament where the profile gives its settings.
  7. What a tool prints that the profile has no model of passes through to the firmware.
@@ -22,6 +23,7 @@ from itertools import chain, islice
 import numpy as np
 
 from hframe_post.errors import GcodeError, LeftAloneError
+from hframe_post.firmware.code import plain
 from hframe_post.gcode import commands
 from hframe_post.gcode.batching import (
     MAX_FILAMENT_MM,
@@ -172,7 +174,7 @@ class _Reader:
         elif end != start:  # a lift in turns as well, whose first chord could be far away
             if lifts:
                 self._bed.check(line, 2, end[2])
-            self._stand(line, end, state.others.velocity[2 if lifts else 3])
+            self._stand(line, end)
             state.position = end
 
     def _end(self, line: Line, words: Words) -> Position:
@@ -205,7 +207,7 @@ class _Reader:
         path, filament = math.dist(start[:3], end[:3]), abs(end[3] - start[3])
         if filament > MAX_FILAMENT_PER_PATH * path:  # the filament decides how long that takes
             fed = (*start[:3], end[3])
-            self._stand(line, fed, state.others.velocity[3])
+            self._stand(line, fed)
             start, moves = fed, path >= RESOLUTION_MM
         else:
             moves = path > MIN_PATH_MM
@@ -214,10 +216,12 @@ class _Reader:
             self.items.add_move(line.number, start, end, state.speed)
         state.position = end
 
-    def _stand(self, line: Line, end: Position, max_speed: float) -> None:
-        state = self._state
-        move = MoveAtRest(line.number, state.position, end, min(state.speed, max_speed))
-        self.items.add_move_at_rest(move)
+    def _stand(self, line: Line, end: Position) -> None:
+        state, start = self._state, self._state.position
+        extrudes = end[3] != start[3]
+        acceleration = state.acceleration if extrudes else state.travel_acceleration
+        limits = state.others.at_rest(start, end, state.speed, acceleration)
+        self.items.add_move_at_rest(MoveAtRest(line.number, start, end, *limits))
 
     def _pass_move_through(
         self, line: Line, name: str, words: Words, end: Position, cause: str
@@ -260,6 +264,10 @@ class _Reader:
             self._state.set_limits(line, name, words)
             if self._state.others is not before:
                 self.items.flush(before)  # they hold for all moves of an item
+            of_others = [a + plain(words[a], 3) for a in "ZE" if name == "M203" and a in words]
+            if of_others:  # the stream's lines set those of x and y
+                text = " ".join([name, *of_others]).encode()
+                self._pass_through(Line(line.number, text), Handling.CARRY)
 
     def _apply_dwell(self, line: Line, arguments: bytes) -> None:
         seconds = self._dialect.dwell(numbers_among(line, arguments, "PS"))
@@ -325,8 +333,9 @@ class _Reader:
         if filament:
             start = state.position
             state.add_filament(filament)
-            speed = min(speed * state.factor, state.others.velocity[3])
-            self.items.add_move_at_rest(MoveAtRest(line.number, start, state.position, speed))
+            end, speed = state.position, speed * state.factor
+            limits = state.others.at_rest(start, end, speed, state.acceleration)
+            self.items.add_move_at_rest(MoveAtRest(line.number, start, end, *limits))
         return True
 
     def _g11_follows(self) -> bool:

@@ -250,6 +250,8 @@ class State:
     def set_limits(self, line: Line, name: str, words: Words) -> None:
         """Apply M201, M203, M204, M205 or SET_VELOCITY_LIMIT. Raises GcodeError near zero."""
         for word, value in words.items():
+            if word == "R" and self.others.retract == math.inf:
+                continue  # means nothing to this firmware
             velocity = name == "M203" or word == "VELOCITY"
             least = MIN_VELOCITY_LIMIT if velocity else MIN_ACCELERATION_LIMIT
             least = 0.0 if {name, word} & LIMITS_THAT_MAY_BE_ZERO else least
@@ -260,6 +262,8 @@ class State:
             self.acceleration, self.travel_acceleration = self._dialect.accelerations(words, before)
             if "S" in words or "T" in words:
                 self._limit(travel=words.get("T", math.inf))
+            if self.others.retract < math.inf:
+                self._limit(retract=words.get("R", self.others.retract))
         elif name == "M205" and self._dialect.has_deviation:
             self._limit(deviation=words.get("J", self.others.deviation))
         elif name == "M205":

@@ -1,9 +1,9 @@
 #include "kernels.h"
 
-struct limited { /* a move; the deviation is that of its junctions */
-    double length, cruise, acceleration, deviation;
+struct limited { /* a move; the deviation is that of its junctions; alone: x and y rest */
+    double length, cruise, acceleration, deviation, alone;
 };
-enum { OF_MOVE = 4 };
+enum { OF_MOVE = 5 };
 
 struct rules { /* those of the printer, and of the file for motors A and B, z and e */
     double cruise, travel_cruise, acceleration, travel_acceleration, z_cruise, retraction, melted,
@@ -11,12 +11,14 @@ struct rules { /* those of the printer, and of the file for motors A and B, z an
         axis_acceleration[COLUMNS], belts[2][2];
 };
 
-/* Return the length of a move; share: what a mm of it is of motors A and B, of z and of e. */
+/* Return the length of a move, of filament if nothing else moves; share: what a mm of it is of motors A
+ * and B, of z and of e. */
 static double find_shares(const double *points, const double belts[2][2], double *delta, double *share)
 {
     for (int c = 0; c < COLUMNS; c++)
         delta[c] = points[COLUMNS + c] - points[c];
     double length = sqrt(delta[X] * delta[X] + delta[Y] * delta[Y] + delta[Z] * delta[Z]);
+    length = length > 0.0 ? length : fabs(delta[E]);
     for (int c = 0; c < COLUMNS; c++) {
         const double *belt = belts[c % 2];
         share[c] = fabs(c < Z ? belt[X] * delta[X] + belt[Y] * delta[Y] : delta[c]) / length;
@@ -57,21 +59,23 @@ static int64_t limit_moves(const double *points, const double *speed, const doub
 {
     for (int64_t k = 0; k < n; k++, points += COLUMNS) {
         double delta[COLUMNS], share[COLUMNS], length = find_shares(points, rules->belts, delta, share);
-        int travels = delta[E] == 0.0;
-        double cruise = lesser(speed[k], travels ? rules->travel_cruise : rules->cruise);
-        double a = lesser(acceleration[k], travels ? rules->travel_acceleration : rules->acceleration);
+        int travels = delta[E] == 0.0, alone = delta[X] == 0.0 && delta[Y] == 0.0;
+        double path_cruise = travels ? rules->travel_cruise : rules->cruise;
+        double hardest = travels ? rules->travel_acceleration : rules->acceleration;
+        double cruise = lesser(speed[k], alone ? INFINITY : path_cruise);
+        double a = lesser(acceleration[k], alone ? INFINITY : hardest);
         double retracting = delta[E] < 0.0 ? share[E] : 0.0, extruding = share[E] - retracting;
-        for (int c = 0; c < COLUMNS; c++) {
+        for (int c = 0; c < COLUMNS; c++)
             cruise = lesser(cruise, rules->axis_velocity[c] / share[c]);
+        for (int c = 0; c < COLUMNS && !(alone && share[Z] == 0.0); c++) /* filament has its own */
             a = lesser(a, rules->axis_acceleration[c] / share[c]);
-        }
         cruise = lesser(cruise, rules->z_cruise / share[Z]);
         cruise = lesser(cruise, rules->retraction / retracting);
         cruise = lesser(cruise, rules->melted / extruding);
         double squared = lesser(corner[k], rules->corner);
         double deviation = (sqrt(2.0) - 1.0) * (squared * squared) / a; /* of x and y, as Klipper's */
         a = lesser(a, lesser(rules->z_acceleration / share[Z], rules->e_acceleration / retracting));
-        moves[k] = (struct limited){length, cruise, a, lesser(deviation, rules->deviation)};
+        moves[k] = (struct limited){length, cruise, a, lesser(deviation, rules->deviation), alone};
     }
     return n;
 }
@@ -81,10 +85,44 @@ LOOP(limit_moves, FLOATS(0, COLUMNS * (COUNT(4) + 1)), FLOATS(1, COUNT(4)), FLOA
      (struct limited *)OUT_FLOATS(6, OF_MOVE * COUNT(4)))
 
 #define GENTLE 0.71 /* as in planning.py */
+#define STRAIGHT 0.999999 /* cosine; moves back within it stop */
+
+/* Return the greatest speed between two moves, as a board with junction deviation finds it: their
+ * directions are those of all motors, and the corner has an acceleration that none exceeds. */
+static double deviation_speed(const double *one, const double *other, struct limited to,
+                              const struct rules *rules, double shorter)
+{
+    double unit[2][COLUMNS], size[2], turn[COLUMNS], cosine = 0.0, squared = 0.0, a = to.acceleration;
+    for (int k = 0; k < 2; k++) {
+        const double *delta = k ? other : one;
+        for (int c = 0; c < Z; c++)
+            unit[k][c] = rules->belts[c][X] * delta[X] + rules->belts[c][Y] * delta[Y];
+        unit[k][Z] = delta[Z], unit[k][E] = delta[E];
+        size[k] = 0.0;
+        for (int c = 0; c < COLUMNS; c++)
+            size[k] += unit[k][c] * unit[k][c];
+    }
+    double scale = 1.0 / sqrt(size[0] * size[1]);
+    for (int c = 0; c < COLUMNS; c++) {
+        turn[c] = unit[1][c] / sqrt(size[1]) - unit[0][c] / sqrt(size[0]);
+        cosine -= unit[0][c] * unit[1][c] * scale;
+        squared += turn[c] * turn[c];
+    }
+    if (cosine > STRAIGHT)
+        return 0.0;
+    cosine = greater(cosine, -STRAIGHT);
+    for (int c = 0; c < COLUMNS; c++) /* of all motors, one after the other */
+        if (fabs(turn[c]) * a > rules->axis_acceleration[c] * sqrt(squared))
+            a = rules->axis_acceleration[c] * sqrt(squared) / fabs(turn[c]);
+    double sin_half = sqrt(0.5 * (1.0 - cosine)), v2 = a * to.deviation * sin_half / (1.0 - sin_half);
+    if (to.length < shorter && cosine < -GENTLE)
+        v2 = lesser(v2, to.length * a / acos(-cosine));
+    return sqrt(v2);
+}
 
 /* Return the greatest speed between two moves, as corners.py finds it. */
 static double junction_speed(const double *one, const double *other, struct limited a,
-                             struct limited b, double extruder_corner, double shorter)
+                             struct limited b, double extruder_corner)
 {
     double one_scale = 1.0 / a.length, other_scale = 1.0 / b.length, along[E];
     for (int c = 0; c < E; c++)
@@ -93,8 +131,6 @@ static double junction_speed(const double *one, const double *other, struct limi
     double sin_half = sqrt(0.5 * (1.0 - cosine)), cos_half = sqrt(0.5 * (1.0 + cosine));
     double turn = lesser(a.deviation * a.acceleration, b.deviation * b.acceleration);
     double fit = lesser(0.5 * a.length * a.acceleration, 0.5 * b.length * b.acceleration);
-    if (shorter < INFINITY && (cosine > -GENTLE || !(lesser(a.length, b.length) < shorter)))
-        fit = INFINITY;
     double v2 = fmin(turn * sin_half / (1.0 - sin_half), fit * sin_half / cos_half);
     return fmin(sqrt(v2), extruder_corner / fabs(other[E] / b.length - one[E] / a.length));
 }
@@ -104,10 +140,11 @@ static int is_steep(const double *delta, double steep)
     return delta[Z] * delta[Z] > steep * steep * (delta[X] * delta[X] + delta[Y] * delta[Y]);
 }
 
-/* Fill caps (n + 1), the greatest speed at each vertex of points (n + 1, 4). */
+/* Fill caps (n + 1), the greatest speed at each vertex of points (n + 1, 4). shorter: finite for a board
+ * with junction deviation, which passes from motion into moves while x and y rest. */
 static int64_t junctions(const double *points, const struct limited *moves, int64_t n,
-                         double extruder_corner, double shorter, double below_cruise, double steep,
-                         double creep, double *caps)
+                         const struct rules *rules, double extruder_corner, double shorter,
+                         double below_cruise, double steep, double creep, double *caps)
 {
     double delta[2][COLUMNS];
     for (int64_t k = 0; k < n; k++, points += COLUMNS) {
@@ -117,8 +154,12 @@ static int64_t junctions(const double *points, const struct limited *moves, int6
         caps[k] = caps[k + 1] = cruise;
         if (k == 0)
             continue;
-        double v = junction_speed(before, now, moves[k - 1], moves[k], extruder_corner, shorter);
-        if (is_steep(before, steep) || is_steep(now, steep) || v < creep)
+        int joins = shorter < INFINITY;
+        double v = joins ? deviation_speed(before, now, moves[k], rules, shorter)
+                         : junction_speed(before, now, moves[k - 1], moves[k], extruder_corner);
+        int stops = (!(joins && moves[k - 1].alone) && is_steep(before, steep)) ||
+                    (!(joins && moves[k].alone) && is_steep(now, steep));
+        if (stops || v < creep)
             v = 0.0;
         caps[k] = lesser(v, lesser(below_cruise * moves[k - 1].cruise, cruise));
     }
@@ -126,8 +167,9 @@ static int64_t junctions(const double *points, const struct limited *moves, int6
 }
 
 LOOP(junctions, FLOATS(0, COLUMNS * (COUNT(2) + 1)),
-     (const struct limited *)FLOATS(1, OF_MOVE * COUNT(2)), COUNT(2), REAL(3), REAL(4), REAL(5),
-     REAL(6), REAL(7), OUT_FLOATS(8, COUNT(2) + 1))
+     (const struct limited *)FLOATS(1, OF_MOVE * COUNT(2)), COUNT(2),
+     (const struct rules *)FLOATS(3, sizeof(struct rules) / sizeof(double)), REAL(4), REAL(5), REAL(6),
+     REAL(7), REAL(8), OUT_FLOATS(9, COUNT(2) + 1))
 
 /* Return the greatest speed reached from v0 within a length. */
 static double reachable(double v0, double length, double a, double jerk)
@@ -215,6 +257,7 @@ static int64_t find_runs(const struct limited *moves, const double *caps, int64_
             int slowed = k % plateau == 0 || caps[k] < (1.0 - 2e-4) * lesser(one.cruise, other.cruise);
             int reached = v2[k] >= (1.0 - 1e-6) * caps2[k] - rounding;
             int change = one.cruise != other.cruise || one.acceleration != other.acceleration;
+            change |= one.alone || other.alone;
             if (!(slowed && reached) && !change)
                 continue;
         }

@@ -12,7 +12,12 @@ R = sin(θ/2)/(1 − sin(θ/2)):
     v ≤ corner velocity / |Δ(e per mm)| sudden change of extrusion speed
 
 A square corner (θ = 90°) is passed at v_sc where deviation = (√2 − 1)·v_sc²/a. In C this is a part
-of the loops of ``lookahead.c`` and ``ramps.c``.
+of the loops of ``planning.c`` and ``ramps.c``.
+
+A board with junction deviation has the first of these rules, with differences. Directions are those
+of all motors, also of z and filament: it passes from motion into a retraction at a speed. Along the
+change of direction no motor exceeds its acceleration. Arcs must fit into moves shorter than 1 mm,
+where the path turns by less than 45°.
 """
 
 from __future__ import annotations
@@ -46,14 +51,11 @@ def junction_speeds(
     acceleration: Array,
     deviations: Array | float,
     extruder_corner_velocity: float,
-    shorter: float = math.inf,
 ) -> Array:
     """Return the greatest speed (n − 1,) between n consecutive moves, mm/s.
 
     delta (n, 4): x, y, z, e of each; length (n,): mm of path in x, y, z; acceleration (n,);
     deviations (n,) or one for all. Of two neighbours, the lower deviation·acceleration counts.
-    shorter: arcs must fit into moves that are shorter, mm. If it is finite, as in Marlin, they must
-    where the path turns by less than 45° only.
     """
     # not delta / length: in a reversal, 1 − cosθ consists of rounding, which must be Klipper's
     unit = delta[:, :E] * (1.0 / length)[:, None]
@@ -64,9 +66,6 @@ def junction_speeds(
     with np.errstate(divide="ignore", invalid="ignore"):
         v2 = np.minimum(turn[:-1], turn[1:]) * sin_half / (1.0 - sin_half)
         arc = np.minimum(fit[:-1], fit[1:]) * sin_half / cos_half
-        if math.isfinite(shorter):
-            short = (cosine <= -GENTLE) & (np.minimum(length[:-1], length[1:]) < shorter)
-            arc = np.where(short, arc, math.inf)
         v2 = np.fmin(v2, arc)
         extruder = extruder_corner_velocity / np.abs(np.diff(delta[:, E] / length))
     return np.asarray(np.fmin(np.sqrt(v2), extruder))
@@ -75,8 +74,8 @@ def junction_speeds(
 # ----------------------------------------------------------------------
 # Look-ahead over a queue of moves: limits, junctions, and speeds of runs.
 #
-# Moves are a table (n, 4): length, cruise speed, acceleration and junction deviation of each. See
-# ``planner.lookahead`` for the rules.
+# Moves are a table (n, 5): length, cruise speed, acceleration and junction deviation of each, and
+# whether x and y rest. See ``planner.lookahead`` for the rules.
 
 PLATEAU = 256  # moves at cruise speed in a run
 # Shares of acceleration and jerk, and of the cruise speed at vertices, that keep Ruckig off the
@@ -91,14 +90,14 @@ Runs = tuple[Array, Integers, Array]
 def limit_moves(
     points: Array, speed: Array, acceleration: Array, corner: Array, rules: Array
 ) -> Array:
-    """Return the table (n, 4) of moves between points (n + 1, 4) with limits.
+    """Return the table (n, 5) of moves between points (n + 1, 4) with limits.
 
     speed, acceleration, corner (n,): what the file asks for. rules (23,): cruise speed,
     that of travels, acceleration, that of travels, speed in z, of retractions, of melted filament,
     acceleration in z, of filament, speed through a square corner, junction deviation; then speed
     and acceleration of motors A and B, z and e, and the matrix from x, y to A and B.
     """
-    table = np.empty((len(speed), 4))
+    table = np.empty((len(speed), 5))
     kernels.limit_moves(points, speed, acceleration, corner, len(table), rules, table)
     return table
 
@@ -114,15 +113,16 @@ def lower_moves(points: Array, limits: Array, speed: Array, acceleration: Array)
 
 
 def greatest_speeds(
-    points: Array, moves: Array, extruder_corner_velocity: float, shorter: float = math.inf,
-    steep: float = STEEP,
+    points: Array, moves: Array, rules: Array, extruder_corner_velocity: float,
+    shorter: float = math.inf, steep: float = STEEP,
 ) -> Array:  # fmt: skip
     """Return the greatest speed at each vertex, (n + 1,), without limits at the ends.
 
-    shorter: see ``junction_speeds``. steep: rise over run above which a move is made from rest.
+    rules: see ``limit_moves``. shorter: mm; arcs must fit into shorter moves on a board with
+    junction deviation; inf: it has none. steep: rise over run above which a move is made from rest.
     """
     caps = np.empty(len(points))
-    constants = extruder_corner_velocity, shorter, BELOW_CRUISE, steep, CREEP
+    constants = rules, extruder_corner_velocity, shorter, BELOW_CRUISE, steep, CREEP
     kernels.junctions(points, moves, len(moves), *constants, caps)
     return caps
 

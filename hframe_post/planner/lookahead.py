@@ -13,18 +13,27 @@ Rules:
  3. A vertex that limits nothing does not end a run: the jerk-limited profile passes it at
     whatever speed and acceleration it has there.
  4. A speed is final if it is the same whether the queue ends in a stop or at full speed.
+ 5. Where firmware passes into lifts and retractions at a speed, they are moves of the queue. x and
+    y then come to rest from that speed, and set out at it, as they turn in a corner.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.native.planning import STEEP, Runs, find_runs, greatest_speeds, limit_moves
+from hframe_post.native.planning import (
+    BELOW_CRUISE,
+    STEEP,
+    Runs,
+    find_runs,
+    greatest_speeds,
+    limit_moves,
+)
 from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
@@ -32,6 +41,7 @@ from hframe_post.stream.types import (
     Handling,
     Item,
     Mark,
+    MoveAtRest,
     Moves,
     Passthrough,
     Plan,
@@ -41,6 +51,7 @@ from hframe_post.stream.types import (
 BATCH = 4096  # moves planned at once; more if none of their speeds is final
 LONGEST_QUEUE = 16 * BATCH
 MELTED = 50.0  # mm/s of filament, more than any hot end melts
+CRUISE, ACCELERATION, ALONE = 1, 2, 4  # columns of ``limit_moves``
 SHORT = 1.0  # mm; only into shorter moves must an arc fit, on a board with junction deviation
 # of the accelerations in z, and in filament taken back, while x and y move: what compensation adds
 # needs the rest. On a host's steps of a slice, the nozzle was off by 5 % more with all of them
@@ -48,55 +59,74 @@ Z_SHARE = 0.8
 
 
 def plan(
-    items: Iterable[Item], limits: Limits, batch: int = BATCH, longest: int = LONGEST_QUEUE
-) -> Iterator[Planned]:
+    items: Iterable[Item], limits: Limits, batch: int = BATCH, longest: int = LONGEST_QUEUE,
+    joins: bool = False, step: float = 0.0,
+) -> Iterator[Planned]:  # fmt: skip
     """Yield the items with final speeds; the motion stops before what must happen at rest.
 
-    batch: moves planned at once; longest: moves queued at most. Speeds may depend on both.
+    batch: moves planned at once; longest: moves queued at most. Speeds may depend on both. joins,
+    step: see ``Lookahead``.
     """
-    queue = Lookahead(limits, batch, longest)
+    queue = Lookahead(limits, batch, longest, joins=joins, step=step)
     for item in with_travel_limits(items, limits):
-        if isinstance(item, Moves):
+        if isinstance(item, Passthrough) and item.handling is Handling.CARRY and queue.count:
+            queue.carry(item)
+        elif isinstance(item, Moves) or (isinstance(item, MoveAtRest) and queue.joins):
             queue.append(item)
             while (ready := queue.take_final()) is not None:
-                yield ready
-        elif isinstance(item, Passthrough) and item.handling is Handling.CARRY and queue.count:
-            queue.mark(item.text)
+                yield from queue.parts(ready)
         else:
-            yield from queue.stop()
+            for ready in queue.stop():
+                yield from queue.parts(ready)
             yield item
-    yield from queue.stop()
+    for ready in queue.stop():
+        yield from queue.parts(ready)
 
 
 class Lookahead:
     """Queue of moves that are not planned yet, and the speed at which the first of them begins.
 
     batch, longest: see ``plan``. z_share: of the z acceleration while x and y move; steep: rise
-    over run above which a move starts and ends at rest.
+    over run above which a move starts and ends at rest. step: mm by which the firmware brakes late,
+    so that it reaches corners faster than it means to. joins: whether its junctions are those of a
+    board with junction deviation, which passes lifts and retractions at a speed: they are moves of
+    the queue, too.
     """
 
     def __init__(
         self, limits: Limits, batch: int = BATCH, longest: int = LONGEST_QUEUE,
-        z_share: float = Z_SHARE, steep: float = STEEP,
+        z_share: float = Z_SHARE, steep: float = STEEP, joins: bool = False, step: float = 0.0,
     ) -> None:  # fmt: skip
+        self.joins, self._step = joins, step
         self._limits, self._batch, self._longest = limits, batch, longest
         self._z_share, self._steep = z_share, steep
         self._moves: list[_Limited] = []
         self._file_limits: FileLimits | None = None  # of the latest moves
         self._rules = np.zeros(0)
+        self._last: tuple[Array, Array] | None = None  # start and limits of the latest move
         self._marks: list[Mark] = []
+        self._standing: list[tuple[int, MoveAtRest | Passthrough]] = []  # by their place, for parts
         self._speed = 0.0
         self._want = self._batch
         self.count = 0
 
-    def append(self, moves: Moves) -> None:
+    def append(self, item: Moves | MoveAtRest) -> None:
+        if isinstance(item, MoveAtRest):
+            self._standing.append((self.count, item))
+            self.add(standing(item, self._file_limits or FileLimits()))
+        else:
+            self.add(item)
+
+    def add(self, moves: Moves) -> None:
+        """Add moves, in which x and y may rest."""
         self._marks += [Mark(mark.index + self.count, mark.text) for mark in moves.marks]
         if moves.limits is not self._file_limits:
             self._file_limits, self._rules = moves.limits, self._rules_with(moves.limits)
         table = limit_moves(
             moves.points, moves.speed, moves.acceleration, moves.corner, self._rules
         )
-        self._moves.append(_Limited(moves.line, moves.points, table))
+        caps = self._caps(moves.points, table)
+        self._moves.append(_Limited(moves.line, moves.points, table, caps[:-1]))
         self.count += len(moves.line)
 
     def _rules_with(self, own: FileLimits) -> Array:
@@ -114,18 +144,50 @@ class Lookahead:
     def mark(self, text: bytes) -> None:
         self._marks.append(Mark(self.count, text))
 
+    def carry(self, line: Passthrough) -> None:
+        """Add a line that does not stop the motion, to those of its parts."""
+        if self._standing and self._last is not None and self._last[1][0, ALONE]:
+            self._standing.append((self.count, line))
+        else:
+            self.mark(line.text)
+
+    def parts(self, plan: Plan) -> Iterator[Planned]:
+        """Yield the parts of a plan of this queue: motion, lifts and retractions, and their lines.
+
+        x and y come to rest between them.
+        """
+        at, n = 0, len(plan.line)
+        while self._standing:
+            index, item = self._standing[0]
+            if index + isinstance(item, MoveAtRest) > n:
+                break
+            del self._standing[0]
+            if index > at:
+                yield _part(plan, at, index)
+            at = index
+            if isinstance(item, MoveAtRest):
+                entry, leaving = plan.speed[np.searchsorted(plan.ends, [index, index + 1])].tolist()
+                item, at = replace(item, entry=entry, leaving=leaving), index + 1
+            yield item
+        if not at:
+            yield plan
+        elif at < n:
+            yield _part(plan, at, n)
+        self._standing = [(index - n, item) for index, item in self._standing]
+
     def take_final(self) -> Plan | None:
         """Return the final part of the first ``_want`` moves, or None if it is empty."""
         while self.count >= self._want:
             moves = _joined(self._moves)
             batch = moves.part(0, self._want)
-            caps = self._caps(batch)
+            caps = self._joints(batch)
             stopping = self._runs(batch, caps, 0.0)
             rolling = self._runs(batch, caps, float(caps[-1]))
-            final = _agreement(stopping, rolling)
+            final = self._separable(batch, stopping[1], _agreement(stopping, rolling))
             if final or self._want >= self._longest:
                 s, ends, speed = stopping
-                cut = final or len(ends) // 2
+                half = len(ends) // 2
+                cut = final or self._separable(batch, ends, half) or half
                 self._moves = [moves.part(int(ends[cut]), len(moves.line))]
                 self._want = self._batch
                 return self._take(batch, s, ends[: cut + 1], speed[: cut + 1])
@@ -135,15 +197,47 @@ class Lookahead:
     def stop(self) -> Iterator[Plan]:
         if self.count:
             moves = _joined(self._moves)
-            runs = self._runs(moves, self._caps(moves), 0.0)
-            self._moves, self._want = [], self._batch
+            runs = self._runs(moves, self._joints(moves), 0.0)
+            self._moves, self._want, self._last = [], self._batch, None
             yield self._take(moves, *runs)
 
-    def _caps(self, moves: _Limited) -> Array:
-        limits = self._limits
-        shorter = SHORT if math.isfinite(limits.junction_deviation) else math.inf
-        extruder = limits.extruder_corner_velocity
-        caps = greatest_speeds(moves.points, moves.limits, extruder, shorter, self._steep)
+    def _separable(self, moves: _Limited, ends: Integers, count: int) -> int:
+        """Return the greatest number of runs, no more than ``count``, that do not end at a stop.
+
+        A stop may follow the last of them.
+        """
+        if not self.joins:
+            return count
+        alone, count = moves.limits[:, ALONE], min(count, len(ends) - 2)
+        while count > 0 and alone[ends[count]] > alone[ends[count] - 1]:
+            count -= 1
+        return max(count, 0)
+
+    def _caps(self, points: Array, table: Array) -> Array:
+        """Return the greatest speeds (n + 1,) at the ends of moves that follow the latest."""
+        n, own = len(table), (points, table)
+        if self._last is not None:
+            points, table = (np.concatenate(both) for both in zip(self._last, own, strict=True))
+        self._last = points[-2:-1], table[-1:]
+        extruder = self._limits.extruder_corner_velocity
+        shorter = SHORT if self.joins else math.inf
+        caps = greatest_speeds(points, table, self._rules, extruder, shorter, self._steep)
+        if self._step:
+            self._brake_late(caps[1:-1], table)
+        return caps[-n - 1 :]
+
+    def _brake_late(self, caps: Array, table: Array) -> None:
+        """Raise the speeds (n − 1,) between moves by half of what braking a step late does.
+
+        It is late before a corner only; half of it before and after take as long.
+        """
+        late = np.sqrt(np.square(caps) + 2.0 * self._step * table[1:, ACCELERATION])
+        slower = BELOW_CRUISE * np.minimum(table[:-1, CRUISE], table[1:, CRUISE])
+        caps[:] = np.where(caps > 0.0, np.minimum((caps + late) / 2.0, slower), 0.0)
+
+    def _joints(self, moves: _Limited) -> Array:
+        """Return the greatest speeds (n + 1,) at the ends of moves; at the first, the speed."""
+        caps = np.append(moves.caps, BELOW_CRUISE * moves.limits[-1, CRUISE])
         caps[0] = self._speed
         return caps
 
@@ -159,7 +253,7 @@ class Lookahead:
         self._marks = [Mark(m.index - n, m.text) for m in self._marks[len(marks) :]]
         self._speed = float(speed[-1])
         self.count -= n
-        cruise, acceleration = moves.limits[ends[:-1], 1], moves.limits[ends[:-1], 2]
+        cruise, acceleration = moves.limits[ends[:-1], CRUISE : ACCELERATION + 1].T.copy()
         return Plan(
             moves.line[:n], moves.points[: n + 1], s[: n + 1],
             ends, speed, cruise, acceleration, marks,
@@ -168,15 +262,17 @@ class Lookahead:
 
 @dataclass(frozen=True, slots=True)
 class _Limited:
-    """Moves; their ``limits`` (n, 4) are length, cruise, acceleration and junction deviation."""
+    """Moves; limits (n, 5): see ``limit_moves``; caps (n,): greatest speeds at which they begin."""
 
     line: Integers
     points: Array
     limits: Array
+    caps: Array
 
     def part(self, start: int, stop: int) -> _Limited:
         points = self.points[start : stop + 1]
-        return _Limited(self.line[start:stop], points, self.limits[start:stop])
+        own = self.limits[start:stop], self.caps[start:stop]
+        return _Limited(self.line[start:stop], points, *own)
 
 
 def _joined(parts: list[_Limited]) -> _Limited:
@@ -187,7 +283,28 @@ def _joined(parts: list[_Limited]) -> _Limited:
         np.concatenate([p.line for p in parts]),
         np.concatenate(points),
         np.concatenate([p.limits for p in parts]),
+        np.concatenate([p.caps for p in parts]),
     )
+
+
+def standing(move: MoveAtRest, limits: FileLimits) -> Moves:
+    """Return a lift or a retraction as a move. limits: of the moves around it."""
+    points, line = np.array([move.start, move.end]), np.array([move.line])
+    speed, acceleration, corner = np.array([[move.speed], [move.acceleration], [math.inf]])
+    return Moves(line, points, speed, acceleration, corner, limits)
+
+
+def _part(plan: Plan, first: int, last: int) -> Plan:
+    """Return moves ``first`` … ``last`` − 1 of a plan, which end where the plan does or rest."""
+    a, b = np.searchsorted(plan.ends, [first, last]).tolist()
+    lines = (m for m in plan.marks if first < m.index <= last or first == m.index == 0)
+    marks = tuple(Mark(mark.index - first, mark.text) for mark in lines)
+    return Plan(
+        plan.line[first:last], plan.points[first : last + 1],
+        plan.s[first : last + 1] - plan.s[first], plan.ends[a : b + 1] - first,
+        plan.speed[a : b + 1], plan.cruise[a:b], plan.acceleration[a:b], marks,
+        rests=last < len(plan.line),
+    )  # fmt: skip
 
 
 def _agreement(one: Runs, other: Runs) -> int:

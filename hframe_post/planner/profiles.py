@@ -157,17 +157,19 @@ class ProfileAtRest:
     ) -> ProfileAtRest:
         """Return the fastest profile that the limits allow.
 
-        entry, leaving: speeds of z at its ends, mm/s, lowered to what a move so short can have.
+        entry, leaving: speeds of z at its ends, mm/s, lowered to what a move so short can have, or
+        those that are planned.
         """
         dz, de = abs(move.end[Z] - move.start[Z]), abs(move.end[E] - move.start[E])
         length = dz or de
         cruise = min(move.speed, limits.z_velocity) if dz else move.speed
-        acceleration = limits.z_acceleration if dz else math.inf
+        acceleration = min(move.acceleration, limits.z_acceleration if dz else math.inf)
         if de:  # without x and y any extrusion has the limits of a retraction
             cruise = min(cruise, limits.extruder_velocity * length / de)
             acceleration = min(acceleration, limits.extruder_acceleration * length / de)
         most = min(cruise, math.sqrt(length * acceleration / 2.0)) if dz and not de else 0.0
-        ends = min(entry, most), min(leaving, most)
+        planned = move.entry or move.leaving
+        ends = (entry, leaving) if planned else (min(entry, most), min(leaving, most))
         trapezoid = Trapezoid(length, cruise, acceleration, *ends)
         samples = samples_until(trapezoid.seconds)
         if any(ends):  # no rest next to it can fill up the last sample

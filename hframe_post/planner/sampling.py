@@ -128,7 +128,7 @@ class _Sampler:
         yield from self._set_out(plan)
         profile, at_ends = self._profiles.popleft(), plan.s[plan.ends]
         motion, self._clock = phases(*profile, plan.speed, at_ends, self._clock)
-        stops = plan.speed[-1] == 0.0
+        stops = plan.rests or plan.speed[-1] == 0.0
         since = samples_until(self._clock) if stops else math.floor(self._clock / TS)
         last, marks = self._section + since, list(plan.marks)
         if stops:
@@ -260,11 +260,13 @@ class _Sampler:
             yield from out.rest(np.array(move.start), 1)
         if self._retracts_in_motion(move, motion):
             return
-        profile = ProfileAtRest.from_move(move, self._limits, *self._corner_speeds(motion))
+        planned = move.entry, move.leaving
+        at_ends = planned if any(planned) else self._corner_speeds(motion)
+        profile = ProfileAtRest.from_move(move, self._limits, *at_ends)
         if long := profile.samples >= self._rules.long_from:
-            profile = ProfileAtRest.from_move(move, self._limits)
+            profile = ProfileAtRest.from_move(move, self._limits, *planned)
         n, way = profile.samples, profile.trapezoid
-        if way.v_s:
+        if way.v_s and not any(planned):
             yield from self._change(Change.ENTER)
         else:
             yield from self.come_to_rest(long)
@@ -279,7 +281,7 @@ class _Sampler:
             out.add(profile.places(move, first + 1, count), np.full(count, move.line))
             if first + count < n:
                 yield from out.flush()
-        if way.v_e:
+        if way.v_e and not any(planned):
             yield from self._change(Change.LEAVE)
 
     def _retracts_in_motion(self, move: MoveAtRest, motion: Plan | None) -> bool:

@@ -18,9 +18,10 @@ from hframe_post.arrays import Array, E, Flags, Z, lengths
 from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.native.planning import smoothed_runs
 from hframe_post.planner.bands import MotorBands, OuterWalls, TimeInBands
-from hframe_post.planner.lookahead import Lookahead
+from hframe_post.planner.lookahead import Lookahead, standing
 from hframe_post.planner.profiles import ProfileAtRest
 from hframe_post.planner.sampling import sample
+from hframe_post.planner.short_moves import ShortMoves
 from hframe_post.stream.types import (
     Handling,
     Item,
@@ -43,12 +44,13 @@ class AsSliced:
 
     def __init__(self, rules: FirmwareLimits, bands: MotorBands | None = None) -> None:
         self._rules = rules
-        self._queue = Lookahead(rules.limits, z_share=1.0, steep=math.inf)
+        self._queue = Lookahead(rules.limits, z_share=1.0, steep=math.inf, joins=rules.joins)
         self._last: Moves | None = None  # moves before the item
         self.seconds = self.elsewhere = 0.0
         self._bands, self._walls, self.in_bands = bands, OuterWalls(), TimeInBands()
         self._outer = list[Flags]()  # which of the queued moves are outer walls
         self._ratio = list[Array]()  # cruise ratios of the queued moves
+        self._short = ShortMoves(rules.least, rules.step, rules.motors) if rules.least else None
 
     def samples(self, items: Iterable[Item]) -> Iterator[Samples]:
         """Yield the motion for all items, which is its own command."""
@@ -62,20 +64,14 @@ class AsSliced:
 
     def planned(self, item: Item | None) -> Iterator[Planned]:
         """Take the next item, or None at the end; yield what is final."""
-        if self._bands is not None:
-            if isinstance(item, Moves):
-                self._outer.append(self._walls.among(item))
-            elif item is not None:
-                self._walls.pass_by(item)
         if isinstance(item, Moves):
-            ratio, self._last = item.limits.cruise_ratio, item
-        elif isinstance(item, MoveAtRest) and self._last and _lifts(item):
-            ratio, item = 0.0, self._lift(item, self._last)
-        if isinstance(item, Moves):
-            self._queue.append(item)
-            self._ratio.append(np.full(len(item.line), ratio))
-            while (plan := self._queue.take_final()) is not None:
-                yield self._timed(plan)
+            self._last = item
+            yield from self._moved(item, item.limits.cruise_ratio, self._outer_walls(item))
+            return
+        if self._bands is not None and item is not None:
+            self._walls.pass_by(item)
+        if isinstance(item, MoveAtRest) and self._joins(item):
+            yield from self._moved(self._standing(item), 0.0, np.zeros(1, dtype=bool))
             return
         if isinstance(item, Passthrough) and item.handling is Handling.CARRY:
             if self._queue.count:
@@ -84,6 +80,8 @@ class AsSliced:
                 return
         else:
             yield from map(self._timed, self._queue.stop())
+        if self._short and isinstance(item, Passthrough) and item.handling is Handling.RELEASE:
+            self._short.forget()
         if isinstance(item, Passthrough) and item.cause and item.end is None:
             self.elsewhere += item.seconds
             yield item
@@ -94,11 +92,36 @@ class AsSliced:
             self.seconds += ProfileAtRest.from_move(item, self._rules.limits).trapezoid.seconds
             yield item
 
-    def _lift(self, lift: MoveAtRest, before: Moves) -> Moves:
-        """Return a lift as a move, with the limits of the moves before it."""
-        points, speed = np.array([lift.start, lift.end]), np.array([lift.speed])
-        line, last = np.array([lift.line]), (before.acceleration[-1:], before.corner[-1:])
-        return Moves(line, points, speed, *last, before.limits)
+    def _outer_walls(self, moves: Moves) -> Flags:
+        """Return which moves are outer walls, (n,), if that matters."""
+        return np.zeros(len(moves.line), bool) if self._bands is None else self._walls.among(moves)
+
+    def _moved(self, moves: Moves, ratio: float, outer: Flags) -> Iterator[Plan]:
+        """Add moves to the queue; yield what is final. outer (n,): those of outer walls."""
+        if self._short is not None:
+            whole, kept = self._short.joined(moves)
+            if whole is None:
+                return
+            moves, outer = whole, outer[kept]
+        self._queue.add(moves)
+        if self._bands is not None:
+            self._outer.append(outer)
+        self._ratio.append(np.full(len(moves.line), ratio))
+        while (plan := self._queue.take_final()) is not None:
+            yield self._timed(plan)
+
+    def _joins(self, move: MoveAtRest) -> bool:
+        """Return whether the firmware passes a move at rest at a speed."""
+        return self._queue.joins or (self._last is not None and move.start[Z] != move.end[Z])
+
+    def _standing(self, move: MoveAtRest) -> Moves:
+        """Return a move at rest as a move, with the limits of the moves before it."""
+        if (before := self._last) is None:
+            return standing(move, self._rules.others)
+        as_move = standing(move, before.limits)
+        if self._queue.joins:
+            return as_move
+        return replace(as_move, acceleration=before.acceleration[-1:], corner=before.corner[-1:])
 
     def _timed(self, plan: Plan) -> Plan:
         """Add the time of a plan; return it with the speeds that it reaches."""
@@ -110,7 +133,7 @@ class AsSliced:
         if self._bands is not None:
             self._add_in_bands(replace(plan, speed=speed), top, self._bands)
         if (durations := self._rules.durations) is not None:
-            way = np.abs(np.diff(plan.points[:, :E], axis=0) @ self._rules.motors.T).max(axis=1)
+            way = np.abs(np.diff(plan.points, axis=0) @ self._rules.motors.T).max(axis=1)
             lead = np.add.reduceat(way, plan.ends[:-1])
             d = np.diff(plan.s[plan.ends])
             seconds = durations(lead, d, speed[:-1], speed[1:], cruise, plan.acceleration)
@@ -149,7 +172,3 @@ class AsSliced:
 
 def _joined(parts: list[Any]) -> Any:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
-def _lifts(move: MoveAtRest) -> bool:
-    return move.start[Z] != move.end[Z]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
@@ -35,15 +36,32 @@ class FileLimits:
     and B. path: speed along the path (VELOCITY). deviation: of junctions (M205 J). cruise_ratio: of
     a move that brakes as soon as it has accelerated, the share that must be at constant speed.
     travel: acceleration requested for travel alone (M204 T), whether the firmware obeys it or not.
+    retract: acceleration of filament where nothing else moves (M204 R); inf: the firmware has none.
     """
 
     velocity: Position = (math.inf,) * 4
     acceleration: Position = (math.inf,) * 4
     travel: float = math.inf
+    retract: float = math.inf
     path: float = math.inf
     deviation: float = math.inf
     cruise_ratio: float = 0.0
     belts: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.0), (0.0, 1.0))
+
+    def at_rest(
+        self, start: Position, end: Position, speed: float, acceleration: float
+    ) -> tuple[float, float]:
+        """Lower speed and acceleration of a move while x and y rest; see ``MoveAtRest``.
+
+        A firmware with an acceleration for filament alone has its own for z, too.
+        """
+        dz, de = abs(end[2] - start[2]), abs(end[3] - start[3])
+        shares = [(axis, d / (dz or de)) for axis, d in ((2, dz), (3, de)) if d]
+        speed = min([speed, *(self.velocity[axis] / share for axis, share in shares)])
+        if self.retract == math.inf or not dz:
+            return speed, self.retract
+        limits = (self.acceleration[axis] / share for axis, share in shares)
+        return speed, min(acceleration, *limits)
 
     def lower(self, speed: Array, acceleration: Array, points: Array) -> int:
         """Lower speed and acceleration (n,) of moves between points (n + 1, 4) to these limits.
@@ -75,16 +93,24 @@ class Moves:
 
 @dataclass(frozen=True, slots=True)
 class MoveAtRest:
-    """A move made while x and y are at rest: a retraction or a lift. start, end: x, y, z, e."""
+    """A move made while x and y are at rest: a retraction or a lift. start, end: x, y, z, e.
+
+    speed, acceleration: of z, or of the filament if z rests too; inf: the profile's. entry,
+    leaving: speeds at its ends, once planned, where firmware passes them without a stop.
+    """
 
     line: int
     start: Position
     end: Position
     speed: float
+    acceleration: float = math.inf
+    entry: float = 0.0
+    leaving: float = 0.0
 
-    def __reduce__(self) -> tuple[type[MoveAtRest], tuple[int, Position, Position, float]]:
+    def __reduce__(self) -> tuple[type[MoveAtRest], tuple[Any, ...]]:
         """Pickle the fields alone: a print has thousands of these."""
-        return MoveAtRest, (self.line, self.start, self.end, self.speed)
+        own = self.line, self.start, self.end, self.speed, self.acceleration
+        return MoveAtRest, (*own, self.entry, self.leaving)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +168,7 @@ class Plan:
 
     line (n,), points (n + 1, 4), s (n + 1,): path length at the vertices. ends (r + 1,):
     vertices between runs, speed (r + 1,) there. cruise, acceleration (r,): limits of each
-    run. marks: index is a vertex.
+    run. marks: index is a vertex. rests: x and y rest at the end, from whatever speed there.
     """
 
     line: Integers
@@ -153,6 +179,7 @@ class Plan:
     cruise: Array
     acceleration: Array
     marks: tuple[Mark, ...]
+    rests: bool = False
 
     @property
     def seconds(self) -> Array:
@@ -177,7 +204,8 @@ class StopRules:
     lift_speed: mm/s of z between a lift and motion in x and y that directly precedes or follows it,
     if neither needs samples of rest; 0: z comes to rest there.
     retract_acceleration: mm/s² with which filament is retracted during the travel that follows, if
-    it lasts long enough; 0: retract before it.
+    it lasts long enough; 0: retract before it. joined: firmware passes into lifts and retractions
+    at a speed, so that x and y stop there as in a corner, and short rests bring nothing.
     """
 
     before: int = 0
@@ -186,6 +214,7 @@ class StopRules:
     long_from: int = 1 << 60
     lift_speed: float = 0.0
     retract_acceleration: float = 0.0
+    joined: bool = False
 
 
 @dataclass(frozen=True, slots=True)

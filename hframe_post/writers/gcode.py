@@ -107,6 +107,7 @@ def _joined(output: Iterable[Output]) -> Iterator[Output]:
 def _as_text(commands: Iterable[TimedCommand], units: Units) -> Iterator[Output]:
     """Yield the lines of the commands. F is written where it changes."""
     feed = 0  # last F, in output units; 0: unknown
+    limits = dict[bool, bytes]()  # last limit of lifts, and that of retractions
     revert = b""  # takes back what a retraction or a lift has changed
     for command in commands:
         match command:
@@ -115,7 +116,11 @@ def _as_text(commands: Iterable[TimedCommand], units: Units) -> Iterator[Output]
             case LimitChange():
                 yield command.text
                 feed, revert = 0, b""
+                limits.clear()
             case TimedMove(move, stroke):
+                if stroke.limit != limits.get(move.lifts, b""):
+                    yield stroke.limit
+                    limits[move.lifts] = stroke.limit
                 if stroke.after and not revert:
                     yield stroke.before
                     revert = stroke.after

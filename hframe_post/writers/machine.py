@@ -11,7 +11,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers, X, Y, Z
 from hframe_post.firmware.code import Code
-from hframe_post.firmware.motion import MotionRules
+from hframe_post.firmware.motion import MotionRules, Way
 from hframe_post.gcode.commands import Line, name_and_arguments
 from hframe_post.stream.types import (
     Dwell,
@@ -59,10 +59,11 @@ class Motion(NamedTuple):
 
 
 class PlacedMove(NamedTuple):
-    """A retraction or a lift, from place to place."""
+    """A retraction or a lift, from place to place; speed, acceleration: see ``MoveAtRest``."""
 
     dwell: Dwell
     speed: float
+    acceleration: float
     lifts: bool
     start: Place
     end: Place
@@ -190,7 +191,7 @@ class Machine:
         """Return the speed, mm/s, at which motion passes into a dwell; 0: it stops."""
         if not isinstance(move := dwell.action, MoveAtRest):
             return 0.0
-        way, planned = (move.start, move.end), (dwell.entry, dwell.leaving)
+        way, planned = Way(move.start, move.end, move.acceleration), (dwell.entry, dwell.leaving)
         return self._rules.corners(way, move.speed, planned)[0]
 
     def _motion(self, batch: Batch, speed: float = 0.0) -> Iterator[OutputCommand]:
@@ -253,7 +254,8 @@ class Machine:
         start, (_, _, z, e) = self._at, self._units.place(move.end)
         self._at = start[X], start[Y], z, e
         self.ledger.moved([dwell.index], e - start[E])
-        yield PlacedMove(dwell, move.speed, move.end[Z] != move.start[Z], start, self._at)
+        lifts = move.end[Z] != move.start[Z]
+        yield PlacedMove(dwell, move.speed, move.acceleration, lifts, start, self._at)
 
     def _enter(self) -> Iterator[OutputCommand]:
         """Yield the change to the stream's limits if the user's hold, and a new count of E."""

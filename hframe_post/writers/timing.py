@@ -215,7 +215,7 @@ class Timing:
             yield Text(line)
 
     def _way(self, move: PlacedMove) -> Way:
-        return self._units.mm(move.start), self._units.mm(move.end)
+        return Way(self._units.mm(move.start), self._units.mm(move.end), move.acceleration)
 
     def _leave(self, speed: float) -> Iterator[TimedCommand]:
         """Yield the lift that waits for the speed, mm/s, of the next motion, if there is one."""

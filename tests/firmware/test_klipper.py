@@ -15,6 +15,7 @@ from hframe_post.arrays import Array, Flags
 from hframe_post.firmware.code import plain
 from hframe_post.firmware.klipper.code import KlipperCode, StreamLimits
 from hframe_post.firmware.klipper.motion import KlipperMotion
+from hframe_post.firmware.motion import Way
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Extruder, Limits, Motors, Printer
@@ -87,7 +88,7 @@ def test_a_leap_that_no_ramp_makes_in_time_is_made_up_for() -> None:
 
 
 def test_a_lift_from_motion_is_slowed_to_be_in_time_by_a_tenth_at_most() -> None:
-    motion, way = KlipperMotion(RESTORE, STREAM), ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 2.0, 0.0))
+    motion, way = KlipperMotion(RESTORE, STREAM), Way((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 2.0, 0.0))
     own = motion.stroke(way, 10.0, 0.3, 0.0, entry=2.0).seconds
     for wanted, taken in ((1.05 * own, 1.05), (3.0 * own, 1.1)):
         stroke = motion.stroke(way, 10.0, 0.3, wanted, entry=2.0)

@@ -39,7 +39,7 @@ WORDS = re.compile(rb"[ZF]([0-9.]+)")
 
 def from_there(way: Position) -> Way:
     x, y, z, e = AT.tolist()
-    return (x, y, z, e), (x + way[0], y + way[1], z + way[2], e + way[3])
+    return Way((x, y, z, e), (x + way[0], y + way[1], z + way[2], e + way[3]))
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def motion(profile: Printer) -> MarlinMotion:
 def test_stream_begins_unshaped_with_its_own_limits_and_modes(marlin: Printer) -> None:
     assert code(marlin).begin(NOWHERE, AT) == [
         b"M400", b"M593 F0", b"M900 K0", b"M493 S0", b"M494 T0 X0 Y0 Z0 E0",
-        b"M201 X100000 Y100000 E100000", b"M203 X770 Y770", b"M204 P100000 T100000 R2000",
+        b"M201 X100000 Y100000 E100000", b"M203 X770 Y770", b"M204 P100000 T100000",
         b"M205 B0 S0 T0 J0.3", b"G90", b"M83",
     ]  # fmt: skip
 
@@ -85,7 +85,7 @@ def test_stream_ends_with_the_users_settings_to_the_last_digit(marlin: Printer) 
         shaper_freq_x=41.125, shaper_freq_y=38.625,
     )  # fmt: skip
     assert code(mine).end(STATE, AT)[1:-2] == [
-        b"M201 X9000.125 Y7000.375 E1800.625", b"M203 X280.125 Y310.375",
+        b"M201 X9000.125 Y7000.375 Z500 E1800.625", b"M203 X280.125 Y310.375",
         b"M204 P2800.125 T2900.375 R1234.625", b"M205 B12345 S0.125 T0.375 J0.0125",
         b"M900 K0.04125", b"M593 X F41.125", b"M593 Y F38.625",
     ]  # fmt: skip
@@ -114,7 +114,8 @@ def test_strokes_begin_and_end_with_the_users_corners(marlin: Printer) -> None:
     corners = [k for k, line in enumerate(text) if line.startswith(b"M205 J")]
     users, streams = corners
     assert (text[users], text[streams]) == (b"M205 J0.013", b"M205 J0.3")
-    retraction, lift, first = text[users + 1 : streams]
+    retraction, limit, lift, first = text[users + 1 : streams]
+    assert (text[users - 1], limit) == (b"M204 R2000", b"M201 Z500")
     assert retraction.startswith(b"G1 E-2 F")
     assert lift.startswith(b"G1 Z2 F")
     assert first.startswith(b"G1 X1")
@@ -154,8 +155,9 @@ def test_blocks_reach_the_speeds_that_their_acceleration_allows(
 
 def test_turning_back_is_a_stop_and_going_on_is_none(marlin: Printer) -> None:
     there, mine = from_there((0.0, 0.0, 0.4, 0.0)), motion(marlin)
-    on = there[1], (*there[1][:2], there[1][2] + 0.4, there[1][3])
-    assert mine.corners(there[::-1], 10.0, (0.0, 0.0), there)[0] == 0.0
+    x, y, z, e = there.end
+    on, back = Way(there.end, (x, y, z + 0.4, e)), Way(there.end, there.start)
+    assert mine.corners(back, 10.0, (0.0, 0.0), there)[0] == 0.0
     assert mine.corners(on, 10.0, (0.0, 0.0), there)[0] > 0.0
 
 

@@ -227,7 +227,11 @@ def test_classic_jerk_plays_the_same(marlin: Printer, planner: str) -> None:
 def test_lifts_and_retractions_take_the_time_that_they_are_planned_to(
     marlin: Printer, planner: str
 ) -> None:
-    """Each begins and ends at a speed that its neighbours decide, too."""
+    """Each begins and ends at a speed that its neighbours decide, too.
+
+    They are planned as fast as the board makes them, so what they lose is made up for in motion: a
+    first step of 2.0 after a turn, 8 ms, and a millisecond of fixed-time motion at each.
+    """
     lines = [b"M83\n", b"G1 X100 Y100 Z1 F6000\n"]
     for k in range(1, 9):
         lines += [
@@ -235,7 +239,8 @@ def test_lifts_and_retractions_take_the_time_that_they_are_planned_to(
             b"G1 Y%d F6000\n" % (100 + 3 * k), b"G1 Z1.5 F600\n", b"G1 Z1\n", b"G1 E2 F1800\n",
         ]  # fmt: skip
     _, late, _ = played(lines, with_own(marlin, planner=planner), planner=planner).track()
-    below(np.ptp(late[1:]), 2e-3, "range of the lateness after the start, s")
+    lost = {"2.0": 10e-3, "ft-motion": 4e-3}.get(planner, 2e-3)
+    below(np.ptp(late[1:]), lost, "range of the lateness after the start, s")
 
 
 def layers_of_cube(last: int) -> list[bytes]:
@@ -270,6 +275,39 @@ def test_a_slow_board_takes_as_long_for_a_layer_as_sliced_as_is_told(planner: st
         told.append(converted(lines, slinger, Options("none"))[1].time.before)
     layer = board[1] - board[0]
     near(told[1] - told[0], layer, 0.008 * layer, "a layer as sliced, s")
+
+
+HOPS = [
+    b"M203 Z10 E50\n", b"M204 R1000\n", b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X120 E1 F3600\n",
+    b"G1 E-5 F2700\n", b"G1 Z1.4 F600\n", b"G1 X100 Y110 F9000\n", b"G1 X100.01\n", b"G1 Z1\n",
+    b"G1 E5 F2700\n", b"G1 X120 E1 F3600\n", b"G1 E-5 F2700\n", b"G1 X100 Y100 F9000\n",
+    b"G1 E5 F2700\n",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("planner", few(["2.1", "2.0", "2.1-dev"], 1))
+def test_retractions_and_lifts_cost_no_time_and_the_file_sets_their_limits(planner: str) -> None:
+    """The board passes them at a corner speed, at M203 Z and E and with M204 R of the file."""
+    slinger = with_own(load("example-ender"), planner=planner)
+    own = replace(
+        built(slinger, planner=planner, cartesian=True, junction_deviation=0.08),
+        max_velocity=[500.0, 500.0, 5.0, 25.0], max_acceleration=[500.0, 500.0, 100.0, 5000.0],
+        acceleration=500.0, travel_acceleration=500.0, retract_acceleration=500.0,
+    )  # fmt: skip
+    lines = HOPS[:4] + HOPS[4:] * 10
+
+    def seconds(text: bytes) -> float:
+        build = replace(
+            own, max_velocity=[*own.max_velocity], max_acceleration=[*own.max_acceleration]
+        )
+        there = b"G92 X100 Y100 Z1\n"
+        return sum(run.duration for run in Machine(build).read(there + text))
+
+    sliced = seconds(b"".join(lines))
+    text, report = converted(lines, slinger)
+    near(report.sliced_s, sliced, 0.005 * sliced, "as sliced, s")
+    near(report.duration, seconds(text), 0.005 * sliced, "as converted, s")
+    below(report.duration, 1.015 * sliced, "as converted, s")
 
 
 def contour(block: Samples, printer: Printer, name: str) -> float:

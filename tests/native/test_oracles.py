@@ -56,7 +56,7 @@ def test_phases_reach_the_ends_of_runs_at_their_speeds(seed: int) -> None:
     n = int(rng.integers(2, 60))
     moves = np.column_stack([
         10.0 ** rng.uniform(-3.0, 1.5, n), rng.uniform(5.0, 300.0, n),
-        rng.uniform(300.0, 2e4, n), np.full(n, 0.01),
+        rng.uniform(300.0, 2e4, n), np.full(n, 0.01), np.zeros(n),
     ])  # fmt: skip
     caps = rng.uniform(0.0, 300.0, n + 1) * (rng.random(n + 1) < 0.9)
     caps[1:-1] = np.minimum(caps[1:-1], np.minimum(moves[1:, 1], moves[:-1, 1]))

@@ -354,11 +354,13 @@ def test_boards_with_junction_deviation_fit_arcs_into_short_gentle_turns_only(
     angle, a, deviation, length = np.radians(turn), 500.0, 0.08, 0.2
     way = length * np.array([[1.0, 0.0], [np.cos(angle), np.sin(angle)]])
     points = np.column_stack([np.cumsum(np.vstack([[0.0, 0.0], way]), axis=0), np.zeros((3, 2))])
-    table = np.tile([length, 300.0, a, deviation], (2, 1))
+    table = np.tile([length, 300.0, a, deviation, 0.0], (2, 1))
+    rules = np.full(23, np.inf)
+    rules[-4:] = 1.0, 0.0, 0.0, 1.0
     half = (np.pi - angle) / 2.0  # of the angle between the moves
     arc = np.sqrt(deviation * a * np.sin(half) / (1.0 - np.sin(half)))
     within = np.sqrt(0.5 * length * a * np.tan(half))
     assert within < arc
-    assert greatest_speeds(points, table, 1.0)[1] == pytest.approx(within)
-    marlin = greatest_speeds(points, table, 1.0, shorter=1.0)[1]
-    assert marlin == pytest.approx(within if fits else arc)
+    assert greatest_speeds(points, table, rules, 1.0)[1] == pytest.approx(within)
+    marlin = greatest_speeds(points, table, rules, 1.0, shorter=1.0)[1]
+    assert marlin == pytest.approx(np.sqrt(length * a / angle) if fits else arc)

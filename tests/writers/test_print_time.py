@@ -169,6 +169,6 @@ def test_limits_are_blamed_only_where_the_owner_lowered_them(
     printer = hp.load_printer("example-ender")
     printer = replace(printer, limits=replace(printer.limits, acceleration=acceleration))
     strokes = [b"G1 X110 E0.4\n", b"G1 Z0.4\n", b"G1 X100 E0.4\n", b"G1 Z0.2\n"]
-    lines = [b"G28\n", b"M83\n", b"G1 X100 Y100 Z0.2 F6000\n", *(20 * strokes)]
+    lines = [b"G28\n", b"M83\n", b"G1 X100 Y100 Z0.2 F6000\n", *(60 * strokes)]
     found = hp.convert(lines, tmp_path / "o.gcode", printer, hp.Options(force=True, predict=()))
     assert f" s for {cause}" in found.time.as_row().text

@@ -88,7 +88,7 @@ class KlipperMotion(MotionRules):
         """Return the speeds in the corners of a lift that the plan joins to motion."""
         if planned == (0.0, 0.0):
             return planned
-        lift = abs(way[1][Z] - way[0][Z])
+        lift = abs(way.end[Z] - way.start[Z])
         # a short lift needs the other half of its way to brake
         fits = math.sqrt(lift * self.limits.z_acceleration / 2.0)
         corner = min(self.limits.lift_corner, fits, speed, self.limits.z_velocity)
@@ -100,7 +100,7 @@ class KlipperMotion(MotionRules):
         entry: float = 0.0, leaving: float = 0.0,
     ) -> Stroke:  # fmt: skip
         """Return the user's speed; a lift from or into motion is slowed down to be in time."""
-        start, end = way
+        start, end, _ = way
         lifted = abs(end[Z] - start[Z])
         if lifted and end[E] == start[E]:
             cruise, a = min(speed, self.limits.z_velocity), self.limits.z_acceleration

@@ -71,7 +71,7 @@ class MarlinCode(Code):
 
     def durations(self, lead: Array, d: Array, v_s: Array, v_e: Array, v: Array, a: Array) -> Array:
         """Return the seconds (n,) of moves as the board steps them; see ``Durations``."""
-        steps = np.maximum(np.rint(lead / self.steps.belt), 1.0)
+        steps = np.maximum(np.rint(lead), 1.0)
         blocks = Blocks(steps, d, np.floor(a * steps / d))
         return self.planner.reached(blocks, v_s, v_e, v)
 
@@ -105,7 +105,7 @@ class MarlinCode(Code):
         start = [
             "M400", "M593 F0", "M900 K0", self.motion_mode, TRAPEZOIDS,
             f"M201 X{a} Y{a}{self._filament(self.block_acceleration)}", f"M203 X{v} Y{v}",
-            f"M204 P{a} T{a}{self._retract(False)}", f"M205 B0 S0 T0 {self.corners(False)}",
+            f"M204 P{a} T{a}", f"M205 B0 S0 T0 {self.corners(False)}",
         ]  # fmt: skip
         start += ["G90", "M83", *coordinates(offset, at)]
         return [line.encode() for line in [*start, *self.filling_lines(float(at[Z]))]]
@@ -131,10 +131,11 @@ class MarlinCode(Code):
         (a_x, a_y), (v_x, v_y) = table.max_acceleration, table.max_velocity
         lines = [
             "M400",
-            f"M201 X{plain(a_x, 3)} Y{plain(a_y, 3)}{self._filament(table.max_acceleration_e)}",
+            f"M201 X{plain(a_x, 3)} Y{plain(a_y, 3)} Z{plain(self.limits.z_acceleration, 3)}"
+            f"{self._filament(table.max_acceleration_e)}",
             f"M203 X{plain(v_x, 3)} Y{plain(v_y, 3)}",
             f"M204 P{plain(table.acceleration, 3)} T{plain(table.travel_acceleration, 3)}"
-            f"{self._retract(True)}",
+            f"{self._retract(table.retract_acceleration)}",
             f"M205 B{plain(table.min_segment_time * 1e6, 0)} S{plain(table.min_velocity, 3)} "
             f"T{plain(table.min_travel_velocity, 3)} {self.corners(True)}",
         ]
@@ -202,12 +203,16 @@ class MarlinCode(Code):
         """
         return f" E{plain(acceleration, 3)}" if self.table.max_acceleration_e else ""
 
-    def _retract(self, users: bool) -> str:
-        """Return the word of M204 for the acceleration that retractions are planned with."""
-        if not self.table.retract_acceleration:
-            return ""
-        limits = self.table.retract_acceleration, self.limits.extruder_acceleration
-        return f" R{plain(limits[0] if users else limits[1], 3)}"
+    def _retract(self, acceleration: float) -> str:
+        """Return the word of M204 for retractions, if the profile knows what to restore."""
+        return f" R{plain(acceleration, 3)}" if self.table.retract_acceleration else ""
+
+    def stroke_limit(self, acceleration: float, lifts: bool) -> bytes:
+        """Return the line that sets the acceleration, mm/s², of a lift or a retraction."""
+        if acceleration == math.inf:
+            return b""
+        word = f" Z{plain(acceleration, 3)}" if lifts else self._retract(acceleration)
+        return f"{'M201' if lifts else 'M204'}{word}\n".encode() if word else b""
 
     def corners(self, users: bool) -> str:
         """Return the words of M205 for the user's corners or the stream's."""

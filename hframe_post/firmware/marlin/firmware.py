@@ -22,6 +22,7 @@ from hframe_post.firmware.base import (
 from hframe_post.firmware.dialect import Accelerations, Advance, Dialect, Words, marlin_advance
 from hframe_post.model.shapers import Shaping
 from hframe_post.printer.firmware_tables import MarlinTable
+from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import FileLimits
 
 if TYPE_CHECKING:
@@ -39,6 +40,12 @@ def _accelerations(words: Words, before: Accelerations) -> Accelerations:
 def _dwell(words: Words) -> float:
     """Return the seconds of S, or those of P, which is in ms, where S is missing."""
     return words["S"] if "S" in words else words.get("P", 0.0) / 1000.0
+
+
+# limits of a profile that hold until the file sets others: M203, M201 and M204 R
+Z_AND_E = dict.fromkeys(
+    ("z_velocity", "z_acceleration", "extruder_velocity", "extruder_acceleration"), math.inf
+)
 
 
 class Marlin(Firmware):
@@ -91,17 +98,24 @@ class Marlin(Firmware):
         if table is None:
             return super().limits()
         (v_x, v_y), (a_x, a_y) = table.max_velocity, table.max_acceleration
-        corner, deviation, known = min(table.jerk), math.inf, math.inf
+        own, corner, deviation, known = self.printer.limits, min(table.jerk), math.inf, math.inf
         if not table.classic_jerk:  # such a board knows no other rule, whatever the file says
             corner, deviation, known = math.inf, table.junction_deviation, UNLIMITED_DEVIATION
         others = FileLimits(
-            (v_x, v_y, math.inf, math.inf), (a_x, a_y, math.inf, math.inf), deviation=deviation,
-            belts=self.belts,
+            (v_x, v_y, own.z_velocity, own.extruder_velocity),
+            (a_x, a_y, own.z_acceleration, table.max_acceleration_e or math.inf),
+            retract=own.extruder_acceleration, deviation=deviation, belts=self.belts,
         )  # fmt: skip
         return FirmwareLimits(
-            unlimited(self.printer.limits, known), table.acceleration,
-            table.travel_acceleration, corner, others, self.code().durations,
+            replace(unlimited(own, known), **Z_AND_E), table.acceleration,
+            table.travel_acceleration, corner, others, (code := self.code()).durations,
+            (code.steps.belt, code.steps.belt, code.steps.z, code.steps.e),
+            table.min_steps_per_segment,
         )  # fmt: skip
+
+    def caps(self) -> Limits:
+        free = Z_AND_E if self.printer.firmware.marlin is not None else {}
+        return replace(super().caps(), **free)
 
     @staticmethod
     def shaper_settings(shaping: Shaping) -> str:

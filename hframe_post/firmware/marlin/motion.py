@@ -42,8 +42,9 @@ from hframe_post.native.whole_steps import (
     with_late_starts,
     without_reversals,
 )
+from hframe_post.stream.types import StopRules
 
-MIN_STROKE_SHARE = 0.3  # of the speed that the file asks for
+MIN_STROKE_SHARE = 0.3  # of the speed that it reaches from rest to rest
 Z_JERK_MM_S = 0.3  # mm/s, Marlin's default; profiles have none
 
 
@@ -64,6 +65,10 @@ class MarlinMotion(MotionRules):
     @property
     def lines_per_second(self) -> float:
         return self.code.table.lines_received
+
+    @property
+    def stop_rules(self) -> StopRules:
+        return StopRules(joined=not self.code.table.classic_jerk)
 
     @property
     def steady(self) -> int:
@@ -105,14 +110,14 @@ class MarlinMotion(MotionRules):
 
         Corners are square. On from a stroke, both axes are at their limit.
         """
-        if previous is not None and (np.subtract(*way) * np.subtract(*previous)).sum() < 0.0:
+        at = np.array(way[:2])
+        if previous is not None and (np.subtract(*at) * np.subtract(*previous[:2])).sum() < 0.0:
             return 0.0, self.corners(way, speed, planned)[1]
-        at = np.array(way)
         lifts = bool(at[0, Z] != at[1, Z])
         if self.code.table.classic_jerk:
             into = out = Z_JERK_MM_S if lifts else self.code.table.jerk_e
         else:
-            n, d, a = (float(each[0]) for each in self._blocks(at)[:3])
+            n, d, a = (float(each[0]) for each in self._block(way)[:3])
             own = of_axis = a * d / n
             if not (lifts or self.planner.fixed_time):
                 of_axis = self.code.filament_acceleration
@@ -128,20 +133,22 @@ class MarlinMotion(MotionRules):
 
         With the stream's corners it would begin and end at full speed.
         """
-        at = np.array(way)
-        n, d, a, _ = blocks = self._blocks(at)
+        lifts = way.end[Z] != way.start[Z]
+        n, d, a, _ = blocks = self._block(way)
         a = a * d / n
         T = np.maximum(wanted, d / speed)
         v = float(speeds(d, T, a, np.array([math.inf, leaving]), entry)[0])
-        v = min(max(v, MIN_STROKE_SHARE * speed), speed)
+        reached = min(speed, float(np.sqrt(a * d)[0]))
+        v = min(max(v, MIN_STROKE_SHARE * reached), speed)
         if self.planner.fixed_time:
             v = max(v, leaving)
         v = math.ceil(60.0 * v) / 60.0  # F is whole, else its rounding may change a tick
         taken = self.planner.stroke(blocks, np.array([entry, leaving]), np.array([v]))[2]
-        lifts = bool(at[0, Z] != at[1, Z])
         words = (self.code.stroke_corners(users, lifts) for users in (True, False))
         before, after = (f"M205 {word}\n".encode() if word else b"" for word in words)
-        stroke = Stroke(v, float(taken[0]), min(leaving, v), before, after)
+        limit = self.code.stroke_limit(way.acceleration, lifts)
+        left = min(leaving, v)
+        stroke = Stroke(v, float(taken[0]), left, before, after, limit=limit)
         if not self.planner.fixed_time:
             return stroke
         # it overshoots where the next block begins faster
@@ -183,11 +190,18 @@ class MarlinMotion(MotionRules):
     ) -> Array:
         return self.planner.durations(self._blocks(at, after), v, before)
 
-    def _blocks(self, at: Array, after: float = math.inf) -> Blocks:
+    def _block(self, way: Way) -> Blocks:
+        """Return the block of a retraction or a lift."""
+        return self._blocks(np.array(way[:2]), users=way.acceleration)
+
+    def _blocks(self, at: Array, after: float = math.inf, users: float = math.inf) -> Blocks:
+        """Return the blocks between places. users: acceleration, mm/s², of z, or of filament."""
         code, steps = self.code, self.code.steps
+        own = code.limits.z_acceleration, code.limits.extruder_acceleration
+        of_z, of_e = own if users == math.inf else (users, users)
         limits = BlockLimits(
-            steps.belt, steps.z, steps.e, code.block_acceleration, code.limits.z_acceleration,
-            code.filament_acceleration, code.limits.extruder_acceleration,
+            steps.belt, steps.z, steps.e, code.block_acceleration, of_z,
+            code.filament_acceleration, of_e,
             math.inf if code.table.classic_jerk else JUNCTION_DEVIATION,
         )  # fmt: skip
         return blocks_between(at, after, limits, self.kinematics.matrix)
