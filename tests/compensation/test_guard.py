@@ -22,10 +22,13 @@ from hframe_post.compensation.guard import (
     max_deviation,
 )
 from hframe_post.errors import HframeError, LimitError
+from hframe_post.library import convert
 from hframe_post.model.kinematics import Kinematics
+from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Motors, Printer, Travel
 from hframe_post.stream.chunks import batches, join
 from hframe_post.stream.types import Dwell, Handling, ModalState, Passthrough, Samples
+from tests.conftest import ROOT
 from tests.paths import walk
 from tests.quantities import below
 
@@ -317,3 +320,16 @@ def test_neither_depends_on_how_the_stream_was_cut(cut: int, seed: int) -> None:
         peaks
         == checked([chunk(path, command)], (Travel((-9.0, 200.0), (0.0, 150.0)), *FAR[1:])).peaks
     )
+
+
+def test_motors_of_which_nobody_stated_a_limit_cancel_racking_in_short_strokes() -> None:
+    """With as much as a CoreXY needs, 13 µm were left."""
+    lines = [b"G28\n", b"G90\n", b"M83\n", b"G1 X100 Y100 Z0.2 F9000\n", b"M204 S5000\n"]
+    for k in range(60):
+        lines.append(b"G1 X%d Y%.1f E0.1 F18000\n" % (100 + 3 * (k % 2), 100 + 0.4 * k))
+        if k % 3 == 2:
+            there = b"G1 X%d F18000\n" % (97 + 3 * (k % 2))
+            lines += [b"G1 E-0.8 F1800\n", there, b"G1 E0.8 F1800\n"]
+    hbot = load(str(ROOT / "tests" / "benchmarks" / "owners" / "hbot-3000.toml"))
+    report = convert(lines, None, hbot)  # which guesses more for the file's acceleration
+    below(report.contour["racking"].rms, 8e-3, "RMS contour error, mm")
