@@ -71,7 +71,9 @@ def played(gcode: Path, printer: hp.Printer) -> float:
     if printer.firmware.dialect == "marlin":
         return on_a_board(gcode, printer)
     with TemporaryDirectory() as folder:
-        return play(gcode, workdir=Path(folder), sections=sections(printer)).duration
+        homed = Path(folder) / "homed.gcode"  # a macro does it in many files
+        homed.write_bytes(b"G28\n" + gcode.read_bytes())
+        return play(homed, workdir=Path(folder), sections=sections(printer)).duration
 
 
 def sections(printer: hp.Printer) -> str:
