@@ -109,7 +109,7 @@ def _handed_over(h: Array, f0: float) -> ImpulseResponse:
     k = np.arange(-LEAD, LENGTH - LEAD, dtype=float)
     turn = np.exp(-2j * np.pi * TS * np.outer(hz, k))
     slow = np.maximum(SLOW_HZ / hz, 1.0) ** 2  # acceleration is as strong there: all of Q counts
-    weight = (30.0 * slow / np.maximum(hz, SLOW_HZ))[:, None]
+    weight = (30.0 * slow / np.maximum(hz, SLOW_HZ) ** 1.5)[:, None]
     X = -weight * (2.0 * np.sin(np.pi * TS * hz[:, None])) ** 2 * turn
     P = FIT_SIZE * linalg.inv(_kernel(k, 1.0 / (2.0 * np.pi * TS * f0)))
     A = (X.conj().T @ X).real + P
