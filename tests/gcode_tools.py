@@ -140,6 +140,6 @@ def strokes(seed: int, count: int, lift: float = 0.0, away: float = 40.0) -> lis
 
 
 def one_by_one(*arguments: Any) -> int:
-    """Take no moves, in place of ``native.digits.plain_moves``: the reader takes each line."""
+    """Take no lines, in place of ``native.plain_lines``: the reader takes each line."""
     arguments[-1][:] = 0
     return 0

@@ -17,8 +17,9 @@ from hframe_post.firmware.dialect import Advance, ExtruderLimits
 from hframe_post.model.pressure_advance import NEAR, REACH, bounded, extruding, smoothed
 from hframe_post.printer.settings import MAX_SMOOTHING_S
 from hframe_post.stream.chunks import neighbours, stretches
+from hframe_post.stream.marks import Marks
 from hframe_post.stream.tally import joined, tallied
-from hframe_post.stream.types import Dwell, Mark, Passthrough, Samples, frozen
+from hframe_post.stream.types import Dwell, Passthrough, Samples, frozen
 
 AROUND = REACH + NEAR + round(MAX_SMOOTHING_S / TS / 2.0)  # samples on which advance depends
 APART = 2 * NEAR  # samples between two speeds of the extruder, for its acceleration
@@ -65,8 +66,9 @@ class Advancing:
         """Yield the chunks; note what their lines set."""
         for chunk in chunks:
             for event in chunk.events:
-                if isinstance(event, Mark):
-                    self._read(event.index, event.text)
+                if isinstance(event, Marks):
+                    for mark in event.said():
+                        self._read(mark.index, mark.text)
                 elif isinstance(event, Dwell) and isinstance(event.action, Passthrough):
                     self._read(event.index, event.action.text)
             yield chunk

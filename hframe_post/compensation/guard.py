@@ -21,6 +21,7 @@ from hframe_post.model.rounds import contraction
 from hframe_post.native.judging import farthest, is_safe
 from hframe_post.printer.settings import Limits, Motors, Travel
 from hframe_post.stream.chunks import stretches
+from hframe_post.stream.marks import Marks
 from hframe_post.stream.tally import tallied
 from hframe_post.stream.types import Samples
 
@@ -172,7 +173,9 @@ FAULT = "line {}: the command computed here {}; nothing was written. Please repo
 
 
 def _check_order(chunk: Samples, first: int | None) -> None:
-    places = [chunk.first, *(event.index for event in chunk.events), chunk.end]
+    places = [chunk.first, chunk.end]
+    for event in chunk.events:
+        places[-1:-1] = event.at.tolist() if isinstance(event, Marks) else [event.index]
     if (first is not None and chunk.first != first) or places != sorted(places):
         line = int(chunk.line[0]) if len(chunk) else 0
         raise HframeError(FAULT.format(line, "goes back in time"))

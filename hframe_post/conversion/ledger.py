@@ -19,6 +19,7 @@ from hframe_post.compensation.advance import AdvanceSummary
 from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
 from hframe_post.firmware.dialect import object_label
+from hframe_post.gcode.state import ROUNDED_S
 from hframe_post.model.kinematics import Differences
 from hframe_post.planner.bands import OUTER_WALL, MotorBands, TimeInBands
 from hframe_post.planner.profiles import ProfileAtRest
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
 
 WIPED_MM = 8.0  # of filament at most; long tubes retract 6 mm, and less in motion
-ROUNDED_S = 60.0  # by which a time left may rise: M73 has whole minutes
 MEASURED_TOGETHER = 4096  # moves
 MOST_CAUSES = 200  # bounds the memory of odd files
 _RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
@@ -176,7 +176,8 @@ class FileNotes:
         self._label, self._limits, self._path = label, limits, PathTally()
         # by form, EXCLUDE_OBJECT or M486: the object that is printed, and where it began
         self._open = dict[bool, tuple[bytes, int]]()
-        self._times = dict[str, float]()  # s, that the file said last
+        self._times = dict[str, float]()  # s, that the file said last, except by M73
+        self.clocks = np.full(2, math.inf)  # s left, that M73 R and S said last
         self._waiting, self._count = list[Moves](), 0  # moves that are measured together
 
     @property
@@ -185,15 +186,7 @@ class FileNotes:
         self._measure()
         return self._path
 
-    def lines(self, lines: Iterable[bytes]) -> Iterator[bytes]:
-        for self.read.lines, line in enumerate(lines, 1):
-            if line[:1] != b"G":  # few are not moves
-                self._look(self.read.lines, line)
-            yield line
-        for counted in self._open:
-            self._check_closed(counted)
-
-    def _look(self, number: int, line: bytes) -> None:
+    def look(self, number: int, line: bytes) -> None:
         """Note a label that leaves an object open, and a time left that rises."""
         label = None if line.lstrip()[:1] == b";" else self._label(line)  # hosts close comments'
         if label is not None:
@@ -202,13 +195,17 @@ class FileNotes:
                 self._check_closed(False)
             self._open[counted] = (b"" if label == b"-1" else label), number
         for clock, seconds in times_of(line).items():
+            of_progress = "RS".find(clock)
             before = self._times.get(clock, math.inf)
+            before = before if of_progress < 0 else float(self.clocks[of_progress])
             if clock not in ("all", "gone") and seconds > before + ROUNDED_S:
                 self.note(
                     "time", f"the time left rises from {duration(before)} to {duration(seconds)} "
                     f"at line {number}, as sliced. Was the file put together from several?"
                 )  # fmt: skip
-            if seconds:  # start code may say 0 before the slicer does
+            if seconds and of_progress >= 0:  # start code may say 0 before the slicer does
+                self.clocks[of_progress] = seconds
+            elif seconds:
                 self._times[clock] = seconds
 
     def _check_closed(self, counted: bool) -> None:
@@ -235,10 +232,13 @@ class FileNotes:
             elif isinstance(item, MoveAtRest):
                 read.moves += 1
                 read.filament += item.end[E] - item.start[E]
-            else:
+            elif isinstance(item, Passthrough):
+                read.lines = item.line  # the last is the end of the file
                 read.filament += item.filament
                 read.firmware_retractions += _RETRACTION.match(item.text) is not None
             yield item
+        for counted in self._open:
+            self._check_closed(counted)
 
     def _look_for_wipes(self, moves: Moves) -> None:
         fed = np.diff(moves.points[:, E])

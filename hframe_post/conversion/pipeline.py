@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -52,6 +52,7 @@ from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Limits, Motors, Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
+from hframe_post.stream.marks import Marks
 from hframe_post.stream.running import prefetch
 from hframe_post.stream.tally import joined
 from hframe_post.stream.types import Item, Moves, Passthrough, Planned, Samples
@@ -85,13 +86,13 @@ class Chain:
         """Return the compensator, its windows certified. Raises PrinterError."""
         return prepared(self.printer)
 
-    def read(
-        self, lines: Iterable[bytes], note: Callable[[str, str], object] = lambda *_: None
-    ) -> Iterator[Item]:
-        """Read G-code. note: see ``ReadOptions``. Raises HframeError."""
+    def read(self, lines: Iterable[bytes], notes: FileNotes | None = None) -> Iterator[Item]:
+        """Read G-code. notes: take what is strange in it. Raises HframeError."""
         options = self.options
         own = ReadOptions.from_printer(self.printer, options.limits, options.extrusion)
-        return read(lines, replace(own, note=note))
+        if notes is not None:
+            own = replace(own, note=notes.note, look=notes.look, clocks=notes.clocks)
+        return read(lines, own)
 
     def paced(self, items: Iterator[Item]) -> Iterator[Item]:
         """Set the pace of moves, if a speed was asked for."""
@@ -162,6 +163,8 @@ def read_ahead(items: Iterator[Item]) -> Iterator[Item]:
         waiting.append(item)
         if isinstance(item, Moves):
             moves += len(item.line) + 4 * len(item.marks)
+        elif isinstance(item, Marks):
+            moves += 4 * len(item)
         else:
             moves += 8 + (len(item.text) // 64 if isinstance(item, Passthrough) else 0)
         if moves >= MOVES_AHEAD:
@@ -307,7 +310,7 @@ class PlannedFile:
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         notes, chain = self._notes, self._chain
-        items = notes.items(chain.read(notes.lines(self._lines), notes.note))
+        items = notes.items(chain.read(self._lines, notes))
         items = read_ahead(items)
         items = notes.paced(chain.paced(self._sliced.items(items)))
         plans = chain.scheduled(items, followed=self._following, within=self._within)

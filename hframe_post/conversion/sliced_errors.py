@@ -27,6 +27,7 @@ from hframe_post.prediction.predict import quantise
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import ended, successive
+from hframe_post.stream.marks import NO_MARKS, Marks
 from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Planned, Samples, frozen
 
 PIECE_S = 3.0  # of motion in a piece; more only if a single run lasts longer, 4 times at most
@@ -138,7 +139,7 @@ class SlicedFile:
                         self._end()
             elif isinstance(item, Passthrough) and item.handling is Handling.RELEASE:
                 self._end()
-            elif not isinstance(item, Passthrough) or item.handling is Handling.REST:
+            elif not isinstance(item, Marks):
                 self._piece.append(item)
 
     def _end(self) -> None:
@@ -169,7 +170,7 @@ def _parts(plan: Plan) -> Iterator[tuple[Plan, float]]:
     seconds = plan.seconds
     at = np.cumsum(seconds) // PIECE_S
     if at[-1] == 0.0:
-        yield plan if not plan.marks else replace(plan, marks=()), float(seconds.sum())
+        yield plan if not plan.marks else replace(plan, marks=NO_MARKS), float(seconds.sum())
         return
     cuts = [0, *(np.flatnonzero(np.diff(at)) + 1).tolist(), len(seconds)]
     for low, high in pairwise(cuts):
@@ -177,6 +178,7 @@ def _parts(plan: Plan) -> Iterator[tuple[Plan, float]]:
         part = Plan(
             plan.line[first:last], plan.points[first : last + 1],
             plan.s[first : last + 1] - plan.s[first], plan.ends[low : high + 1] - first,
-            plan.speed[low : high + 1], plan.cruise[low:high], plan.acceleration[low:high], (),
+            plan.speed[low : high + 1], plan.cruise[low:high], plan.acceleration[low:high],
+            NO_MARKS,
         )  # fmt: skip
         yield part, float(seconds[low:high].sum())

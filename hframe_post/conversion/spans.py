@@ -16,9 +16,9 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.firmware.dialect import NO_ADVANCE, Advance
 from hframe_post.stream.features import Place
+from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import (
     Handling,
-    Mark,
     MoveAtRest,
     Passthrough,
     Plan,
@@ -67,19 +67,23 @@ class Span:
         others = [None if isinstance(item, Plan) else item for item in self.items]
         parts = ([getattr(plan, name) for plan in plans] for name in ARRAYS)
         joined = [(np.concatenate(part), [*map(len, part)]) for part in parts if plans]
-        own = [plan.marks for plan in plans], [plan.rests for plan in plans]
-        return _unpickled, (self.beginning, others, joined, *own)
+        marks = Marks.joined(plan.marks for plan in plans), [len(plan.marks) for plan in plans]
+        rests = [plan.rests for plan in plans]
+        return _unpickled, (self.beginning, others, joined, *marks, rests)
 
 
 def _unpickled(
     beginning: Beginning,
     others: list[Planned | None],
     joined: list[tuple[Array, list[int]]],
-    marks: list[tuple[Mark, ...]],
+    marks: Marks,
+    counts: list[int],
     rests: list[bool],
 ) -> Span:
     parts = (_cut(array, counts) for array, counts in joined)
-    plans = map(Plan, *parts, marks, rests)
+    ends = accumulate(counts)
+    of_plans = (marks.rows(end - n, end) for n, end in zip(counts, ends, strict=True))
+    plans = map(Plan, *parts, of_plans, rests)
     return Span(beginning, tuple(next(plans) if item is None else item for item in others))
 
 
@@ -143,8 +147,9 @@ class Spans:
             s = item.s[item.ends]
             self._seconds += float(((s[1:] - s[:-1]) / item.cruise).sum())
             self._moved |= bool(item.s[-1] > 1.0)  # so long a path always takes control
-            for mark in item.marks:
-                self._mark(mark.text)
+            self._read(item.marks)
+        elif isinstance(item, Marks):
+            self._read(item)
         elif isinstance(item, Passthrough):
             self._seconds += item.seconds
             self._mark(item.text)
@@ -152,6 +157,10 @@ class Spans:
                 self._beginning = Beginning(None, item.state.offset)
                 self._moved = False
         return item
+
+    def _read(self, marks: Marks) -> None:
+        for mark in marks.said():
+            self._mark(mark.text)
 
     def _mark(self, text: bytes) -> None:
         self._printing.mark(text)

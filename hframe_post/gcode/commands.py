@@ -188,6 +188,11 @@ LIMIT_PARAMETERS = (
     "MINIMUM_CRUISE_RATIO",
     "ACCEL_TO_DECEL",
 )
+# commands that move nothing, and of which the reader or a later stage keeps the words
+FOLLOWED = frozenset({
+    *MOTION_WORDS, *MODAL, LIMITS, *LIMIT_WORDS, "M207", "M208", "M211", "M486", "M900",
+    "SET_RETRACTION", "SET_PRESSURE_ADVANCE", "EXCLUDE_OBJECT_START", "EXCLUDE_OBJECT_END",
+})  # fmt: skip
 UNSUPPORTED = {
     "G5.1": "quadratic splines",
     "G53": "machine coordinates",

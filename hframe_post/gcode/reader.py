@@ -31,7 +31,7 @@ from hframe_post.gcode.batching import (
     MIN_FEED_MM_S,
     MIN_PATH_MM,
     ItemBuilder,
-    PlainMoves,
+    PlainLines,
 )
 from hframe_post.gcode.commands import (
     Line,
@@ -68,7 +68,7 @@ def read(lines: Iterable[bytes], options: ReadOptions) -> Iterator[Item]:
         reader.apply(line)
         yield from ready
         ready.clear()
-        while reader.apply_plain_moves():
+        while reader.apply_plain_lines():
             yield from ready
             ready.clear()
     reader.finish()
@@ -84,7 +84,7 @@ class _Reader:
         self._bed = Extent(options.travel)
         self._objects = Objects(options.dialect, source)
         self._retraction = FirmwareRetraction(options.retraction, options.dialect)
-        self._plain_moves = PlainMoves(source, self._state, self._bed)
+        self._plain_lines = PlainLines(source, self._state, options)
         self._any_motion = False  # requested so far, even from unknown positions
         self._macro = ""  # the last one that may have set modes
         self._e_named = False  # by G92, since the last macro
@@ -92,20 +92,20 @@ class _Reader:
         self._cause = START_OF_FILE  # of the unknown position
         self.items = ItemBuilder(self._state)
 
-    def apply_plain_moves(self) -> bool:
+    def apply_plain_lines(self) -> bool:
+        """Apply many lines at once, if they are plain; return whether there were any."""
         if self._objects.left:
             return False
-        start = self._state.position
-        rows = self._plain_moves.take(self.items.free)
-        if rows is None:
-            return False
-        self.items.add_rows(start, rows)
-        if len(rows):
+        moves, renamed = self._plain_lines.take(self.items)
+        if moves > 0:
             self._objects.moved()
-        return True
+        self._e_named |= renamed
+        return moves >= 0
 
     def apply(self, line: Line) -> None:
         """Apply one line, whatever it is. Raises GcodeError, LimitError."""
+        if not line.text.startswith(b"G"):
+            self._options.look(*line)
         coded = command(line)
         if coded is None:
             self._apply_uncoded(line)

@@ -45,7 +45,7 @@
     EACH(moving)                                                                              \
     EACH(path_lengths)                                                                        \
     EACH(phases)                                                                              \
-    EACH(plain_moves)                                                                         \
+    EACH(plain_lines)                                                                         \
     EACH(profiles)                                                                            \
     EACH(product)                                                                             \
     EACH(recursion)                                                                           \

@@ -17,7 +17,8 @@ from hframe_post.arrays import Array, E, Flags, Z, lengths
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.planner.pacing import NAMES, Labeller, PieceStart
 from hframe_post.printer.settings import Limits
-from hframe_post.stream.types import Handling, Item, Moves, Passthrough, frozen
+from hframe_post.stream.marks import Marks
+from hframe_post.stream.types import Item, Moves, frozen
 
 OUTER_WALL = "outer-wall"
 FIRST_LAYERS = 1  # in which no feed rate is raised
@@ -116,8 +117,7 @@ class OuterWalls:
 
     def pass_by(self, item: Item) -> None:
         """Note the labels of an item without motion in x and y."""
-        if isinstance(item, Passthrough):
-            self._labeller.mark(item.text)
+        self._labeller.pass_by(item)
 
     def among(self, moves: Moves) -> Flags:
         """Return which of the next moves are outer walls, (n,)."""
@@ -139,7 +139,7 @@ def avoid_bands(
     waiting, choices, count = list[Item](), list[_Choice](), 0
     for item in items:
         waiting.append(item)
-        goes_on = isinstance(item, Passthrough) and item.handling is Handling.CARRY
+        goes_on = isinstance(item, Marks)
         if isinstance(item, Moves):
             outer = walls.among(item)
             choices.append(_choice(item, outer, bands, caps, walls.first))

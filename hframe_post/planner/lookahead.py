@@ -36,14 +36,12 @@ from hframe_post.native.planning import (
 )
 from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
+from hframe_post.stream.marks import NO_MARKS, Marks
 from hframe_post.stream.types import (
     FileLimits,
-    Handling,
     Item,
-    Mark,
     MoveAtRest,
     Moves,
-    Passthrough,
     Plan,
     Planned,
 )
@@ -69,7 +67,7 @@ def plan(
     """
     queue = Lookahead(limits, batch, longest, joins=joins, step=step)
     for item in with_travel_limits(items, limits):
-        if isinstance(item, Passthrough) and item.handling is Handling.CARRY and queue.count:
+        if isinstance(item, Marks) and queue.count:
             queue.carry(item)
         elif isinstance(item, Moves) or (isinstance(item, MoveAtRest) and queue.joins):
             queue.append(item)
@@ -104,8 +102,8 @@ class Lookahead:
         self._file_limits: FileLimits | None = None  # of the latest moves
         self._rules = np.zeros(0)
         self._last: tuple[Array, Array] | None = None  # start and limits of the latest move
-        self._marks: list[Mark] = []
-        self._standing: list[tuple[int, MoveAtRest | Passthrough]] = []  # by their place, for parts
+        self._marks = list[Marks]()
+        self._standing: list[tuple[int, MoveAtRest | Marks]] = []  # by their place, for parts
         self._speed = 0.0
         self._want = self._batch
         self.count = 0
@@ -119,7 +117,8 @@ class Lookahead:
 
     def add(self, moves: Moves) -> None:
         """Add moves, in which x and y may rest."""
-        self._marks += [Mark(mark.index + self.count, mark.text) for mark in moves.marks]
+        if moves.marks:
+            self._marks.append(moves.marks.shifted(self.count))
         if moves.limits is not self._file_limits:
             self._file_limits, self._rules = moves.limits, self._rules_with(moves.limits)
         table = limit_moves(
@@ -141,15 +140,15 @@ class Lookahead:
             *own.velocity, *own.acceleration, *own.belts[0], *own.belts[1],
         ])  # fmt: skip
 
-    def mark(self, text: bytes) -> None:
-        self._marks.append(Mark(self.count, text))
+    def mark(self, lines: Marks) -> None:
+        self._marks.append(lines.moved_to(self.count))
 
-    def carry(self, line: Passthrough) -> None:
-        """Add a line that does not stop the motion, to those of its parts."""
+    def carry(self, lines: Marks) -> None:
+        """Add lines that do not stop the motion, to those of its parts."""
         if self._standing and self._last is not None and self._last[1][0, ALONE]:
-            self._standing.append((self.count, line))
+            self._standing.append((self.count, lines))
         else:
-            self.mark(line.text)
+            self.mark(lines)
 
     def parts(self, plan: Plan) -> Iterator[Planned]:
         """Yield the parts of a plan of this queue: motion, lifts and retractions, and their lines.
@@ -249,14 +248,15 @@ class Lookahead:
         """Return a plan of the moves up to the last of ``ends``, where the queue begins then."""
         n = int(ends[-1])
         whole = n == self.count
-        marks = tuple(mark for mark in self._marks if mark.index < n or whole)
-        self._marks = [Mark(m.index - n, m.text) for m in self._marks[len(marks) :]]
+        marks = Marks.joined(self._marks) if self._marks else NO_MARKS
+        passed = len(marks) if whole else marks.count_before(n)
+        self._marks = [marks.rows(passed).shifted(-n)] if passed < len(marks) else []
         self._speed = float(speed[-1])
         self.count -= n
         cruise, acceleration = moves.limits[ends[:-1], CRUISE : ACCELERATION + 1].T.copy()
         return Plan(
             moves.line[:n], moves.points[: n + 1], s[: n + 1],
-            ends, speed, cruise, acceleration, marks,
+            ends, speed, cruise, acceleration, marks.rows(0, passed) if marks else marks,
         )  # fmt: skip
 
 
@@ -297,8 +297,8 @@ def standing(move: MoveAtRest, limits: FileLimits) -> Moves:
 def _part(plan: Plan, first: int, last: int) -> Plan:
     """Return moves ``first`` … ``last`` − 1 of a plan, which end where the plan does or rest."""
     a, b = np.searchsorted(plan.ends, [first, last]).tolist()
-    lines = (m for m in plan.marks if first < m.index <= last or first == m.index == 0)
-    marks = tuple(Mark(mark.index - first, mark.text) for mark in lines)
+    begin = plan.marks.count_before(first + 1) if first else 0
+    marks = plan.marks.rows(begin, plan.marks.count_before(last + 1)).shifted(-first)
     return Plan(
         plan.line[first:last], plan.points[first : last + 1],
         plan.s[first : last + 1] - plan.s[first], plan.ends[a : b + 1] - first,

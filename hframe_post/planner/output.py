@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.stream.types import Event, Mark, Samples, frozen
+from hframe_post.stream.marks import Marks
+from hframe_post.stream.types import Event, Samples, frozen
 
 
 class Output:
@@ -32,9 +33,9 @@ class Output:
             self.index += len(xyze)
             self.last = xyze[-1]
 
-    def mark(self, text: bytes) -> None:
-        """Add a line that passes before the next sample."""
-        self.events.append(Mark(self.index, text))
+    def mark(self, lines: Marks) -> None:
+        """Add lines that pass before the next sample."""
+        self.events.append(lines.moved_to(self.index))
 
     def rest(self, where: Array, samples: int) -> Iterator[Samples]:
         """Add samples at rest; yield the chunks that are full."""

@@ -18,6 +18,7 @@ import numpy as np
 from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.features import KINDS, OTHER, TRAVEL, Place, kind
+from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import Item, Moves, Passthrough, frozen
 
 NAMES = (*KINDS, OTHER, TRAVEL)
@@ -126,6 +127,14 @@ class Labeller:
         if self._place.mark(text):
             self._kind = NAMES.index(kind(self._place.feature))
 
+    def pass_by(self, item: Item) -> None:
+        """Read the labels of an item without motion in x and y."""
+        if isinstance(item, Passthrough):
+            self.mark(item.text)
+        elif isinstance(item, Marks):
+            for each in item.said():
+                self.mark(each.text)
+
     @property
     def start(self) -> PieceStart:
         return PieceStart(replace(self._place), self._floor)
@@ -147,11 +156,11 @@ class Labeller:
         """
         times, kinds, layers = list[int](), list[int](), list[int]()
         for item in items:
-            if isinstance(item, Passthrough):
-                self.mark(item.text)
-            elif isinstance(item, Moves):
+            if not isinstance(item, Moves):
+                self.pass_by(item)
+            else:
                 at = 0
-                for mark in (*item.marks, None):
+                for mark in (*item.marks.said(), None):
                     end = len(item.line) if mark is None else mark.index
                     times.append(end - at)
                     kinds.append(self._kind)

@@ -22,10 +22,10 @@ from hframe_post.planner.output import Output
 from hframe_post.planner.profiles import Profile, ProfileAtRest, Profiler, TravelRetraction
 from hframe_post.planner.stopping import Change, State, Stopping
 from hframe_post.printer.settings import Limits
+from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import (
     Dwell,
     Handling,
-    Mark,
     MoveAtRest,
     Passthrough,
     Plan,
@@ -63,8 +63,8 @@ def sample(
             yield from sampler.move_at_rest(item, motion)
         elif isinstance(item, SpanEnd):
             yield from sampler.come_to_rest(apart=True)
-        elif item.handling is Handling.CARRY:
-            sampler.mark(item.text)
+        elif isinstance(item, Marks):
+            sampler.mark(item)
         else:
             yield from sampler.dwell(item)
         if sampler.output.count >= size:  # many moves in a row at rest
@@ -86,14 +86,13 @@ def _in_lists(planned: Iterable[Planned]) -> Iterator[list[Planned]]:
 
 def _with_motion_after(planned: Iterable[Planned]) -> Iterator[tuple[Planned, Plan | None]]:
     """Yield each item and, with a ``MoveAtRest``, the motion that it may pass into."""
-    waiting: list[MoveAtRest | Passthrough] = []  # a move at rest, and the lines after it
+    waiting: list[MoveAtRest | Marks] = []  # a move at rest, and the lines after it
     for item in planned:
-        carried = isinstance(item, Passthrough) and item.handling is Handling.CARRY
-        if waiting and not carried:
+        if waiting and not isinstance(item, Marks):
             yield waiting[0], item if isinstance(item, Plan) else None
             yield from ((each, None) for each in waiting[1:])
             waiting.clear()
-        if isinstance(item, MoveAtRest) or (waiting and isinstance(item, Passthrough)):
+        if isinstance(item, MoveAtRest) or (waiting and isinstance(item, Marks)):
             waiting.append(item)
         else:
             yield item, None
@@ -112,7 +111,7 @@ class _Sampler:
         self._section, self._clock = 0, 0.0  # sample of the last stop, s since then
         self._acceleration = 0.0  # of the last motion, mm/s²
         self._filament_at_mark: float | None = None  # at a mark on the next sample
-        self._waiting_lines: list[bytes] = []  # at the end of motion, until the command rests
+        self._waiting_lines: list[Marks] = []  # at the end of motion, until the command rests
         self._retraction: TravelRetraction | None = None
 
     # ------------------------------------------------------------------ motion
@@ -130,11 +129,11 @@ class _Sampler:
         motion, self._clock = phases(*profile, plan.speed, at_ends, self._clock)
         stops = plan.rests or plan.speed[-1] == 0.0
         since = samples_until(self._clock) if stops else math.floor(self._clock / TS)
-        last, marks = self._section + since, list(plan.marks)
+        last, marks = self._section + since, plan.marks
         if stops:
-            end = len(plan.line)
-            self._waiting_lines = [mark.text for mark in marks if mark.index == end]
-            marks = [mark for mark in marks if mark.index < end]
+            passed = marks.count_before(len(plan.line))
+            self._waiting_lines = [marks.rows(passed)] if passed < len(marks) else []
+            marks = marks.rows(0, passed)
         slow = self._slow_parts(plan, motion, last)
         while (first := self.output.index) <= last:
             if slow and first == slow[0][0]:
@@ -145,9 +144,9 @@ class _Sampler:
             marks = self._follow(plan, motion, marks, n, stops and first + n > last)
             if self.output.count >= self.output.size:
                 yield from self.output.flush()
-        for mark in marks:  # between the last sample of this plan and the first of the next
-            self.output.mark(mark.text)
-            self._filament_at_mark = float(plan.points[mark.index, E])
+        if marks:  # between the last sample of this plan and the first of the next
+            self.output.mark(marks)
+            self._filament_at_mark = float(plan.points[marks.last, E])
         if stops:
             self._stopping.change(Change.STOP)
 
@@ -163,9 +162,7 @@ class _Sampler:
             self._section, self._clock = out.index - 1, 0.0
         self._acceleration = float(plan.acceleration[-1])
 
-    def _follow(
-        self, plan: Plan, motion: Array, marks: list[Mark], n: int, arrives: bool
-    ) -> list[Mark]:
+    def _follow(self, plan: Plan, motion: Array, marks: Marks, n: int, arrives: bool) -> Marks:
         """Add the next n samples along the path; return the marks that lie beyond them."""
         s = path_lengths(motion, self.output.index - self._section, n, float(plan.s[-1]))
         if arrives:
@@ -209,30 +206,28 @@ class _Sampler:
         self.output.events.append(SlowStraight(first, last - first + 1, (x, y, z, e)))
         yield from self.output.skip(after, last - first + 2)
 
-    def _pin(self, plan: Plan, marks: list[Mark], s: Array, xyze: Array) -> list[Mark]:
+    def _pin(self, plan: Plan, marks: Marks, s: Array, xyze: Array) -> Marks:
         """Put marks on the first sample at or after their vertex; return those that lie beyond.
 
         They get the vertex's filament, so that what is extruded between two marks is exact.
         """
         if not marks:
             return marks
-        vertices = np.array([mark.index for mark in marks], dtype=np.int64)
-        rows = np.searchsorted(s, plan.s[vertices])
+        rows = np.searchsorted(s, plan.s[marks.at])
         here = int(np.searchsorted(rows, len(s)))
-        xyze[rows[:here], E] = plan.points[vertices[:here], E]
-        self.output.events += [
-            Mark(self.output.index + row, mark.text)
-            for row, mark in zip(rows[:here].tolist(), marks, strict=False)
-        ]
-        return marks[here:]
+        if here:
+            passed, rows = marks.rows(0, here), rows[:here]
+            xyze[rows, E] = plan.points[passed.at, E]
+            self.output.events.append(passed.moved_to(self.output.index + rows))
+        return marks.rows(here)
 
     # ------------------------------------------------------------------ at rest
 
-    def mark(self, text: bytes) -> None:
+    def mark(self, lines: Marks) -> None:
         if self._stopping.state is State.STOPPED:
-            self._waiting_lines.append(text)
+            self._waiting_lines.append(lines)
         else:
-            self.output.mark(text)
+            self.output.mark(lines)
 
     def dwell(self, action: Passthrough) -> Iterator[Samples]:
         """Add what the machine does at a line while the command dwells."""
@@ -325,6 +320,6 @@ class _Sampler:
 
     def pass_waiting_lines(self) -> None:
         """Add the lines that waited for the command to come to rest."""
-        for text in self._waiting_lines:
-            self.output.mark(text)
+        for lines in self._waiting_lines:
+            self.output.mark(lines)
         self._waiting_lines = []

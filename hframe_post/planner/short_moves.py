@@ -10,7 +10,8 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from hframe_post.arrays import Array, E, Flags
-from hframe_post.stream.types import Item, Mark, Moves, Position, frozen
+from hframe_post.stream.marks import NO_MARKS
+from hframe_post.stream.types import Item, Moves, Position, frozen
 
 
 class ShortMoves:
@@ -67,8 +68,8 @@ class ShortMoves:
 def _among(moves: Moves, points: Array, kept: Flags) -> Moves:
     """Return the moves that are kept, (n,), of those between points (n + 1, 4)."""
     places = np.concatenate([points[:1], points[1:][kept]])
-    before = np.append(0, np.cumsum(kept)).tolist()
-    marks = tuple(Mark(before[mark.index], mark.text) for mark in moves.marks)
+    before = np.append(0, np.cumsum(kept))
+    marks = moves.marks.moved_to(before[moves.marks.at]) if moves.marks else NO_MARKS
     speed, acceleration, corner = (
         frozen(each[kept]) for each in (moves.speed, moves.acceleration, moves.corner)
     )

@@ -22,6 +22,7 @@ from hframe_post.planner.lookahead import Lookahead, standing
 from hframe_post.planner.profiles import ProfileAtRest
 from hframe_post.planner.sampling import sample
 from hframe_post.planner.short_moves import ShortMoves
+from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import (
     Handling,
     Item,
@@ -73,13 +74,13 @@ class AsSliced:
         if isinstance(item, MoveAtRest) and self._joins(item):
             yield from self._moved(self._standing(item), 0.0, np.zeros(1, dtype=bool))
             return
-        if isinstance(item, Passthrough) and item.handling is Handling.CARRY:
+        if isinstance(item, Marks):
             if self._queue.count:
-                self._queue.mark(item.text)
-                self.seconds += item.seconds
-                return
-        else:
-            yield from map(self._timed, self._queue.stop())
+                self._queue.mark(item)
+            else:
+                yield item
+            return
+        yield from map(self._timed, self._queue.stop())
         if self._short and isinstance(item, Passthrough) and item.handling is Handling.RELEASE:
             self._short.forget()
         if isinstance(item, Passthrough) and item.cause and item.end is None:

@@ -26,6 +26,7 @@ from hframe_post.prediction.doubts import Doubts, JudgedDoubts
 from hframe_post.prediction.windows import Window
 from hframe_post.printer.settings import Steps
 from hframe_post.stream.chunks import neighbours, part, stretches, with_neighbours
+from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import Samples, frozen
 
 COMPENSATING = STRATEGIES.keys() - {"none"}
@@ -200,8 +201,9 @@ def as_written(chunk: Samples, rules: MotionRules | None) -> Samples:
     if rules is None or len(chunk) < 2:
         return chunk
     forced = np.zeros(len(chunk), bool)
-    at = [event.index - chunk.first for event in chunk.events]
-    forced[[k for k in at if 0 <= k < len(chunk)]] = True
+    for event in chunk.events:
+        at = np.asarray(event.at if isinstance(event, Marks) else [event.index]) - chunk.first
+        forced[at[(at >= 0) & (at < len(chunk))]] = True
     return replace(chunk, commands={
         name: frozen(rules.written(np.hstack([command, chunk.xyze[:, Z:]]), forced))
         if name in COMPENSATING else command

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from hframe_post.arrays import Array, E, Flags, Integers
 from hframe_post.model.error_range import SUMS, ErrorRange, error_range
 from hframe_post.stream.features import Place
-from hframe_post.stream.types import Dwell, Mark, Passthrough, Samples
+from hframe_post.stream.marks import Mark, Marks
+from hframe_post.stream.types import Dwell, Passthrough, Samples
 
 # Bins of the percentiles: the leading bits of a float64, which grow with its value, so that no
 # logarithm is needed. 128 bins are an octave.
@@ -48,15 +49,16 @@ class Labels:
         n = len(chunk)
         layer, feature = (np.full(n, number) for number in self._current())
         for event in chunk.events:
-            if isinstance(event, Mark):
-                text = event.text
+            if isinstance(event, Marks):
+                said = event.said()
             elif isinstance(event, Dwell) and isinstance(event.action, Passthrough):
-                text = event.action.text
+                said = iter([Mark(event.index, event.action.text)])
             else:
                 continue
-            if self.place.mark(text):
-                at = max(event.index - chunk.first, 0)
-                layer[at:], feature[at:] = self._current()
+            for mark in said:
+                if self.place.mark(mark.text):
+                    at = max(mark.index - chunk.first, 0)
+                    layer[at:], feature[at:] = self._current()
         if n:
             e = chunk.xyze[:, E]
             travels = np.empty(n, bool)

@@ -11,7 +11,8 @@ from typing import TypeVar
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.stream.types import Samples, frozen
+from hframe_post.stream.marks import Marks
+from hframe_post.stream.types import Event, Samples, frozen
 
 T = TypeVar("T")
 
@@ -152,9 +153,7 @@ def _advance(chunks: list[Samples]) -> Array | None:
 def part(chunk: Samples, start: int, stop: int) -> Samples:
     """Return samples start … stop − 1; events at ``stop`` belong to it only at the chunk's end."""
     low, high = chunk.first + start, chunk.first + stop
-    events = tuple(
-        e for e in chunk.events if low <= e.index and (e.index < high or high >= chunk.end)
-    )
+    events = tuple(_between(chunk.events, low, high, high >= chunk.end))
     commands = {name: xy[start:stop] for name, xy in chunk.commands.items()}
     ends = chunk.ends_stretch and high >= chunk.end
     advance = None if chunk.advance is None else chunk.advance[start:stop]
@@ -162,10 +161,26 @@ def part(chunk: Samples, start: int, stop: int) -> Samples:
     return Samples(low, xyze, line, events, commands, ends, advance, chunk.in_e)
 
 
+def _between(events: Iterable[Event], low: int, high: int, to_end: bool) -> Iterator[Event]:
+    """Yield the events at samples low … high − 1; to_end: those that follow, too."""
+    for event in events:
+        if isinstance(event, Marks):
+            stop = len(event) if to_end else event.count_before(high)
+            if marks := event.rows(event.count_before(low), stop):
+                yield marks
+        elif low <= event.index and (event.index < high or to_end):
+            yield event
+
+
 def shifted(chunk: Samples, samples: int) -> Samples:
     if not samples:
         return chunk
-    events = tuple(replace(event, index=event.index + samples) for event in chunk.events)
+    events = tuple(
+        event.shifted(samples)
+        if isinstance(event, Marks)
+        else replace(event, index=event.index + samples)
+        for event in chunk.events
+    )
     return replace(chunk, first=chunk.first + samples, events=events)
 
 

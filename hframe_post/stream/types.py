@@ -16,16 +16,9 @@ import numpy as np
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.native.planning import lower_moves, run_seconds
+from hframe_post.stream.marks import NO_MARKS, Marks
 
 Position = tuple[float, float, float, float]  # x, y, z, e
-
-
-@dataclass(frozen=True, slots=True)
-class Mark:
-    """A line that passes through without a stop, before the move or the sample ``index``."""
-
-    index: int
-    text: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +81,7 @@ class Moves:
     acceleration: Array
     corner: Array
     limits: FileLimits
-    marks: tuple[Mark, ...] = ()
+    marks: Marks = NO_MARKS
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +125,7 @@ class ModalState:
 
 
 class Handling(Enum):
-    """How a line that is not a planned move must reach the machine."""
+    """How a line that is not a planned move must reach the machine. CARRY: as one of ``Marks``."""
 
     CARRY = "during motion"
     REST = "at rest, inside the stream"
@@ -159,7 +152,7 @@ class Passthrough:
     end: Position | None = None
 
 
-Item = Moves | MoveAtRest | Passthrough
+Item = Moves | MoveAtRest | Passthrough | Marks
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +171,7 @@ class Plan:
     speed: Array
     cruise: Array
     acceleration: Array
-    marks: tuple[Mark, ...]
+    marks: Marks
     rests: bool = False
 
     @property
@@ -192,7 +185,7 @@ class SpanEnd:
     """A place where the command comes to rest on the path: what follows is computed separately."""
 
 
-Planned = Plan | MoveAtRest | Passthrough | SpanEnd
+Planned = Plan | MoveAtRest | Passthrough | Marks | SpanEnd
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +246,7 @@ class SlowStraight:
     end: Position
 
 
-Event = Mark | Rest | Dwell | SlowStraight
+Event = Marks | Rest | Dwell | SlowStraight
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,8 @@ from hframe_post.firmware.dialect import NO_ADVANCE, Advance
 from hframe_post.planner.pacing import NAMES, Labeller, PieceStart
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.features import TRAVEL
-from hframe_post.stream.types import Handling, Item, Mark, MoveAtRest, Moves, Passthrough
+from hframe_post.stream.marks import Marks
+from hframe_post.stream.types import Item, MoveAtRest, Moves, Passthrough
 
 PIECE = 3.0  # s at the file's feed rates
 SECONDS = 40.0, 100.0  # least and most to keep of a print
@@ -82,17 +83,15 @@ def sections(items: Iterable[Item], first_layers: int = 1) -> Iterator[Section]:
     labeller = Labeller(PieceStart())
     start, collected = labeller.start, list[Item]()
     for item in items:
-        rests = not isinstance(item, Moves) and (
-            isinstance(item, MoveAtRest) or item.handling is not Handling.CARRY
-        )
+        rests = not isinstance(item, Moves) and (isinstance(item, MoveAtRest | Passthrough))
         now = labeller.start
         if rests and collected and now.place.layer != start.place.layer:
             yield Section(start, tuple(collected), _layers(start, now))
             start, collected = now, []
         if isinstance(item, Moves):
             labeller.classify(item, first_layers)
-        elif isinstance(item, Passthrough):
-            labeller.mark(item.text)
+        else:
+            labeller.pass_by(item)
         collected.append(item)
     yield Section(start, tuple(collected), _layers(start, labeller.start))
 
@@ -153,7 +152,7 @@ def _pieces(items: Iterable[Item], first_layers: int, advance: Advance) -> Itera
         if isinstance(item, Moves):
             for part, durations in _parts(item):
                 kinds, _, first = labeller.classify(part, first_layers)
-                for mark in part.marks:
+                for mark in part.marks.said():
                     advance = advance.after(mark.text)
                 if first.any():
                     yield from ended()
@@ -163,13 +162,15 @@ def _pieces(items: Iterable[Item], first_layers: int, advance: Advance) -> Itera
                 _add(seconds, {NAMES[k]: float(present[k]) for k in np.flatnonzero(present)})
                 if sum(seconds.values()) >= PIECE:
                     yield from ended()
+        elif isinstance(item, Marks):
+            labeller.pass_by(item)
+            for mark in item.said():
+                advance = advance.after(mark.text)
+            collected.append(item)
         elif isinstance(item, Passthrough):
-            labeller.mark(item.text)
+            labeller.pass_by(item)
             advance = advance.after(item.text)
-            if item.handling is Handling.CARRY:
-                collected.append(item)
-            else:
-                yield from ended()
+            yield from ended()
         elif collected:
             collected.append(item)
     yield from ended()
@@ -189,11 +190,9 @@ def _parts(moves: Moves) -> Iterator[tuple[Moves, Array]]:
             moves, line=moves.line[low:high], points=moves.points[low : high + 1],
             speed=moves.speed[low:high], acceleration=moves.acceleration[low:high],
             corner=moves.corner[low:high],
-            marks=tuple(
-                Mark(mark.index - low, mark.text)
-                for mark in moves.marks
-                if low <= mark.index < high or (last and mark.index == high)
-            ),
+            marks=moves.marks.rows(
+                moves.marks.count_before(low), moves.marks.count_before(high + last)
+            ).shifted(-low),
         )  # fmt: skip
         yield part, durations[low:high]
 

@@ -12,9 +12,11 @@ from hframe_post.arrays import Array, E, Flags, Integers, X, Y
 from hframe_post.errors import HframeError
 from hframe_post.firmware.motion import DECIMALS, MotionRules
 from hframe_post.native.decimate import motion_segments
-from hframe_post.stream.types import Mark, Position
+from hframe_post.stream.marks import NO_MARKS, Marks
+from hframe_post.stream.types import Position
 
 SAMPLES_AT_ONCE = 1 << 14
+FILAMENT_SLACK_MM = 0.01  # mm on the wrong side of a line
 
 Place = tuple[int, int, int, int]  # x, y, z, e in output units
 
@@ -73,7 +75,7 @@ class Batch(NamedTuple):
 
     first: int
     points: Array
-    marks: tuple[Mark, ...]
+    marks: Marks
     last: bool
 
     @property
@@ -81,16 +83,15 @@ class Batch(NamedTuple):
         return len(self.points) - 1
 
     @property
-    def marked(self) -> list[int]:
+    def marked(self) -> Integers:
         """Return the point of each mark."""
-        return [mark.index - self.first + 1 for mark in self.marks]
+        return self.marks.at - self.first + 1
 
     @property
     def forced(self) -> Flags:
         """Return the points (n + 1,) at which a line of the file passes."""
         forced = np.zeros(len(self.points), dtype=bool)
-        if self.marks:
-            forced[self.marked] = True
+        forced[self.marked] = True
         return forced
 
 
@@ -105,7 +106,7 @@ class SampleBuffer:
         self._count = 0
         self._before: Array | None = None  # the sample before the first, in the midst of motion
         self._index = 0  # of the first, or of the next to come
-        self._marks: list[Mark] = []
+        self._marks = list[Marks]()
 
     def __len__(self) -> int:
         return self._count
@@ -130,9 +131,9 @@ class SampleBuffer:
         self._count += n
         return n
 
-    def add_mark(self, mark: Mark) -> None:
-        """Add a line that passes before its sample, which may follow later."""
-        self._marks.append(mark)
+    def add_marks(self, marks: Marks) -> None:
+        """Add lines that pass before their samples, which may follow later."""
+        self._marks.append(marks)
 
     def resume(self, place: Position) -> None:
         """Go on from a place, mm, at the next sample; the buffer is empty."""
@@ -145,16 +146,16 @@ class SampleBuffer:
         first, points = self._index, self._points[: 1 + self._count]
         self._index += self._count
         self._count, self._before = 0, None if last else points[-1].copy()
-        return Batch(first, points, tuple(self.marks_up_to(self._index - 1)), last)
+        return Batch(first, points, self.marks_up_to(self._index - 1), last)
 
-    def marks_up_to(self, index: int | None = None) -> list[Mark]:
+    def marks_up_to(self, index: int | None = None) -> Marks:
         """Remove and return the lines up to a sample, or up to the first that is buffered."""
         if not self._marks:
-            return []
-        index = self._index if index is None else index
-        count = sum(mark.index <= index for mark in self._marks)
-        marks, self._marks = self._marks[:count], self._marks[count:]
-        return marks
+            return NO_MARKS
+        marks, index = Marks.joined(self._marks), self._index if index is None else index
+        count = marks.count_before(index + 1)
+        self._marks = [marks.rows(count)] if count < len(marks) else []
+        return marks.rows(0, count)
 
 
 class Segments(NamedTuple):
@@ -185,14 +186,13 @@ def segments(batch: Batch, start: Place, still: int, rules: MotionRules, units: 
     return Segments(at, ends, T, dwell, left)
 
 
-def rows_before(batch: Batch, ends: Integers) -> list[int]:
+def rows_before(batch: Batch, ends: Integers) -> Integers:
     """Return for each line of the file the segment that it precedes.
 
     ends (k,): the points of the batch at which segments end. A line is written before the segment
     that ends after its point.
     """
-    rows: list[int] = ends.searchsorted(batch.marked, "right").tolist()
-    return rows
+    return ends.searchsorted(batch.marked, "right")
 
 
 def check_filament(batch: Batch, ends: Integers, e: Array, still: int = 0) -> None:
@@ -203,18 +203,22 @@ def check_filament(batch: Batch, ends: Integers, e: Array, still: int = 0) -> No
     path has at its point, or at most a segment earlier. The first segment begins before the batch:
     there the path is taken to feed as fast as at its beginning.
     """
-    fed = batch.points[:, E]
-    for row, point, mark in zip(rows_before(batch, ends), batch.marked, batch.marks, strict=True):
-        begun, out = int(ends[row - 1]) if row else 0, float(e[row])
-        path = fed[begun : point + 1]
-        low, high = float(path.min()), float(path.max())
-        if not row:
-            before = float(fed[0] - still * (fed[1] - fed[0]))
-            low, high = min(low, before), max(high, before)
-        off = max(low - out, out - high)
-        if not off <= 0.01:
-            text = mark.text[:80].decode("latin-1")
-            raise HframeError(
-                f"{off:.4f} mm of filament would be on the wrong side of {text!r}; "
-                "nothing was written. Please report this"
-            )
+    fed, rows, points = batch.points[:, E], rows_before(batch, ends), batch.marked
+    begun = np.concatenate([[0], ends])[rows]
+    # of each mark the path from where its segment begins to its point: two cuts, of which only
+    # what lies between the first and the second counts
+    cuts = np.column_stack([begun, points + 1]).ravel()
+    path = np.append(fed, fed[-1])
+    low, high = (each.reduceat(path, cuts)[::2] for each in (np.minimum, np.maximum))
+    before = float(fed[0] - still * (fed[1] - fed[0]))
+    low = np.where(rows == 0, np.minimum(low, before), low)
+    high = np.where(rows == 0, np.maximum(high, before), high)
+    off = np.maximum(low - e[rows], e[rows] - high)
+    if not (off <= FILAMENT_SLACK_MM).all():
+        k = int((off <= FILAMENT_SLACK_MM).argmin())
+        missed = float(off[k])
+        text = next(iter(batch.marks.rows(k))).text[:80].decode("latin-1")
+        raise HframeError(
+            f"{missed:.4f} mm of filament would be on the wrong side of {text!r}; "
+            "nothing was written. Please report this"
+        )

@@ -13,10 +13,10 @@ from hframe_post.arrays import TS, Array, E, Integers, X, Y, Z
 from hframe_post.firmware.code import Code
 from hframe_post.firmware.motion import MotionRules, Way
 from hframe_post.gcode.commands import Line, name_and_arguments
+from hframe_post.stream.marks import Mark, Marks
 from hframe_post.stream.types import (
     Dwell,
     Handling,
-    Mark,
     MoveAtRest,
     Passthrough,
     Samples,
@@ -125,12 +125,12 @@ class Machine:
         self._skip -= done
         for event in chunk.events:
             at = event.index - chunk.first
-            if isinstance(event, Mark):
+            if isinstance(event, Marks):
                 yield from self._take(chunk, done, at)
                 done = max(at, done)
-                self._buffer.add_mark(event)
+                self._buffer.add_marks(event)
                 if not self._buffer:
-                    yield from self._marks(event.index)
+                    yield from self._marks(chunk.first + done)
             elif isinstance(event, Dwell):
                 yield from self._take(chunk, done, at)
                 yield from self._stop(self._speed_into(event))
@@ -218,7 +218,7 @@ class Machine:
     def _between(self, batch: Batch, made: Segments, still: int) -> tuple[tuple[int, Text], ...]:
         """Return the lines of the file in a batch, each with the segment that it precedes."""
         check_filament(batch, made.ends, made.at[:, E] / self._units.per_mm[E], still)
-        marks = zip(rows_before(batch, made.ends), batch.marks, strict=True)
+        marks = zip(rows_before(batch, made.ends).tolist(), batch.marks, strict=True)
         return tuple((row, text) for row, mark in marks for text in self._passed_on(mark))
 
     def _passed_on(self, mark: Mark) -> Iterator[Text]:

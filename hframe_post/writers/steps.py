@@ -38,7 +38,8 @@ from hframe_post.errors import LimitError
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Steps
 from hframe_post.stream.chunks import stretches
-from hframe_post.stream.types import Dwell, Handling, Mark, Passthrough, Samples
+from hframe_post.stream.marks import Marks
+from hframe_post.stream.types import Dwell, Handling, Passthrough, Samples
 from hframe_post.writers.tables import KEY_BITS, MOTORS, End, Item, Note, Start, Stepped
 
 GRAIN_DECIMALS = 9  # decimals of a mm; finer differences are noise, on which no motor must tremble
@@ -100,9 +101,10 @@ class StepGenerator:
         u = np.round(mm, GRAIN_DECIMALS) / self._lengths + 0.5
         done = 0
         for event in chunk.events:
-            if isinstance(event, Mark):
-                tick = max(self._tick(event.index), self._floor)
-                self._notes.append(Note(tick, HANDLINGS[Handling.CARRY], event.text))
+            if isinstance(event, Marks):
+                for mark in event:
+                    tick = max(self._tick(mark.index), self._floor)
+                    self._notes.append(Note(tick, HANDLINGS[Handling.CARRY], mark.text))
             elif isinstance(event, Dwell) and isinstance(event.action, Passthrough):
                 at = event.index - chunk.first
                 yield from self._take(u[done:at], chunk, done)

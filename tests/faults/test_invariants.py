@@ -17,7 +17,8 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import load
-from hframe_post.stream.types import Samples, frozen
+from hframe_post.stream.marks import Marks
+from hframe_post.stream.types import Event, Samples, frozen
 from hframe_post.writers import decimation, machine
 from hframe_post.writers.outputs import Outputs
 from tests.conftest import MEASURED
@@ -50,6 +51,11 @@ def spoilt(xy: np.ndarray, value: float, samples: int = 1) -> None:
     xy[len(xy) // 2 : len(xy) // 2 + samples, 0] = value
 
 
+def early(event: Event, index: int) -> Event:
+    by = index - event.index
+    return event.shifted(by) if isinstance(event, Marks) else replace(event, index=index)
+
+
 STREAM: dict[str, tuple[Fault, str]] = {
     "a command that is not a number": (
         lambda c: command(c, lambda xy: spoilt(xy, np.nan)), "line [78]: .*is not a number"),
@@ -59,7 +65,7 @@ STREAM: dict[str, tuple[Fault, str]] = {
     "lines in another order": (
         lambda c: replace(c, events=c.events[::-1]), "goes back in time"),
     "a line before its time": (
-        lambda c: replace(c, events=(replace(c.events[0], index=c.first - 5), *c.events[1:])),
+        lambda c: replace(c, events=(early(c.events[0], c.first - 5), *c.events[1:])),
         "goes back in time"),
     "a place off the bed": (lambda c: command(c, lambda xy: spoilt(xy, 999.0)), r"x \(mm\)"),
     "a height off the bed": (lambda c: path(c, Z, -0.1), r"z \(mm\) would be -0\.1"),

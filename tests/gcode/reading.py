@@ -5,6 +5,7 @@ from __future__ import annotations
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
+from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import Item, Moves, Passthrough
 
 HOME = ["G90", "M83", "G1 X0 Y0 Z0 F6000"]  # verbatim; all is known after it
@@ -29,8 +30,8 @@ def carried(found: list[Item]) -> list[bytes]:
     """Text of all that passes, marks among moves included, in order."""
     texts: list[bytes] = []
     for item in found:
-        if isinstance(item, Moves):
-            texts += [mark.text for mark in item.marks]
+        if isinstance(item, Moves | Marks):
+            texts += [mark.text for mark in (item if isinstance(item, Marks) else item.marks)]
         elif isinstance(item, Passthrough):
             texts.append(item.text)
     return texts[:-1]  # the last is the end of the file

@@ -13,6 +13,7 @@ from hframe_post.gcode import batching, lines
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import Extrusion, ReadOptions
 from hframe_post.printer.settings import Travel
+from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import Handling, Item, MoveAtRest, Moves, Passthrough
 from tests.conftest import few
 from tests.gcode.reading import HOME, carried, items, moves
@@ -51,7 +52,7 @@ def test_filament_without_a_path_is_extruded_at_rest(
 ) -> None:
     """The path follows where it is long enough to be written."""
     if not compiled:
-        monkeypatch.setattr(batching, "plain_moves", one_by_one)
+        monkeypatch.setattr(batching, "plain_lines", one_by_one)
     text = ("M83", *HOME, "G1 X1 Y1 Z1", "G1 X5 E0.3", "G1 X5.0004 E6", "G1 X9 E0.3")
     found = [i for i in items(*text) if isinstance(i, Moves | MoveAtRest)]
     assert [type(i).__name__ for i in found] == ["Moves", "MoveAtRest", "Moves"]
@@ -76,7 +77,7 @@ def test_filament_without_a_path_is_extruded_at_rest(
 @pytest.mark.parametrize("compiled", [True, False])
 def test_a_move_without_a_path_is_ignored(monkeypatch: pytest.MonkeyPatch, compiled: bool) -> None:
     if not compiled:
-        monkeypatch.setattr(batching, "plain_moves", one_by_one)
+        monkeypatch.setattr(batching, "plain_lines", one_by_one)
     text = (*HOME, "M83", "G1 X1", "G1 X1 Y0." + "0" * 170 + "1", "G5", "G1 X2", "G5 I0", "G1 X3")
     found = moves(*text, firmware="marlin")
     assert [block.points[:, 0].tolist() for block in found] == [[0.0, 1.0, 2.0, 3.0]]
@@ -103,7 +104,9 @@ def test_endless_pass_through_lines_stop_the_machine_now_and_then(line: bytes) -
     for item in read(many(line, 100_000), ReadOptions(KLIPPER)):
         if isinstance(item, Passthrough) and item.handling is Handling.RELEASE:
             released, held = released + 1, 0
-        held += len(item.marks) if isinstance(item, Moves) else 1
+        held += len(
+            item.marks if isinstance(item, Moves) else item if isinstance(item, Marks) else [1]
+        )
         most = max(most, held)
     assert 3 <= released < 30
     assert most * batching.BYTES_PER_MARK <= 1.1 * batching.MAX_MARK_BYTES

@@ -17,8 +17,9 @@ from hframe_post.gcode import batching, curves
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.profile import load
-from hframe_post.stream.types import Handling, Mark, MoveAtRest, Moves, Passthrough
+from hframe_post.stream.types import Handling, MoveAtRest, Moves, Passthrough
 from tests.gcode.reading import HOME, carried, ends, items, moves
+from tests.mark_tools import mark
 
 KLIPPER = FIRMWARES["klipper"].dialect
 
@@ -197,7 +198,7 @@ def test_marks_stand_before_their_move(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batching, "MOVES_PER_ITEM", 2)
     lines = ("G1 X1", ";a", "G1 X2", "G1 X3", ";b", "G1 X4", ";c", "G1 X5")
     blocks = moves(*lines)
-    assert [block.marks for block in blocks[:2]] == [(Mark(1, b";a"),), (Mark(1, b";b"),)]
+    assert [block.marks for block in blocks[:2]] == [mark(1, b";a"), mark(1, b";b")]
     for one, following in pairwise(blocks):
         np.testing.assert_array_equal(one.points[-1], following.points[0])
 

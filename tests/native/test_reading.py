@@ -16,6 +16,7 @@ from hframe_post.gcode import batching
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.settings import Printer
+from hframe_post.stream.marks import Marks
 from tests.conftest import ROOT, SAMPLES, few
 from tests.gcode_tools import one_by_one
 
@@ -40,8 +41,14 @@ ordered = st.builds(
     st.none() | st.sampled_from(["0", "0.5", "1500", "60", "9000.5"]),
     *(st.none() | number for _ in range(4)),
 )  # fmt: skip
-other = st.sampled_from(["; a", "", "M83", "M82", "G91", "G90", "G20", "G21", "M220 S50", "G92 E0",
-                         "G92 X5", "M204 S500", "G28", "MACRO", "G2 X20 Y20 I5 J5"])  # fmt: skip
+other = st.sampled_from([
+    "; a", "", "M83", "M82", "G91", "G90", "G20", "G21", "M220 S50", "G92 E0", "G92 X5",
+    "G92 E-1.5", "M204 S500", "M204 P700", "M204 S0.5", "M106 S3", "M73 P1 R5", "M73 P1 R9",
+    "M73 Q2 S4",
+    "M117 7 remaining", ";TYPE:Skin", " ;LAYER:3", "  ", "M486 S1", ";printing object a",
+    "SET_FAN_SPEED FAN=a", "M900 K0.1", "(x) M106", "SET_VELOCITY_LIMIT ACCEL=900",
+    "SET_VELOCITY_LIMIT ACCEL=900 VELOCITY=50", "G28", "MACRO", "G2 X20 Y20 I5 J5",
+])  # fmt: skip
 
 
 def items(lines: list[bytes], options: ReadOptions) -> list[Any]:
@@ -49,7 +56,9 @@ def items(lines: list[bytes], options: ReadOptions) -> list[Any]:
     read_items: list[Any] = []
     try:
         for item in read(iter(lines), options):
-            values = [getattr(item, field.name) for field in dataclasses.fields(item)]
+            names = () if isinstance(item, Marks) else dataclasses.fields(item)
+            values: list[Any] = [getattr(item, each.name) for each in names] or [item]
+            values = [list(v) if isinstance(v, Marks) else v for v in values]
             values = [v.tobytes() if isinstance(v, np.ndarray) else repr(v) for v in values]
             read_items.append((type(item).__name__, *values))
     except HframeError as error:
@@ -100,5 +109,5 @@ def test_an_error_of_the_source_comes_in_its_turn() -> None:
 def same_either_way(lines: list[bytes], options: ReadOptions) -> None:
     together = items(lines, options)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batching, "plain_moves", one_by_one)
+        patch.setattr(batching, "plain_lines", one_by_one)
         assert items(lines, options) == together

@@ -12,16 +12,15 @@ from hframe_post.arrays import Array, E, Z
 from hframe_post.planner import lookahead
 from hframe_post.planner.lookahead import BATCH, LONGEST_QUEUE, Z_SHARE, plan
 from hframe_post.printer.settings import Limits
+from hframe_post.stream.marks import NO_MARKS, Mark, Marks
 from hframe_post.stream.types import (
     FileLimits,
-    Handling,
     Item,
-    Mark,
     ModalState,
     Moves,
-    Passthrough,
     Plan,
 )
+from tests.mark_tools import mark
 
 INF = math.inf
 FREE = FileLimits((INF, INF, INF, INF), (INF, INF, INF, INF))
@@ -38,7 +37,7 @@ def moves(
     acceleration: float | Array = INF,
     corner: float = INF,
     limits: FileLimits = FREE,
-    marks: tuple[Mark, ...] = (),
+    marks: Marks = NO_MARKS,
 ) -> Moves:
     at = np.array([list(point) for point in points], dtype=float)
     n = len(at) - 1
@@ -60,7 +59,7 @@ def cut(whole: Moves, size: int) -> list[Moves]:
             Moves(
                 whole.line[a:b], whole.points[a : b + 1], whole.speed[a:b],
                 whole.acceleration[a:b], whole.corner[a:b], whole.limits,
-                tuple(Mark(m.index - a, m.text) for m in marks),
+                Marks.from_lines(Mark(m.index - a, m.text) for m in marks),
             )
         )  # fmt: skip
     return blocks
@@ -81,7 +80,7 @@ def random_moves(seed: int, n: int, marked: float = 0.1) -> Moves:
     speed = np.repeat(rng.uniform(5.0, 400.0, 7), np.diff([0, *pieces, n]))
     asked = np.where(rng.random(n) < 0.9, INF, rng.uniform(300.0, 2e4, n))
     marks = (Mark(int(k), b"%d" % k) for k in np.flatnonzero(rng.random(n + 1) < marked))
-    return moves(points, speed, asked, marks=tuple(marks))
+    return moves(points, speed, asked, marks=Marks.from_lines(marks))
 
 
 def gentle_spiral(n: int, radius: float = 30.0, step: float = 0.2, speed: float = 60.0) -> Moves:
@@ -155,8 +154,8 @@ def caps(whole: Moves) -> Array:
 seeds = st.integers(0, 2**32 - 1)
 
 
-def carried(text: bytes) -> Passthrough:
-    return Passthrough(9, text, Handling.CARRY, STATE)
+def carried(text: bytes) -> Marks:
+    return mark(0, text)
 
 
 def bits(planned: list[Plan]) -> list[tuple[bytes, ...]]:
@@ -164,7 +163,7 @@ def bits(planned: list[Plan]) -> list[tuple[bytes, ...]]:
         (
             p.line.tobytes(), p.points.tobytes(), p.s.tobytes(), p.ends.tobytes(),
             p.speed.tobytes(), p.cruise.tobytes(), p.acceleration.tobytes(),
-            repr(p.marks).encode(),
+            repr(list(p.marks)).encode(),
         )
         for p in planned
     ]  # fmt: skip

@@ -18,7 +18,8 @@ from hframe_post.planner.bands import FASTEST, MARGIN, MotorBands, avoid_bands
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import FileLimits, Item, Mark, Moves
+from hframe_post.stream.marks import Mark, Marks
+from hframe_post.stream.types import FileLimits, Item, Moves
 from tests.gcode_tools import converted
 from tests.klipper.host import play
 from tests.planner.planning import FREE, cut, moves
@@ -34,7 +35,7 @@ def wall(points: Iterable[Iterable[float]], speed: float, name: str = "WALL-OUTE
     way = np.hypot(*np.diff(at[:, :2], axis=0).T)
     at[1:, 3] = 0.04 * np.cumsum(way)
     labels = b";LAYER:0", b";LAYER:1", b";TYPE:" + name.encode()
-    block = moves(at, speed, marks=tuple(Mark(0, text) for text in labels))
+    block = moves(at, speed, marks=Marks.from_lines(Mark(0, text) for text in labels))
     return replace(block, acceleration=np.full(len(way), 3000.0))
 
 
@@ -92,7 +93,7 @@ def test_no_speed_rises_above_the_files_limits_nor_in_the_first_layer() -> None:
     block, lower = wall([(0, 0), (50, 50)], 31.0), pytest.approx([BELOW / math.sqrt(2.0)])
     asked = FileLimits((23.0, math.inf, math.inf, math.inf), FREE.acceleration)
     assert avoided(replace(block, limits=asked)) == lower
-    first = tuple(mark for mark in block.marks if mark.text != b";LAYER:1")
+    first = Marks.from_lines(mark for mark in block.marks if mark.text != b";LAYER:1")
     assert avoided(replace(block, marks=first)) == lower
 
 

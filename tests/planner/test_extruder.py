@@ -14,7 +14,8 @@ from hframe_post.firmware.dialect import Advance, ExtruderLimits, marlin_advance
 from hframe_post.planner.extruder import LOWEST, FollowedAdvance
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Extruder
-from hframe_post.stream.types import Handling, Item, Mark, Moves, Passthrough
+from hframe_post.stream.marks import Mark, Marks
+from hframe_post.stream.types import Handling, Item, Moves, Passthrough
 from hframe_post.studies.inputs import rectangle
 from tests.planner.planning import STATE, moves
 from tests.quantities import below
@@ -28,7 +29,7 @@ def line(per_mm: list[float], acceleration: float = 8000.0, *marks: Mark) -> Mov
     points = np.zeros((len(per_mm) + 1, 4))
     points[1:, X] = 10.0 * np.arange(1, len(per_mm) + 1)
     points[1:, E] = np.cumsum(10.0 * np.array(per_mm))
-    return moves(points, acceleration=acceleration, marks=marks)
+    return moves(points, acceleration=acceleration, marks=Marks.from_lines(marks))
 
 
 def followed(K: float, *items: Item) -> list[Item]:

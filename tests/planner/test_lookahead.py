@@ -18,11 +18,11 @@ from hframe_post.native.planning import greatest_speeds
 from hframe_post.planner.lookahead import Z_SHARE, plan
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.printer.settings import Limits
+from hframe_post.stream.marks import Mark, Marks
 from hframe_post.stream.types import (
     FileLimits,
     Handling,
     Item,
-    Mark,
     MoveAtRest,
     Moves,
     Passthrough,
@@ -216,7 +216,7 @@ def test_pass_through_line_becomes_a_mark_at_its_place() -> None:
     items = list(plan([first, carried(b"A"), second, carried(b"B")], LIMITS))
     (planned,) = items
     assert isinstance(planned, Plan)
-    assert planned.marks == (Mark(1, b"A"), Mark(2, b"B"))
+    assert planned.marks == Marks.from_lines([Mark(1, b"A"), Mark(2, b"B")])
 
 
 @pytest.mark.parametrize(
@@ -253,7 +253,7 @@ def assert_continuous(planned: list[Plan], whole: Moves) -> None:
     for p in planned:
         marks += [Mark(m.index + first, m.text) for m in p.marks]
         first += len(p.line)
-    assert tuple(marks) == whole.marks
+    assert marks == list(whole.marks)
 
 
 def test_plan_does_not_depend_on_how_moves_are_cut() -> None:
@@ -270,9 +270,9 @@ def test_mark_between_two_blocks_may_go_with_either() -> None:
     late = cut(whole, 50)
     early = [block.marks for block in late]
     for k in range(1, len(early)):
-        moved = [Mark(50, m.text) for m in early[k] if m.index == 0]
-        early[k - 1] += tuple(moved)
-        early[k] = tuple(m for m in early[k] if m.index)
+        first = early[k].count_before(1)
+        early[k - 1] = Marks.joined([early[k - 1], early[k].rows(0, first).moved_to(50)])
+        early[k] = early[k].rows(first)
     assert early != [block.marks for block in late]
     blocks = [replace(block, marks=marks) for block, marks in zip(late, early, strict=True)]
     assert bits(plans(blocks)) == bits(plans([whole]))

@@ -20,11 +20,12 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.planner.profiles import Profiler
 from hframe_post.planner.sampling import SAMPLES_PER_CHUNK, SPARED, sample
 from hframe_post.printer.settings import Limits
+from hframe_post.stream.marks import NO_MARKS, Mark, Marks
 from hframe_post.stream.types import (
     Dwell,
+    Event,
     Handling,
     Item,
-    Mark,
     MoveAtRest,
     Moves,
     Passthrough,
@@ -34,6 +35,7 @@ from hframe_post.stream.types import (
     SlowStraight,
     StopRules,
 )
+from tests.mark_tools import each
 from tests.native.oracles import integrate
 from tests.planner.planning import (
     LIMITS,
@@ -66,7 +68,7 @@ def sampled(
     return list(sample(plan(items, limits), limits, rests, size))
 
 
-def whole(blocks: list[Samples]) -> tuple[Array, list[object]]:
+def whole(blocks: list[Samples]) -> tuple[Array, list[Event]]:
     """Return all samples and all events."""
     return np.concatenate([b.xyze for b in blocks]), [e for b in blocks for e in b.events]
 
@@ -165,7 +167,7 @@ def test_slow_straights_are_left_out_where_asked_for() -> None:
 
 
 def marks_of(blocks: list[Samples]) -> list[Mark]:
-    return [e for e in whole(blocks)[1] if isinstance(e, Mark)]
+    return [e for e in each(whole(blocks)[1]) if isinstance(e, Mark)]
 
 
 @settings(max_examples=40, deadline=None)
@@ -173,7 +175,7 @@ def marks_of(blocks: list[Samples]) -> list[Mark]:
 def test_marks_are_at_the_first_sample_from_their_vertex_on(seed: int, n: int) -> None:
     item = measured(random_moves(seed, n, marked=0.4), 1.0)
     limits = replace(LIMITS, extruder_corner_velocity=1e9)
-    plain = whole(sampled([replace(item, marks=())], limits))[0][:, E]
+    plain = whole(sampled([replace(item, marks=NO_MARKS)], limits))[0][:, E]
     blocks = sampled([item], limits)
     marks = marks_of(blocks)
     assert [m.text for m in marks] == [m.text for m in item.marks]
@@ -246,7 +248,7 @@ LIFT = MoveAtRest(7, (50, 0, 0.2, 2), (50, 0, 0.6, 2), 20.0)
 PASSING = replace(RESTS, lift_speed=2.0 / SPARED)
 
 
-def lift_of(items: Iterable[Item], rests: StopRules = PASSING) -> tuple[Dwell, Array, list[object]]:
+def lift_of(items: Iterable[Item], rests: StopRules = PASSING) -> tuple[Dwell, Array, list[Event]]:
     xyze, events = whole(sampled(items, rests=rests))
     (lift,) = (e for e in events if isinstance(e, Dwell) and e.action is LIFT)
     return lift, xyze[lift.index - 1 : lift.index + lift.samples, Z], events
@@ -302,7 +304,7 @@ MOVING = replace(RESTS, retract_acceleration=300.0)
 
 def with_retraction(
     length: float, rests: StopRules = MOVING, size: int = 100
-) -> tuple[Array, list[object]]:
+) -> tuple[Array, list[Event]]:
     """Return samples and events of: print, retract, travel 50 mm at 100 mm/s, print."""
     e = 2.0 - length
     back = MoveAtRest(4, (50, 0, 0.2, 2), (50, 0, 0.2, e), 45.0)
@@ -424,7 +426,8 @@ def mixed() -> list[Item]:
             [length * np.cos(heading), length * np.sin(heading), zero, 0.04 * length], axis=1
         )
         points = at + np.concatenate([np.zeros((1, 4)), np.cumsum(steps, axis=0)])
-        marks = tuple(Mark(int(m), b"%d" % m) for m in np.flatnonzero(rng.random(n + 1) < 0.2))
+        marked = np.flatnonzero(rng.random(n + 1) < 0.2)
+        marks = Marks.from_lines(Mark(int(m), b"%d" % m) for m in marked)
         speed = np.repeat(rng.uniform(20.0, 300.0, n // 40 + 1), 40)[:n]
         items.append(moves(points, speed, marks=marks))
         at = points[-1]
@@ -444,9 +447,9 @@ def recut(items: list[Item], size: int) -> list[Item]:
     return found
 
 
-def stream_bits(blocks: list[Samples]) -> tuple[bytes, bytes, list[object]]:
+def stream_bits(blocks: list[Samples]) -> tuple[bytes, bytes, list[Mark | Event]]:
     xyze, events = whole(blocks)
-    return xyze.tobytes(), np.concatenate([b.line for b in blocks]).tobytes(), events
+    return xyze.tobytes(), np.concatenate([b.line for b in blocks]).tobytes(), each(events)
 
 
 def test_samples_do_not_depend_on_how_moves_are_cut() -> None:
@@ -532,7 +535,7 @@ def test_every_run_between_rests_takes_the_least_time(jerk: float) -> None:
     length = (v * v / a + v * a / jerk) * (1.01 + 10.0 ** rng.uniform(-2.0, 2.0, n))
     s, count = np.append(0.0, np.cumsum(length)), np.arange(n + 1)
     points = np.column_stack([s, np.zeros((n + 1, 3))])
-    planned = Plan(count[:-1], points, s, count, 0.0 * s, v, a, ())
+    planned = Plan(count[:-1], points, s, count, 0.0 * s, v, a, NO_MARKS)
     [(t, _)] = Profiler(jerk).profiles([planned])
     np.testing.assert_allclose(t.sum(axis=1), np.diff(s) / v + v / a + a / jerk, rtol=1e-6)
 
@@ -577,7 +580,7 @@ def test_end_that_cannot_be_reached_is_an_error_with_its_line() -> None:
     impossible = Plan(
         np.array([41, 42]), np.array([[0.0] * 4, [5.0, 0, 0, 0], [5.1, 0, 0, 0]]),
         np.array([0.0, 5.0, 5.1]), np.array([0, 1, 2]), np.array([0.0, 100.0, 0.0]),
-        np.array([100.0, 100.0]), np.array([1e4, 1e4]), (),
+        np.array([100.0, 100.0]), np.array([1e4, 1e4]), NO_MARKS,
     )  # fmt: skip
     with pytest.raises(HframeError, match=r"line 42: no .* fits"):
         Profiler(5e7).profiles([impossible])

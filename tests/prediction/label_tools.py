@@ -9,11 +9,11 @@ from hframe_post.prediction.statistics import Labels
 from hframe_post.stream.types import (
     Dwell,
     Handling,
-    Mark,
     ModalState,
     Passthrough,
     Samples,
 )
+from tests.mark_tools import mark
 
 STATE = ModalState(True, True, 0.0, 60.0, (0.0, 0.0, 0.0))
 Named = tuple[list[str], list[str]]
@@ -28,7 +28,7 @@ def block(
     events = tuple(
         Dwell(first + k, 0, Passthrough(1, text, Handling.REST, STATE))
         if paused
-        else Mark(first + k, text)
+        else mark(first + k, text)
         for k, text in comments
     )
     return Samples(first, xyze, np.zeros(len(e), np.int64), events)

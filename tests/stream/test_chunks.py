@@ -18,12 +18,12 @@ from hframe_post.stream.types import (
     Dwell,
     Event,
     Handling,
-    Mark,
     ModalState,
     Passthrough,
     Samples,
     frozen,
 )
+from tests.mark_tools import mark
 
 STATE = ModalState(True, True, 0.0, 60.0, (0.0, 0.0, 0.0))
 SIZES = st.lists(st.integers(0, 9), min_size=1, max_size=12)
@@ -34,8 +34,8 @@ def stream(sizes: list[int], first: int = 5) -> list[Samples]:
     blocks = []
     for n in sizes:
         index = np.arange(first, first + n)
-        events = tuple(Mark(int(k), b"%d %d" % (k, m)) for k in index[::2] for m in range(2))
-        events += (Mark(first + n, b"end"),)
+        events = tuple(mark(int(k), b"%d %d" % (k, m)) for k in index[::2] for m in range(2))
+        events += (mark(first + n, b"end"),)
         xyze = frozen(np.repeat(index[:, None], 4, axis=1).astype(float))
         commands = {"racking": frozen(xyze[:, :2] + 0.5), "none": xyze[:, :2]}
         blocks.append(Samples(first, xyze, 10 * index, events, commands))

@@ -7,7 +7,7 @@ import pytest
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.errors import HframeError
-from hframe_post.stream.types import Mark
+from hframe_post.stream.marks import Mark, Marks
 from hframe_post.writers.decimation import Batch, check_filament
 
 ENDS = np.array([10, 20, 30, 40])
@@ -16,7 +16,9 @@ ENDS = np.array([10, 20, 30, 40])
 def batch(e: Array, *marked: int) -> Batch:
     """41 points, of which the first lies before sample 0, and lines at some of them."""
     points = np.column_stack([np.zeros((41, 3)), e])
-    return Batch(0, points, tuple(Mark(k - 1, b"M106 S%d" % k) for k in marked), last=True)
+    return Batch(
+        0, points, Marks.from_lines(Mark(k - 1, b"M106 S%d" % k) for k in marked), last=True
+    )
 
 
 def out(e: Array, ends: Integers = ENDS) -> Array:

@@ -19,11 +19,11 @@ from hframe_post.firmware.motion import MotionRules
 from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.printer.profile import load
 from hframe_post.stream.chunks import batches
+from hframe_post.stream.marks import Mark, Marks
 from hframe_post.stream.types import (
     Dwell,
     Event,
     Handling,
-    Mark,
     ModalState,
     MoveAtRest,
     Passthrough,
@@ -34,6 +34,7 @@ from hframe_post.writers.gcode import GcodeWriter
 from hframe_post.writers.machine import Ledger
 from hframe_post.writers.print_time import DeferredLine
 from tests.gcode_tools import follow
+from tests.mark_tools import mark
 
 STATE = ModalState(True, False, 0.0, 50.0, (0.0, 0.0, 0.0))
 PROFILES = {"klipper": "paper", "marlin": "paper-marlin"}
@@ -82,7 +83,7 @@ def stream(parts: list[tuple[str, int]], seed: int = 0) -> Samples:
         if kind == "move":
             made = curve(n, at, seed + number)
         elif kind == "mark":
-            events.append(Mark(index, b"M106 S%d" % number))
+            events.append(mark(index, b"M106 S%d" % number))
         else:
             end = at + {"retract": [0, 0, 0, -n / 100.0], "lift": [0, 0, n / 100.0, 0]}.get(
                 kind, np.zeros(4)
@@ -143,7 +144,7 @@ def test_filament_of_every_carried_line_is_exact(klipper: Parts) -> None:
     n = 5000
     whole = stream([("move", n)])
     at = np.unique(np.random.default_rng(1).integers(500, n - 500, 1000))
-    marks = tuple(Mark(int(k), b";LAYER:%d" % k) for k in at)
+    marks = (Marks.from_lines(Mark(int(k), b";LAYER:%d" % k) for k in at),)
     marked = Samples(0, whole.xyze, whole.line, marks, whole.commands, ends_stretch=True)
     reading = follow(text([marked], klipper)[0])
     np.testing.assert_allclose(reading.at_layer, whole.xyze[at, E], atol=1.1e-5)
@@ -153,7 +154,7 @@ def test_marks_pass_before_the_segment_that_ends_at_their_sample_or_later(klippe
     n = 3000
     whole = stream([("move", n)])
     at = np.unique(np.random.default_rng(2).integers(200, n - 200, 50))
-    marks = tuple(Mark(int(k), b"; at %d" % k) for k in at)
+    marks = (Marks.from_lines(Mark(int(k), b"; at %d" % k) for k in at),)
     marked = Samples(0, whole.xyze, whole.line, marks, whole.commands, ends_stretch=True)
     lines = text([marked], klipper)[0].splitlines()
     for k in at:

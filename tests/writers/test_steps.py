@@ -13,8 +13,9 @@ from scipy.interpolate import CubicHermiteSpline
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import LimitError
 from hframe_post.printer.settings import Steps
-from hframe_post.stream.types import Dwell, Event, Handling, Mark
+from hframe_post.stream.types import Dwell, Event, Handling
 from hframe_post.writers import steps
+from tests.mark_tools import mark
 from tests.step_tools import Stepping, block, line, stepped
 
 TABLE = Steps(belt=0.02, z=0.0025, e=0.0024, clock_hz=40_000.0)
@@ -182,7 +183,7 @@ def test_after_a_yield_the_motors_may_stand_elsewhere() -> None:
     first, second = at_rest_around(moving(0, 5, 50)), at_rest_around(moving(100, 90, 50))
     home = Dwell(len(first), 0, line(b"G28", Handling.RELEASE))
     end = Dwell(len(first) + len(second), 0, line(b"", Handling.RELEASE))
-    blocks = [block(first, events=(home,)), block(second, len(first), (Mark(60, b";a"), end))]
+    blocks = [block(first, events=(home,)), block(second, len(first), (mark(60, b";a"), end))]
     done = stepped(blocks, TABLE)
     assert [start.position[0] for start in done.starts] == [0, 5000]
     assert [start.tick for start in done.starts] == [0, len(first) * PER_SAMPLE]
@@ -198,7 +199,7 @@ def test_steps_do_not_depend_on_how_the_stream_is_cut(
     size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = swinging(300)
-    marks = tuple(Mark(k, b"%d" % k) for k in range(0, 300, 7))
+    marks = tuple(mark(k, b"%d" % k) for k in range(0, 300, 7))
     wait = Dwell(150, 0, line(b"M400", Handling.REST))
     events: tuple[Event, ...] = tuple(sorted([*marks, wait], key=lambda event: event.index))
     whole = stepped([block(path, events=events)], TABLE)

@@ -1,0 +1,318 @@
+/* Lines of a file as slicers write them, up to the first that needs a closer look: plain moves, lines
+ * that pass in mid-motion, accelerations and new names of E. It does what gcode/reader.py does, in the
+ * same order. */
+
+#include <string.h>
+
+#include "kernels.h"
+
+enum { EXACT_DIGITS = 15, LONGEST_LINE = 512, ROW = 8, MARK = 4, CELL = 32, CELLS = 1024 };
+
+/* Powers of ten that a double holds exactly: a number of 15 digits over one of them is rounded once,
+ * as strtod does. */
+static const double TEN_TO[] = {1e0, 1e1, 1e2,  1e3,  1e4,  1e5,  1e6,  1e7,
+                                1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15};
+
+/* Read a number of digits with at most one point; return its end, or NULL if it is anything else. */
+static const char *number(const char *c, double *value)
+{
+    int negative = *c == '-', digits = 0, decimals = -1;
+    int64_t mantissa = 0;
+    for (c += negative; (*c >= '0' && *c <= '9') || (*c == '.' && decimals < 0); c++) {
+        if (*c == '.') {
+            decimals = 0;
+            continue;
+        }
+        mantissa = 10 * mantissa + (*c - '0');
+        if (decimals >= 0)
+            decimals++;
+        if (++digits > EXACT_DIGITS)
+            return NULL;
+    }
+    *value = (double)mantissa / TEN_TO[decimals > 0 ? decimals : 0];
+    if (negative)
+        *value = -*value;
+    return digits ? c : NULL;
+}
+
+/* Return the end of the line after spaces and a comment, or NULL if anything else comes first. */
+static const char *line_end(const char *c, const char *last)
+{
+    while (*c == ' ' || *c == '\t')
+        c++;
+    if (*c == ';')
+        while (c < last && *c != '\n' && *c != '\r')
+            c++;
+    c += *c == '\r';
+    return *c == '\n' && c < last ? c + 1 : NULL;
+}
+
+/* Read the words of a line in the order F X Y Z E F; return its end, or NULL if it is not a plain
+ * move. given: a bit for each of x, y, z, e and F. */
+static const char *words(const char *c, const char *last, double *value, int *given)
+{
+    static const char letters[] = "FXYZEF";
+    static const int bit[] = {4, 0, 1, 2, 3, 4};
+    *given = 0;
+    if (c[0] != 'G' || (c[1] != '0' && c[1] != '1'))
+        return NULL;
+    c += 2;
+    for (int k = 0; k < 6; k++) {
+        if (c[0] != ' ' || c[1] != letters[k])
+            continue;
+        if (*given & 1 << bit[k] || (c = number(c + 2, value + bit[k])) == NULL)
+            return NULL;
+        *given |= 1 << bit[k];
+    }
+    return line_end(c, last);
+}
+
+/* ------------------------------------------------------------------------ lines that pass */
+
+enum { PLAIN, CLOCK, SAYS };             /* kinds, as in stream/marks.py */
+enum { UNKNOWN, HARMLESS, TELLS, SHOWS }; /* classes of names, as in plain_lines.py */
+
+/* Comments with these words concern the reader; those with the others, later stages. */
+static const char *const for_reader[] = {"hframe-post", "printing", "mesh:", "time", NULL};
+static const char *const for_others[] = {"layer", "slice", "type:", "feature", "structure", "'", NULL};
+static const char *const of_times[] = {"left", "remaining", NULL};
+
+static int lower(char c) { return c >= 'A' && c <= 'Z' ? c + ('a' - 'A') : c; }
+
+/* Return whether one of the words is here, in either case. */
+static int is_any(const char *c, const char *const *words)
+{
+    for (; *words != NULL; words++) {
+        const char *w = *words, *at = c;
+        while (*w != 0 && lower(*at) == *w)
+            at++, w++;
+        if (*w == 0)
+            return 1;
+    }
+    return 0;
+}
+
+/* Return the line feed that ends a line; NULL: it has one of the words, or a character that no line
+ * of text has. others: set if it has one of theirs. */
+static const char *rest(const char *c, const char *last, const char *const *words,
+                        const char *const *others_words, int *others)
+{
+    for (; *c != '\n'; c++) {
+        if (*c == 0 || c >= last || (*c == '\r' && c[1] != '\n') || is_any(c, words))
+            return NULL;
+        if (!*others && is_any(c, others_words))
+            *others = 1;
+    }
+    return c;
+}
+
+/* Return the class of a name (length). names: a table of CELLS by hash, each a name and its class. */
+static int class_of(const char *name, int64_t length, const char *names)
+{
+    uint32_t hash = 0;
+    if (length > CELL - 2)
+        return UNKNOWN;
+    for (int64_t i = 0; i < length; i++)
+        hash = hash * 31 + (uint8_t)name[i];
+    for (uint32_t i = 0; i < CELLS; i++) {
+        const char *cell = names + CELL * ((hash + i) % CELLS);
+        if (*cell == 0)
+            return UNKNOWN;
+        if (memcmp(cell, name, (size_t)length) == 0 && cell[length] == 0)
+            return cell[CELL - 1];
+    }
+    return UNKNOWN;
+}
+
+/* Return the end of the words of M73, whole numbers; NULL: there is anything else, or a time left
+ * that rises by more than ``most`` s. clocks: the times R and S before, s. */
+static const char *progress(const char *c, double most, double *clocks, int64_t *kind)
+{
+    int seen = 0;
+    while (*c == ' ') {
+        char letter = *++c;
+        if (*c == ' ' || *c == ';' || *c == '\n')
+            continue;
+        int clock = letter == 'S', digits = 0;
+        double value = 0.0;
+        if (letter < 'A' || letter > 'Z')
+            return NULL;
+        for (c++; *c >= '0' && *c <= '9'; c++, digits++)
+            value = 10.0 * value + (*c - '0');
+        if (digits == 0 || digits > 9)
+            return NULL;
+        if (letter != 'R' && letter != 'S')
+            continue;
+        if (seen & 1 << clock || 60.0 * value > clocks[clock] + most)
+            return NULL;
+        seen |= 1 << clock;
+        if (value > 0.0)
+            clocks[clock] = 60.0 * value;
+        *kind = CLOCK;
+    }
+    return *c == ';' || *c == '\n' || (*c == '\r' && c[1] == '\n') ? c : NULL;
+}
+
+/* Return the line feed of a line that passes in mid-motion and that the reader need not know; NULL:
+ * it is another one. */
+static const char *passing(const char *c, const char *last, const char *names, double most,
+                           double *clocks, int64_t *kind)
+{
+    static const char *const none[] = {NULL};
+    int others = 0;
+    *kind = PLAIN;
+    while (*c == ' ' || *c == '\t')
+        c++;
+    if (*c == ';') {
+        c = rest(c, last, for_reader, for_others, &others);
+        *kind = others ? SAYS : PLAIN;
+        return c;
+    }
+    const char *name = c;
+    while ((*c >= 'A' && *c <= 'Z') || (*c >= '0' && *c <= '9') || *c == '_' || *c == '.')
+        c++;
+    int class = c == name ? HARMLESS : class_of(name, c - name, names);
+    int ended = *c == '\n' || (*c == '\r' && c[1] == '\n');
+    if (class == UNKNOWN || !(ended || (c > name && (*c == ' ' || *c == ';'))))
+        return NULL;
+    if (class == TELLS && (c = progress(c, most, clocks, kind)) == NULL)
+        return NULL;
+    return rest(c, last, class == SHOWS ? of_times : none, none, &others);
+}
+
+/* ------------------------------------------------------------------------ all lines */
+
+struct state { /* mm and s; offset: of the place from what the file calls it */
+    double at[COLUMNS], offset[COLUMNS], feed, speed, acceleration, travel_acceleration, clocks[2],
+        passed;
+};
+
+struct rules { /* see plain_lines.py */
+    double scale, factor, least_feed, farthest, most_filament, least[3], greatest[3], relative_e,
+        corner, most_per_path, least_path, moves, m204, velocity_limit, most_passed, per_line,
+        rising;
+};
+enum { STATE = sizeof(struct state) / sizeof(double), RULES = sizeof(struct rules) / sizeof(double) };
+
+/* Read a plain move and change the state; return the end of its line, or NULL. moved: whether x or y
+ * changes. */
+static const char *move(const char *c, const char *last, const struct rules *rules,
+                        struct state *state, int *moved)
+{
+    double value[COLUMNS + 1], to[COLUMNS], rate = state->feed, speed = state->speed;
+    const double *at = state->at;
+    int given, inside = 1;
+    const char *next = words(c, last, value, &given);
+    if (next == NULL || next - c > LONGEST_LINE)
+        return NULL;
+    if (given & 1 << 4) {
+        rate = value[4] * rules->scale / 60.0;
+        speed = rate * rules->factor;
+        if (!(rate >= rules->least_feed))
+            return NULL;
+    }
+    for (int k = X; k <= E; k++) {
+        double from = k == E && rules->relative_e != 0.0 ? at[E] : state->offset[k];
+        to[k] = given & 1 << k ? from + value[k] * rules->scale : at[k];
+        inside &= to[k] > -rules->farthest && to[k] < rules->farthest;
+    }
+    for (int k = X; k <= Z; k++)
+        inside &= rules->least[k] <= to[k] && to[k] <= rules->greatest[k];
+    int travels = to[X] != at[X] || to[Y] != at[Y], moves = (given & 15) != 0;
+    double dx = to[X] - at[X], dy = to[Y] - at[Y], dz = to[Z] - at[Z], de = fabs(to[E] - at[E]);
+    if (moves && (!inside || !travels || de > rules->most_filament))
+        return NULL;
+    double path = sqrt(dx * dx + dy * dy + dz * dz);
+    if (moves && (de > rules->most_per_path * path || path <= rules->least_path))
+        return NULL;
+    state->feed = rate, state->speed = speed;
+    for (int k = X; moves && k <= E; k++)
+        state->at[k] = to[k];
+    *moved = moves;
+    return next;
+}
+
+/* Read a line that sets the acceleration of all moves; return its end, or NULL. */
+static const char *limit(const char *c, const char *last, const struct rules *rules,
+                         struct state *state)
+{
+    static const char m204[] = "M204 S", limits[] = "SET_VELOCITY_LIMIT ACCEL=";
+    enum { LEAVE, APPLY };
+    double value, rule = LEAVE;
+    if (*c == 'M' && last - c > (int64_t)sizeof m204 && memcmp(c, m204, sizeof m204 - 1) == 0)
+        c += sizeof m204 - 1, rule = rules->m204;
+    else if (*c == 'S' && last - c > (int64_t)sizeof limits && memcmp(c, limits, sizeof limits - 1) == 0)
+        c += sizeof limits - 1, rule = rules->velocity_limit;
+    if (rule == LEAVE || (c = number(c, &value)) == NULL || (c = line_end(c, last)) == NULL)
+        return NULL;
+    if (!(value >= 1.0))
+        return NULL;
+    if (rule == APPLY)
+        state->acceleration = state->travel_acceleration = value;
+    return c;
+}
+
+/* Read a new name of E alone; return the end of its line, or NULL. */
+static const char *renamed(const char *c, const char *last, const struct rules *rules,
+                           struct state *state)
+{
+    double value;
+    if (last - c < 7 || memcmp(c, "G92 E", 5) != 0 || (c = number(c + 5, &value)) == NULL
+        || (c = line_end(c, last)) == NULL)
+        return NULL;
+    state->offset[E] = state->at[E] - value * rules->scale;
+    return c;
+}
+
+/* Read the lines in a text (size) from ``offset`` on; it ends with a line feed and a 0.
+ * rows (most, ROW): line, x, y, z, e, speed, acceleration, corner velocity of each move in which x or
+ * y changes. marks (most_marks, MARK): of each line that passes, the moves before it, where it begins
+ * and ends, and its kind. taken: lines, bytes, marks, new names of E. Returns the number of rows. */
+static int64_t plain_lines(const char *text, int64_t size, int64_t offset, int64_t first_line,
+                           int64_t most, int64_t most_marks, const char *names,
+                           struct state *state, const struct rules *rules, double *rows,
+                           int64_t *marks, int64_t *taken)
+{
+    const char *c = text + offset, *last = text + size, *next, *end;
+    int64_t count = 0, lines = 0, passed = 0, kind = PLAIN;
+    taken[3] = 0;
+    for (; count < most && passed < most_marks && c < last; c = next, lines++) {
+        double before = state->at[E];
+        int moved = 0;
+        if (c[0] == 'G' && (c[1] == '0' || c[1] == '1')) {
+            if (rules->moves == 0.0 || (next = move(c, last, rules, state, &moved)) == NULL)
+                break;
+            if (!moved)
+                continue;
+            double *row = rows + ROW * count++, *at = state->at;
+            row[0] = (double)(first_line + lines);
+            for (int k = X; k <= E; k++)
+                row[1 + k] = at[k];
+            row[5] = state->speed, row[7] = rules->corner;
+            row[6] = at[E] != before ? state->acceleration : state->travel_acceleration;
+            state->passed = 0.0;
+            continue;
+        }
+        if ((next = limit(c, last, rules, state)) != NULL)
+            continue;
+        kind = PLAIN;
+        if (c[0] == 'G' && (next = renamed(c, last, rules, state)) != NULL)
+            end = next - 1, taken[3] = 1;
+        else if ((end = passing(c, last, names, rules->rising, state->clocks, &kind)) == NULL)
+            break;
+        double all = state->passed + (double)(end - c) + rules->per_line;
+        if (all > rules->most_passed)
+            break;
+        state->passed = all;
+        int64_t *mark = marks + MARK * passed++;
+        mark[0] = count, mark[1] = c - text, mark[2] = end - text, mark[3] = kind;
+        next = end + 1;
+    }
+    taken[0] = lines, taken[1] = c - text - offset, taken[2] = passed;
+    return count;
+}
+
+LOOP(plain_lines, TEXT(0), WITHIN(1, 0, ITEMS(0)), WITHIN(2, 0, WHOLE(1)), WHOLE(3), COUNT(4), COUNT(5),
+     (const char *)BYTES(6, CELL * CELLS), (struct state *)OUT_FLOATS(7, STATE),
+     (const struct rules *)FLOATS(8, RULES), OUT_FLOATS(9, ROW * COUNT(4)),
+     OUT_INTEGERS(10, MARK * COUNT(5)), OUT_INTEGERS(11, 4))

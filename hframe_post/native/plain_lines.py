@@ -1,0 +1,63 @@
+"""Lines of G-code that need no closer look, many at once; ``gcode.reader`` reads the others.
+
+Plain moves, accelerations, new names of E, and lines that pass in mid-motion: comments, and
+commands whose names the caller lists.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from hframe_post.arrays import Array, Integers
+from hframe_post.native import kernels
+
+CELLS, CELL = 1024, 32  # of a table of names, and bytes of each
+# classes of names: nothing in their lines matters; they tell the time left, or may show it
+HARMLESS, TELLS, SHOWS = 1, 2, 3
+LEAVE, APPLY, SKIP = 0.0, 1.0, 2.0  # what to do with a line that sets accelerations
+
+
+def name_table(classes: Mapping[str, int]) -> bytes:
+    """Return a table in which the loop finds the classes of names; long names are left out."""
+    table = bytearray(CELLS * CELL)
+    for name, number in classes.items():
+        text = name.encode("latin-1", "replace")
+        if len(text) > CELL - 2:
+            continue
+        at = 0
+        for byte in text:
+            at = (31 * at + byte) % (1 << 32)
+        while table[CELL * (at % CELLS)]:
+            at += 1
+        at = CELL * (at % CELLS)
+        table[at : at + len(text)] = text
+        table[at + CELL - 1] = number
+    return bytes(table)
+
+
+def plain_lines(
+    text: bytes, offset: int, first_line: int, names: bytes, state: Array, rules: Array,
+    rows: Array, marks: Integers, taken: Integers,
+) -> int:  # fmt: skip
+    """Read lines from an offset in a text on; return how many moves are among them.
+
+    It stops before the first line that is not plain, or that needs a closer look: too far, too
+    slow, off the bed, too much filament for its path, a number with many digits. The text ends
+    with a line feed.
+
+    names: see ``name_table``. state (15,): x, y, z, e, mm, the offset of each from what the file
+    calls it, feed rate, speed, mm/s, acceleration with and without extrusion, time left by M73 R
+    and S, s, bytes that passed since the last move; it changes. rules (21,): mm per unit of the
+    file, factor on the speed, least feed rate, greatest coordinate, greatest filament of a move,
+    least x, y, z, greatest x, y, z, whether E is relative, corner velocity, greatest filament per
+    mm of path, least path, whether moves are taken; what to do with M204 S and SET_VELOCITY_LIMIT
+    ACCEL; most bytes that pass between moves, those counted for each line in addition to its own,
+    s by which a time left may rise.
+
+    rows (m, 8): become source line, x, y, z, e at the end, speed, acceleration and corner velocity
+    of each move; marks (k, 4): for each line that passes the moves before it, where it begins and
+    ends in the text, and its kind; taken (4,): lines and bytes read, marks, whether E has a new
+    name.
+    """
+    read = text, len(text), offset, first_line, len(rows), len(marks), names
+    return int(kernels.plain_lines(*read, state, rules, rows, marks, taken))
