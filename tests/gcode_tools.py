@@ -20,7 +20,7 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sampling import sample as sampled
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from hframe_post.writers.print_time import DeferredLine
+from hframe_post.writers.print_time import Deferred
 from tests.conftest import SAMPLES
 
 WORD = re.compile(r"([XYZEFP])(-?\d*\.?\d+)")
@@ -77,7 +77,7 @@ def converted(
     lines: list[bytes], profile: Printer, options: Options | None = None
 ) -> tuple[bytes, Report]:
     conversion = GcodeConversion(iter(lines), profile, options or Options("racking"))
-    pieces = [o.line + b"\n" if isinstance(o, DeferredLine) else o for o in conversion]
+    pieces = [o.text if isinstance(o, Deferred) else o for o in conversion]
     return b"".join(pieces), conversion.report()
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.settings import Printer
 
 BYTES_AHEAD = 1 << 22  # slicers ask for all the accelerations that they use within some layers
+MOST_KNOWN = 4096  # lines with limits whose effect is remembered: a file has few of them
 LIMITS = (b"M201", b"M203", b"M204", b"M205", commands.LIMITS.encode())
 
 
@@ -47,8 +49,16 @@ def with_motors(
 def _asked(lines: Iterable[bytes], options: ReadOptions) -> Iterator[tuple[float, float, float]]:
     """Yield speed, acceleration and speed through a right angle, once for each change."""
     state = State(options.dialect, start=options.start)
+    known = dict[tuple[Any, ...], tuple[Any, ...]]()  # a line and the limits before → those after
     for text in lines:
         if text.startswith(LIMITS) and options.limits != "printer":
+            before = state.acceleration, state.travel_acceleration, state.corner, state.others
+            at = (text, *before[:3], id(state.others))
+            if (after := known.get(at)) is not None:
+                *_, state.acceleration, state.travel_acceleration, state.corner, state.others = (
+                    after
+                )
+                continue
             line = Line(0, text)
             with suppress(GcodeError):  # the reader raises it, with its line
                 name, arguments = command(line) or (commands.LIMITS, b"")
@@ -59,6 +69,10 @@ def _asked(lines: Iterable[bytes], options: ReadOptions) -> Iterator[tuple[float
                 else:
                     words = numbers_among(line, arguments, commands.LIMIT_WORDS[name])
                 state.set_limits(line, name, words)
+                if len(known) >= MOST_KNOWN:
+                    known.clear()
+                after = state.acceleration, state.travel_acceleration, state.corner, state.others
+                known[at] = (*before, *after)  # keeps what the id names
                 yield _in_force(state)
 
 

@@ -23,14 +23,38 @@ static uint8_t *written(uint8_t *c, int64_t value, int64_t decimals)
     return c;
 }
 
-/* Write n lines of G1: see motion_lines in Python. longest (5): the least numbers that are too
- * long. ends (n): the end of each line. Returns the length of the text, or -1. */
+/* Copy the lines that come before line i of motion; return the end of the text. */
+static uint8_t *inserted(uint8_t *c, const uint8_t *text, const int64_t *between, int64_t m,
+                         const char *lines, int64_t i, int64_t *done, int64_t *begun)
+{
+    for (; *done < m && between[3 * *done] <= i; ++*done) {
+        const int64_t *line = between + 3 * *done;
+        int64_t size = line[2] - line[1];
+        begun[*done] = c - text;
+        memcpy(c, lines + line[1], (size_t)size);
+        c += size;
+    }
+    return c;
+}
+
+/* Write n lines of G1, and others between them: see motion_lines in Python. longest (5): the least
+ * numbers that are too long. room: bytes for the text. Returns the length of the text, or -1. */
 static int64_t motion_lines(const int64_t *at, const int64_t *feeds, int64_t n, int64_t feed,
-                            const int64_t *decimals, const int64_t *longest, uint8_t *text,
-                            int64_t *ends)
+                            const int64_t *decimals, const int64_t *longest,
+                            const int64_t *between, int64_t m, const char *lines,
+                            int64_t size_of_lines, int64_t room, uint8_t *text, int64_t *begun)
 {
     uint8_t *c = text;
+    int64_t done = 0, all = 0;
+    for (int64_t k = 0; k < m; k++) {
+        if (between[3 * k + 1] > between[3 * k + 2] || between[3 * k + 2] > size_of_lines)
+            return -1;
+        all += between[3 * k + 2] - between[3 * k + 1];
+    }
+    if (LINE * n + all > room)
+        return -1;
     for (int64_t i = 0; i < n; i++, at += COLUMNS) {
+        c = inserted(c, text, between, m, lines, i, &done, begun);
         const int64_t *to = at + COLUMNS;
         int64_t values[] = {to[X], to[Y], to[Z], to[E] - at[E], feeds[i]};
         int both = i == 0 && feed == 0;
@@ -46,11 +70,83 @@ static int64_t motion_lines(const int64_t *at, const int64_t *feeds, int64_t n, 
             }
         }
         *c++ = '\n';
-        ends[i] = c - text;
     }
-    return c - text;
+    return inserted(c, text, between, m, lines, INT64_MAX, &done, begun) - text;
 }
 
 LOOP(motion_lines, INTEGERS(0, COLUMNS * (COUNT(2) + 1)), INTEGERS(1, COUNT(2)), COUNT(2), WHOLE(3),
      INDICES(4, WORDS, 0, MOST_DIGITS), INDICES(5, WORDS, 0, ((int64_t)1 << 32) + 1),
-     OUT_BYTES(6, LINE * COUNT(2)), OUT_INTEGERS(7, COUNT(2)))
+     INDICES(6, 3 * COUNT(7), 0, MOST_ITEMS), COUNT(7), TEXT(8), WITHIN(9, 0, ITEMS(8)), COUNT(10),
+     OUT_BYTES(11, COUNT(10)), OUT_INTEGERS(12, COUNT(7)))
+
+/* ------------------------------------------------------------------------ times left */
+
+enum { LONGEST = 256 }; /* bytes of a line, with the room behind it */
+
+struct times {
+    double left, faster; /* change of the time that is left, s; least share of it that stays */
+};
+
+/* Copy M73 and its words, with its minutes changed, to ``made``; return its length, 0: it has another
+ * form. */
+static int64_t progress_line(const uint8_t *c, int64_t size, struct times times, uint8_t *made,
+                             int64_t most)
+{
+    const uint8_t *last = c + size;
+    uint8_t *to = made, *full = made + LONGEST - MOST_DIGITS - 3;
+    if (size < 3 || memcmp(c, "M73", 3) != 0)
+        return 0;
+    memcpy(to, c, 3);
+    to += 3, c += 3;
+    while (c < last && *c == ' ' && to < full) {
+        *to++ = *c++;
+        if (c == last || *c < 'A' || *c > 'Z')
+            break;
+        uint8_t letter = *to++ = *c++;
+        const uint8_t *digits = c;
+        double value = 0.0;
+        for (; c < last && *c >= '0' && *c <= '9'; c++)
+            value = 10.0 * value + (*c - '0');
+        int64_t count = c - digits;
+        if (count == 0 || count > MOST_DIGITS - 1 || (count > 1 && *digits == '0'))
+            return 0;
+        double seconds = 60.0 * value;
+        double changed = rint(greater(greater(seconds + times.left, times.faster * seconds), 0.0) / 60.0);
+        if (letter != 'R' && letter != 'S')
+            memcpy(to, digits, (size_t)count), to += count;
+        else if (changed >= 1e9)
+            return 0;
+        else
+            to = written(to, (int64_t)changed, 0);
+    }
+    if (c + 1 == last && *c == '\r' && to < full)
+        *to++ = *c++;
+    return c == last && to - made <= most ? to - made : 0;
+}
+
+/* Change the minutes left in lines at places (n, 2) of a text (size): see progress_lines in Python.
+ * Returns how many lines stay; others (n): which. */
+static int64_t progress_lines(uint8_t *text, int64_t size, const int64_t *at, int64_t n,
+                              const double *elapsed, double before, double after, int64_t room,
+                              int64_t *others)
+{
+    int64_t count = 0;
+    for (int64_t i = 0; i < n; i++) {
+        uint8_t made[LONGEST];
+        int64_t from = at[2 * i], length = at[2 * i + 1] - from, fits = length + room, done = 0;
+        double all = after - before, share = after != 0.0 ? elapsed[i] / after : 0.0;
+        struct times times = {all - all * share, before != 0.0 ? lesser(after / before, 1.0) : 1.0};
+        if (length > 0 && fits <= LONGEST && from + fits <= size)
+            done = progress_line(text + from, length, times, made, fits);
+        if (done == 0) {
+            others[count++] = i;
+            continue;
+        }
+        memcpy(text + from, made, (size_t)done);
+        memset(text + from + done, ' ', (size_t)(fits - done));
+    }
+    return count;
+}
+
+LOOP(progress_lines, OUT_BYTES(0, COUNT(1)), COUNT(1), INDICES(2, 2 * COUNT(3), 0, COUNT(1) + 1), COUNT(3),
+     FLOATS(4, COUNT(3)), REAL(5), REAL(6), WITHIN(7, 0, 64), OUT_INTEGERS(8, COUNT(3)))

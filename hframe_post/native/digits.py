@@ -20,21 +20,43 @@ GROUP = 4  # digits looked up at once
 
 
 def motion_lines(
-    at: Integers, feeds: Integers, feed: int, decimals: tuple[int, ...]
-) -> tuple[bytes, Integers]:
-    """Return n lines of G1 from place to place, and where each ends in the text (n,).
+    at: Integers, feeds: Integers, feed: int, decimals: tuple[int, ...], between: Integers,
+    lines: bytes,
+) -> tuple[bytes, Integers]:  # fmt: skip
+    """Return n lines of G1 from place to place, with others between them.
+
+    between (m, 3): of each other the line that it precedes, ascending, and where it begins and ends
+    in ``lines``. Returns the text, and where in it each of the others begins, (m,).
 
     at (n + 1, 4): x, y, z, e; feeds (n,): F; both in units of 10^−decimals (5,). feed: F before
     the first line. A word is written where it changes, and x and y after a feed of 0; E is a
     difference. No exponent, no negative zero, no trailing zeros. Raises HframeError for numbers
     with more than WHOLE_DIGITS before the point, or from 2³² units on.
     """
-    n = len(feeds)
-    text, ends = np.empty(n * LINE, np.uint8), np.empty(n, np.int64)
-    size = kernels.motion_lines(at, feeds, n, feed, _row(decimals), _longest(decimals), text, ends)
+    n, m = len(feeds), len(between)
+    text = np.empty(n * LINE + int((between[:, 2] - between[:, 1]).sum()), np.uint8)
+    begun, numbers = np.empty(m, np.int64), (_row(decimals), _longest(decimals))
+    others = np.ascontiguousarray(between), m, lines, len(lines)
+    size = kernels.motion_lines(at, feeds, n, feed, *numbers, *others, len(text), text, begun)
     if size < 0:
         raise HframeError(TOO_LONG)
-    return text[:size].tobytes(), ends
+    return text[:size].tobytes(), begun
+
+
+def progress_lines(
+    text: Bytes, at: Integers, elapsed: Array, before: float, after: float, room: int
+) -> Integers:
+    """Change the minutes left in lines of M73; return the other lines, (m,), which stay.
+
+    text: with the lines at places (k, 2), and ``room`` blanks behind each. elapsed (k,), before,
+    after: see ``writers.print_time.with_times``.
+    """
+    others = np.empty(len(at), np.int64)
+    constants = before, after, room
+    count = kernels.progress_lines(
+        text, len(text), np.ascontiguousarray(at), len(at), elapsed, *constants, others
+    )
+    return others[:count]
 
 
 @cache

@@ -48,6 +48,7 @@
     EACH(plain_lines)                                                                         \
     EACH(profiles)                                                                            \
     EACH(product)                                                                             \
+    EACH(progress_lines)                                                                      \
     EACH(recursion)                                                                           \
     EACH(safe)                                                                                \
     EACH(sliding_sums)                                                                        \

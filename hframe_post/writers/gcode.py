@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from operator import itemgetter
 
 from hframe_post.arrays import E, Z
 from hframe_post.errors import HframeError
@@ -27,9 +26,10 @@ from hframe_post.firmware.motion import MotionRules
 from hframe_post.native.digits import TOO_LONG, least_too_long, motion_lines
 from hframe_post.stream.tally import tallied
 from hframe_post.stream.types import Position, Samples
+from hframe_post.writers.carried import STOP
 from hframe_post.writers.decimation import Units
 from hframe_post.writers.machine import LimitChange, Machine, PlacedMove, Text
-from hframe_post.writers.print_time import DeferredLine, Output
+from hframe_post.writers.print_time import Deferred, Output
 from hframe_post.writers.timing import TimedCommand, TimedMotion, TimedMove, Timing
 
 TEXT_AT_ONCE = 1 << 16  # bytes
@@ -72,7 +72,7 @@ class GcodeWriter:
         """Yield the text in order; ``summary`` counts what was yielded so far."""
         timed = self._timing.timed(self._machine.commands(chunks))
         for output in _joined(_as_text(timed, self._units)):
-            self._lines += 1 if isinstance(output, DeferredLine) else output.count(b"\n")
+            self._lines += (output.text if isinstance(output, Deferred) else output).count(b"\n")
             yield output
 
     @property
@@ -127,28 +127,19 @@ def _as_text(commands: Iterable[TimedCommand], units: Units) -> Iterator[Output]
                 feed = max(round(stroke.speed * units.per_feed), 1)  # F0 is none
                 yield _standing_line(move, feed, units)
             case TimedMotion():
-                yield from _motion(command, feed, revert, units)
+                yield _motion(command, feed, revert, units)
                 feed, revert = int(command.feeds[-1]), b""
     yield revert
 
 
-def _motion(motion: TimedMotion, feed: int, revert: bytes, units: Units) -> Iterator[Output]:
-    """Yield G1 lines from place to place, with the lines between them. feed: F before them.
+def _motion(motion: TimedMotion, feed: int, revert: bytes, units: Units) -> Output:
+    """Return G1 lines from place to place, with the others. feed: F before them.
 
     revert: goes before the second.
     """
-    rows, ends = motion_lines(motion.at, motion.feeds, feed, units.decimals)
-    between = motion.between
-    if revert:
-        between = sorted([(1, Text(revert)), *between], key=itemgetter(0))
-    written = 0
-    for row, text in between:
-        end = int(ends[row - 1]) if row else 0
-        if end > written:
-            yield rows[written:end]
-            written = end
-        yield text.output
-    yield rows[written:]
+    between = motion.between.with_lines([(1, revert)] if revert else [], first=True)
+    lines = between.table[:, : STOP + 1], between.text
+    return between.deferred(*motion_lines(motion.at, motion.feeds, feed, units.decimals, *lines))
 
 
 def _standing_line(move: PlacedMove, feed: int, units: Units) -> bytes:

@@ -13,7 +13,7 @@ from hframe_post.arrays import TS, Array, E, Integers, X, Y, Z
 from hframe_post.firmware.code import Code
 from hframe_post.firmware.motion import MotionRules, Way
 from hframe_post.gcode.commands import Line, name_and_arguments
-from hframe_post.stream.marks import Mark, Marks
+from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import (
     Dwell,
     Handling,
@@ -22,6 +22,7 @@ from hframe_post.stream.types import (
     Samples,
     SlowStraight,
 )
+from hframe_post.writers.carried import NOTHING_BETWEEN, Between, text_of
 from hframe_post.writers.decimation import (
     SAMPLES_AT_ONCE,
     Batch,
@@ -33,7 +34,7 @@ from hframe_post.writers.decimation import (
     rows_before,
     segments,
 )
-from hframe_post.writers.print_time import Output, passed_on
+from hframe_post.writers.print_time import Output
 
 
 class Text(NamedTuple):
@@ -46,14 +47,14 @@ class Motion(NamedTuple):
     """Segments (k,) in which something moves.
 
     at (k + 1, 4): places, in output units; T (k,): seconds that each is to last; dwell (k,):
-    samples of dwell before each; between: lines, each with the segment that it precedes.
+    samples of dwell before each; between: other lines.
     stops: whether the machine rests after the last; after: greatest speed, mm/s, at its end.
     """
 
     at: Integers
     T: Array
     dwell: Integers
-    between: tuple[tuple[int, Text], ...]
+    between: Between
     stops: bool
     after: float
 
@@ -158,7 +159,7 @@ class Machine:
         self._at = end
         at, T = np.array([start, end]), np.array([self._still * TS])
         self._still = 0
-        yield Motion(at, T, np.zeros(1, np.int64), (), False, math.inf)
+        yield Motion(at, T, np.zeros(1, np.int64), NOTHING_BETWEEN, False, math.inf)
 
     def _take(self, chunk: Samples, start: int, stop: int) -> Iterator[OutputCommand]:
         if start >= stop:
@@ -184,8 +185,8 @@ class Machine:
         yield from self._marks()
 
     def _marks(self, index: int | None = None) -> Iterator[OutputCommand]:
-        for mark in self._buffer.marks_up_to(index):
-            yield from self._passed_on(mark)
+        if marks := self._buffer.marks_up_to(index):
+            yield self._passed_on(marks)
 
     def _speed_into(self, dwell: Dwell) -> float:
         """Return the speed, mm/s, at which motion passes into a dwell; 0: it stops."""
@@ -202,31 +203,32 @@ class Machine:
         self._still = made.still
         if len(made.T):
             yield from self._enter()
-            between = self._between(batch, made, still) if batch.marks else ()
+            between = self._between(batch, made, still) if batch.marks else NOTHING_BETWEEN
             stops = batch.last and not (speed and not self._still)
             x, y, z, e = made.at[-1].tolist()
             self.ledger.moved((batch.first + made.ends).tolist(), e - self._at[E])
             self._at = x, y, z, e
             yield Motion(made.at, made.T, made.dwell, between, stops, speed or math.inf)
         else:
-            for mark in batch.marks:
-                yield from self._passed_on(mark)
+            if batch.marks:
+                yield self._passed_on(batch.marks)
         if batch.last and self._still:
             yield MotionEnd(self._still if self._inside else 0)
             self._still = 0
 
-    def _between(self, batch: Batch, made: Segments, still: int) -> tuple[tuple[int, Text], ...]:
-        """Return the lines of the file in a batch, each with the segment that it precedes."""
+    def _between(self, batch: Batch, made: Segments, still: int) -> Between:
+        """Return the lines of the file in a batch, among its segments."""
         check_filament(batch, made.ends, made.at[:, E] / self._units.per_mm[E], still)
-        marks = zip(rows_before(batch, made.ends).tolist(), batch.marks, strict=True)
-        return tuple((row, text) for row, mark in marks for text in self._passed_on(mark))
+        return Between.from_marks(batch.marks, rows_before(batch, made.ends), self._modes_after)
 
-    def _passed_on(self, mark: Mark) -> Iterator[Text]:
-        """Yield a line of the file, and what restores the stream's modes after it."""
-        yield Text(passed_on(mark.text, mark.index * TS))
-        if self._inside:
-            name, _ = name_and_arguments(Line(0, mark.text))
-            yield Text(self._code.modes_after(name, mark.text))
+    def _passed_on(self, marks: Marks) -> Text:
+        """Return lines of the file, and what restores the stream's modes after each."""
+        modes_after = self._modes_after if self._inside else None
+        return Text(Between.from_marks(marks, 0, modes_after).output())
+
+    def _modes_after(self, line: bytes) -> bytes:
+        name, _ = name_and_arguments(Line(0, line))
+        return self._code.modes_after(name, line)
 
     def _dwell(self, dwell: Dwell) -> Iterator[OutputCommand]:
         action = dwell.action
@@ -263,7 +265,7 @@ class Machine:
         entering, self._inside = not self._inside, True
         if entering:
             begin = self._code.begin(self._offset, self._where)
-            yield Text(b"".join(line + b"\n" for line in begin))
+            yield Text(text_of(begin))
         if entering or self.ledger.is_count_due():
             yield self._count()
 
@@ -283,7 +285,7 @@ class Machine:
             end = self._code.end(action.state, self._where)
         self._offset, self._inside, self._at = action.state.offset, False, None
         self.ledger.passed(action.filament)
-        return LimitChange(b"".join(line + b"\n" for line in end))
+        return LimitChange(text_of(end))
 
 
 class Ledger:

@@ -7,13 +7,19 @@ from __future__ import annotations
 
 import math
 import re
-from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import IO
 
+import numpy as np
+
+from hframe_post.arrays import Array, Integers
+from hframe_post.native.digits import progress_lines
+
 SUMMARY_BYTES = 4096  # bytes: the summary's length is not known when the body is written after it
+REWRITTEN_BYTES = 1 << 18  # bytes of a file in which lines are written again together
 ROOM_BYTES = 4  # bytes beyond a deferred line's present length, for numbers with more digits
 
 # comments that say a time, in slicers' words: how much has passed, is left, or all of it
@@ -44,35 +50,37 @@ _PER_UNIT = {b"d": 86400, b"h": 3600, b"m": 60, b"s": 1}
 
 
 @dataclass(frozen=True, slots=True)
-class DeferredLine:
-    """A line with the whole print's duration, ``elapsed`` s after its beginning.
+class Deferred:
+    """Lines, k of which say the duration of the whole print or a part of it.
 
-    summary: the place for a summary of the whole conversion instead, as comments.
+    at (k, 2): where each of these begins and ends in the text, before its line feed; elapsed (k,):
+    s after the beginning of the print. summary: the only line is the place for a summary of the
+    whole conversion instead, as comments.
     """
 
-    line: bytes
-    elapsed: float
+    text: bytes
+    at: Integers
+    elapsed: Array
     summary: bool = False
 
-
-Output = bytes | DeferredLine
-SUMMARY = DeferredLine(b"; hframe-post:", 0.0, summary=True)
-
-
-def passed_on(line: bytes, elapsed: float) -> Output:
-    """Return a line of the file as output, deferred if it depends on the print's time."""
-    if _says_time(line):
-        return DeferredLine(line, elapsed)
-    return line + b"\n"
+    @classmethod
+    def from_line(cls, line: bytes, elapsed: float, summary: bool = False) -> Deferred:
+        """Return a single line."""
+        return cls(line + b"\n", np.array([[0, len(line)]]), np.array([elapsed]), summary)
 
 
-def _says_time(line: bytes) -> bool:
+Output = bytes | Deferred
+COMMENT = b"; hframe-post:"
+SUMMARY = Deferred.from_line(COMMENT, 0.0, summary=True)
+
+
+def says_time(line: bytes) -> bool:
     return bool(_COMMENT.match(line) or _PROGRESS.match(line) or _MESSAGE.match(line))
 
 
 def later(output: Output, seconds: float) -> Output:
     """Return the output of a part of the print that begins this long after the print."""
-    if not isinstance(output, DeferredLine):
+    if not isinstance(output, Deferred):
         return output
     return replace(output, elapsed=output.elapsed + seconds)
 
@@ -84,19 +92,30 @@ def after_head(output: Iterable[Output], *added: Output) -> Iterator[Output]:
     """
     output = iter(output)
     for piece in output:
-        text = piece.line + b"\n" if isinstance(piece, DeferredLine) else piece
+        text = piece.text if isinstance(piece, Deferred) else piece
         head = _HEAD.match(text)
         if head is not None and head.end() == len(text):
             yield piece
             continue
         if head is not None and head.end():
-            yield text[: head.end()]
-            piece = text[head.end() :]
+            first, piece = _cut(piece, head.end())
+            yield first
         yield from added
         yield piece
         yield from output
         return
     yield from added
+
+
+def _cut(output: Output, place: int) -> tuple[Output, Output]:
+    """Return the output before and from a place of its text on, where a line begins."""
+    if not isinstance(output, Deferred):
+        return output[:place], output[place:]
+    text, early = output.text, output.at[:, 0] < place
+    return (
+        Deferred(text[:place], output.at[early], output.elapsed[early]),
+        Deferred(text[place:], output.at[~early] - place, output.elapsed[~early]),
+    )
 
 
 def write_output(
@@ -107,26 +126,48 @@ def write_output(
 
     times: of the print as sliced and as converted, s. They and the summary are known at its end.
     """
-    places, elapsed = array("q"), array("d")  # a file may have a million deferred lines
+    deferred, summaries = list[tuple[Integers, Array]](), list[int]()
     place = file.tell()  # counted from here on: asking the file each time would be slow
     for piece in output:
-        if isinstance(piece, DeferredLine):
-            size = SUMMARY_BYTES if piece.summary else len(piece.line) + ROOM_BYTES
-            places.extend((place, size, piece.summary))
-            elapsed.append(piece.elapsed)
-            piece = piece.line.ljust(size) + b"\n"
+        if isinstance(piece, Deferred):
+            room = SUMMARY_BYTES - len(COMMENT) if piece.summary else ROOM_BYTES
+            if piece.summary:
+                summaries.append(place)
+            else:
+                moved = place + room * np.arange(len(piece.at))[:, None]
+                deferred.append((piece.at + moved, piece.elapsed))
+            ends = [0, *piece.at[:, 1].tolist(), len(piece.text)]
+            piece = (b" " * room).join([piece.text[a:b] for a, b in pairwise(ends)])
         file.write(piece)
         place += len(piece)
     before_and_after = times()
-    for k, passed in enumerate(elapsed):
-        place, size, is_summary = places[3 * k : 3 * k + 3]
+    for place in summaries:
         file.seek(place)
-        if is_summary:
-            text = commented(summary(), size)
-        else:
-            text = with_times(DeferredLine(file.read(size - ROOM_BYTES), passed), *before_and_after)
-        file.seek(place)
-        file.write(text.ljust(size)[:size])
+        file.write(commented(summary(), SUMMARY_BYTES).ljust(SUMMARY_BYTES)[:SUMMARY_BYTES])
+    if deferred:
+        at, elapsed = (np.concatenate(each) for each in zip(*deferred, strict=True))
+        _write_times(file, at, elapsed, *before_and_after)
+
+
+def _write_times(
+    file: IO[bytes], at: Integers, elapsed: Array, before: float, after: float
+) -> None:
+    """Change the times of lines at places (k, 2) of a file; ROOM_BYTES blanks follow each."""
+    begun = 0
+    while begun < len(at):
+        first = int(at[begun, 0])
+        end = int(at[:, 0].searchsorted(first + REWRITTEN_BYTES))
+        rows = at[begun:end] - first
+        file.seek(first)
+        text = np.frombuffer(file.read(int(rows[-1, 1]) + ROOM_BYTES), np.uint8).copy()
+        for k in progress_lines(text, rows, elapsed[begun:end], before, after, ROOM_BYTES).tolist():
+            start, stop = rows[k].tolist()
+            size = stop - start + ROOM_BYTES
+            line = with_times(text[start:stop].tobytes(), float(elapsed[begun + k]), before, after)
+            text[start : start + size] = np.frombuffer(line.ljust(size)[:size], np.uint8)
+        file.seek(first)
+        file.write(text.tobytes())
+        begun = end
 
 
 def commented(text: str, size: int) -> bytes:
@@ -134,11 +175,11 @@ def commented(text: str, size: int) -> bytes:
     comments = b""
     for line in text.splitlines():
         printable = "".join(c if c.isprintable() else "?" for c in line)
-        longer = comments + SUMMARY.line + b" " + printable.encode() + b"\n"
+        longer = comments + COMMENT + b" " + printable.encode() + b"\n"
         if len(longer) > size:
             break
         comments = longer
-    return comments.rstrip(b"\n") or SUMMARY.line
+    return comments.rstrip(b"\n") or COMMENT
 
 
 def duration(seconds: float) -> str:
@@ -148,13 +189,13 @@ def duration(seconds: float) -> str:
     return f"{h}h {m:02d}m {s:02d}s" if h else f"{m}m {s:02d}s"
 
 
-def with_times(deferred: DeferredLine, before: float, after: float) -> bytes:
+def with_times(line: bytes, elapsed: float, before: float, after: float) -> bytes:
     """Return the line with its times changed by as much as conversion changes the print's.
 
-    before, after: duration of the print as sliced and as converted, s. What only the slicer knows
-    of, such as tool changes, stays in them.
+    elapsed: s after the beginning of the print. before, after: its duration as sliced and as
+    converted, s. What only the slicer knows of, such as tool changes, stays in them.
     """
-    line, share = deferred.line, deferred.elapsed / after if after else 0.0
+    share = elapsed / after if after else 0.0
     change = {"all": after - before, "gone": (after - before) * share}
     change["left"] = change["all"] - change["gone"]
     faster = min(after / before, 1.0) if before else 1.0
@@ -169,7 +210,7 @@ def with_times(deferred: DeferredLine, before: float, after: float) -> bytes:
 def times_of(line: bytes) -> dict[str, float]:
     """Return the times (s) that a line says: "gone", "left", "all", or those of M73 by letter."""
     found = dict[str, float]()
-    if not _says_time(line):
+    if not says_time(line):
         return found
 
     def noted(kind: str, seconds: float) -> float:

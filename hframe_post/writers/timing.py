@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, lengths
 from hframe_post.firmware.motion import MotionRules, NextTo, Stroke, Way
+from hframe_post.writers.carried import Between
 from hframe_post.writers.decimation import Units
 from hframe_post.writers.machine import (
     LimitChange,
@@ -28,11 +28,11 @@ LEAST = 0.1  # share of its time that a segment is asked to take at least, to ma
 
 
 class TimedMotion(NamedTuple):
-    """Segments with F (k,): places at (k + 1, 4), and lines by the segment that they precede."""
+    """Segments with F (k,): places at (k + 1, 4), and other lines."""
 
     at: Integers
     feeds: Integers
-    between: list[tuple[int, Text]]
+    between: Between
 
 
 class TimedMove(NamedTuple):
@@ -111,8 +111,7 @@ class Timing:
             v = float(feeds[0] / self._per_feed)
             yield from self._leave(self._rules.entry(at[:2], v, before))
         lines = [(row, self._dwell(int(motion.dwell[row]))) for row in dwells]
-        texts = [(row, Text(line)) for row, line in lines if line]
-        between = sorted([*motion.between, *texts], key=itemgetter(0))
+        between = motion.between.with_lines([(row, line) for row, line in lines if line])
         yield TimedMotion(motion.at, feeds, between)
 
     def feeds(self, at: Array, T: Array, rest: Flags, after: float) -> Integers:

@@ -9,7 +9,7 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.print_time import DeferredLine
+from hframe_post.writers.print_time import Deferred
 from tests.slices import Slice
 
 MOTION = re.compile(rb"\s*(?:G[01235](?!\d)|M20[1345](?!\d)|M220(?!\d)|SET_VELOCITY_LIMIT|G92 E)")
@@ -22,15 +22,16 @@ WORD = re.compile(rb"\bE(-?(?:\d+\.?\d*|\.\d+))")
 LAYER = re.compile(rb"\s*;.*layer|\(Slice", re.IGNORECASE)
 
 
-def converted(each: Slice, printer: Printer) -> tuple[list[bytes], list[DeferredLine], Report]:
+def converted(each: Slice, printer: Printer) -> tuple[list[bytes], list[bytes], Report]:
     """Lines of the output, those of them that tell of time, and the report."""
     firmware = replace(printer.firmware, harmless=each.harmless, returns=each.returns)
     conversion = GcodeConversion(
         each.lines, replace(printer, firmware=firmware), Options("racking")
     )
     pieces = list(conversion)
-    text = b"".join(p.line + b"\n" if isinstance(p, DeferredLine) else p for p in pieces)
-    deferred = [p for p in pieces if isinstance(p, DeferredLine) and not p.summary]
+    text = b"".join(p.text if isinstance(p, Deferred) else p for p in pieces)
+    with_times = (p for p in pieces if isinstance(p, Deferred) and not p.summary)
+    deferred = [p.text[a:b] for p in with_times for a, b in p.at.tolist()]
     return text.splitlines(), deferred, conversion.report()
 
 

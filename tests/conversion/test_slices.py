@@ -34,9 +34,9 @@ def test_every_slicer_converts(each: Slice, paper: Printer) -> None:
     assert carried(output) == carried(source)
     below(report.path.extrusion_share, 0.005, "share of the extrusion that is not compensated")
     for start in each.times:
-        rewritten = [d for d in deferred if d.line.startswith(start.encode())]
+        rewritten = [d for d in deferred if d.startswith(start.encode())]
         assert rewritten or any(line.startswith(start.encode()) for line in output)
-    assert all(any(d.line.startswith(t.encode()) for t in each.times) for d in deferred)
+    assert all(any(d.startswith(t.encode()) for t in each.times) for d in deferred)
 
 
 @pytest.mark.parametrize("each", SLICES.values(), ids=SLICES)

@@ -21,7 +21,7 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import MoveAtRest, Planned, SpanEnd
-from hframe_post.writers.print_time import DeferredLine
+from hframe_post.writers.print_time import Deferred
 from tests.conftest import few
 from tests.gcode_tools import follow, layers
 
@@ -30,10 +30,16 @@ OPTIONS = Options("racking", ("none", "racking"))
 
 def converted(lines: list[bytes], printer: Printer, jobs: int) -> tuple[bytes, GcodeConversion]:
     conversion = GcodeConversion(iter(lines), printer, replace(OPTIONS, jobs=jobs))
-    pieces = [
-        b"%s %.6f\n" % (o.line, o.elapsed) if isinstance(o, DeferredLine) else o for o in conversion
-    ]
+    pieces = [with_elapsed(o) if isinstance(o, Deferred) else o for o in conversion]
     return b"".join(pieces), conversion
+
+
+def with_elapsed(deferred: Deferred) -> bytes:
+    """The text with the elapsed time behind each line that tells of time."""
+    text = deferred.text
+    for (_, end), elapsed in reversed([*zip(deferred.at, deferred.elapsed, strict=True)]):
+        text = text[:end] + b" %.6f" % elapsed + text[end:]
+    return text
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from hframe_post.identification.recordings.runs import gcode
 from hframe_post.identification.recordings.strokes import runs
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
-from hframe_post.writers.print_time import DeferredLine
+from hframe_post.writers.print_time import Deferred
 from tests.quantities import below
 
 from .host import Playback, play
@@ -40,7 +40,7 @@ def played(folder: Path, sections: str, seconds: float) -> tuple[Array, Playback
     printer = parse(WEAK, "weak")
     (run,) = runs(printer, [(140.0, 150.0)], seconds)
     pieces = gcode(printer, [run], ("adxl345", "bed"), 10.0)
-    text = b"".join(p.line if isinstance(p, DeferredLine) else p for p in pieces)
+    text = b"".join(p.text if isinstance(p, Deferred) else p for p in pieces)
     (folder / "measure.gcode").write_bytes(b"G28\n" + text)
     return run.command, play(folder / "measure.gcode", workdir=folder, sections=sections)
 

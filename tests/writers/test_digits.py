@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from hframe_post.errors import HframeError
 from hframe_post.native import digits
 
+NOTHING = np.zeros((0, 3), np.int64)
+
 
 def formatted(letter: str, value: int, decimals: int) -> str:
     """Return what Python writes for value·10^−decimals."""
@@ -23,7 +25,8 @@ def extruded(values: list[int], decimals: int) -> bytes:
     """Return lines that extrude these lengths."""
     at = np.zeros((len(values) + 1, 4), dtype=np.int64)
     at[1:, 3] = np.cumsum(values)
-    return digits.motion_lines(at, np.zeros(len(values), np.int64), 0, (3, 3, 3, decimals, 1))[0]
+    feeds = np.zeros(len(values), np.int64)
+    return digits.motion_lines(at, feeds, 0, (3, 3, 3, decimals, 1), NOTHING, b"")[0]
 
 
 @st.composite
@@ -49,9 +52,12 @@ places = st.lists(st.integers(-2, 2), min_size=5, max_size=5)
 @given(st.lists(places, min_size=2, max_size=20), st.sampled_from([-1, 0, 2]))
 def test_a_word_is_written_where_it_changes(rows: list[list[int]], feed: int) -> None:
     table, decimals = np.array(rows, dtype=np.int64), (3, 2, 1, 0, 5)
-    written, ends = digits.motion_lines(table[:, :4].copy(), table[1:, 4].copy(), feed, decimals)
-    feeds, begin = [feed, *table[1:, 4].tolist()], 0
-    for k, end in enumerate(ends.tolist(), start=1):
+    between = np.array([(k, 0, 1) for k in range(len(rows))])  # a line feed before each, and behind
+    of = table[:, :4].copy(), table[1:, 4].copy(), feed, decimals
+    written, begun = digits.motion_lines(*of, between, b"\n")
+    assert begun[0] == 0
+    feeds, begin = [feed, *table[1:, 4].tolist()], 1
+    for k, end in enumerate(begun[1:].tolist(), start=1):
         changed = table[k] != table[k - 1]
         changed[:2] |= k == 1 and feed == 0
         changed[4] = feeds[k] != feeds[k - 1]
@@ -59,7 +65,7 @@ def test_a_word_is_written_where_it_changes(rows: list[list[int]], feed: int) ->
         words = zip("XYZEF", values, decimals, changed, strict=True)
         line = "".join(formatted(f" {letter}", v, d) for letter, v, d, shown in words if shown)
         assert written[begin:end].decode() == f"G1{line}\n"
-        begin = end
+        begin = end + 1
     assert begin == len(written)
 
 

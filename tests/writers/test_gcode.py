@@ -32,7 +32,7 @@ from hframe_post.stream.types import (
 )
 from hframe_post.writers.gcode import GcodeWriter
 from hframe_post.writers.machine import Ledger
-from hframe_post.writers.print_time import DeferredLine
+from hframe_post.writers.print_time import Deferred
 from tests.gcode_tools import follow
 from tests.mark_tools import mark
 
@@ -109,7 +109,7 @@ def stream(parts: list[tuple[str, int]], seed: int = 0) -> Samples:
 
 def text(chunks: list[Samples], firmware: Parts) -> tuple[bytes, GcodeWriter]:
     writer = GcodeWriter("none", *firmware)
-    pieces = [o.line + b"\n" if isinstance(o, DeferredLine) else o for o in writer.write(chunks)]
+    pieces = [o.text if isinstance(o, Deferred) else o for o in writer.write(chunks)]
     return b"".join(pieces), writer
 
 

@@ -6,18 +6,19 @@ import io
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import hframe_post as hp
 from hframe_post.writers.outputs import Outputs
 from hframe_post.writers.print_time import (
     SUMMARY,
-    DeferredLine,
+    Deferred,
     Output,
     after_head,
     commented,
     later,
-    passed_on,
+    says_time,
     times_of,
     with_times,
     write_output,
@@ -66,10 +67,33 @@ def test_times_change_by_as_much_as_the_print_and_keep_their_form(
     line: bytes, printed: bytes
 ) -> None:
     """What only the slicer knows of, such as 62 changes of filament, stays in them."""
-    deferred = later(passed_on(line, 200.0), 75.0)
-    assert isinstance(deferred, DeferredLine)
-    assert with_times(deferred, 1000.0, 1100.0) == printed
-    assert with_times(deferred, 1000.0, 1000.0) == line
+    assert says_time(line)
+    assert with_times(line, 275.0, 1000.0, 1100.0) == printed
+    assert with_times(line, 275.0, 1000.0, 1000.0) == line
+    file = io.BytesIO()
+    lines = [later(Deferred.from_line(line, 200.0), 75.0)]
+    write_output(file, lines, lambda: (1000.0, 1100.0))
+    assert file.getvalue().rstrip() == printed.rstrip()
+
+
+@pytest.mark.parametrize("after", [700.0, 1000.0, 1234.5])
+def test_lines_of_progress_are_written_as_one_by_one(after: float) -> None:
+    """The loop for M73 in its usual form, and the lines that it leaves."""
+    rng = np.random.default_rng(4)
+    forms = [
+        b"M73 P%d R%d",
+        b"M73 Q%d S%d",
+        b"M73 P%d R%d ; left",
+        b"M73 P%d R%d.5",
+        b"M73 P%d R0%d",
+    ]
+    lines = [forms[k % 5] % tuple(rng.integers(0, 100, 2)) for k in range(500)]
+    elapsed = rng.uniform(0.0, after, len(lines))
+    file = io.BytesIO()
+    pieces = [Deferred.from_line(*each) for each in zip(lines, elapsed.tolist(), strict=True)]
+    write_output(file, pieces, lambda: (1000.0, after))
+    for line, at, text in zip(lines, elapsed, file.getvalue().splitlines(), strict=True):
+        assert text.rstrip(b" ") == with_times(line, float(at), 1000.0, after)
 
 
 def test_times_of_modes_are_told_apart_by_their_letter() -> None:
@@ -78,16 +102,16 @@ def test_times_of_modes_are_told_apart_by_their_letter() -> None:
 
 
 def test_at_the_end_nothing_is_left_and_a_faster_print_takes_some_time() -> None:
-    assert with_times(DeferredLine(b"M73 P100 R0", 1100.0), 1000.0, 1100.0) == b"M73 P100 R0"
-    faster = with_times(DeferredLine(b";TIME:100", 0.0), 1000.0, 600.0)
+    assert with_times(b"M73 P100 R0", 1100.0, 1000.0, 1100.0) == b"M73 P100 R0"
+    faster = with_times(b";TIME:100", 0.0, 1000.0, 600.0)
     assert faster == b";TIME:60"  # the slicer expects a tenth of what the firmware takes
-    assert with_times(DeferredLine(b";TIME:100", 0.0), 0.0, 0.0) == b";TIME:100"
+    assert with_times(b";TIME:100", 0.0, 0.0, 0.0) == b";TIME:100"
 
 
 def test_times_are_filled_in_at_their_place(tmp_path: Path) -> None:
     target = tmp_path / "out.gcode"
     with Outputs() as outputs:
-        lines: list[Output] = [b"a\n", DeferredLine(b";TIME:9", 0.0), b"b\n"]
+        lines: list[Output] = [b"a\n", Deferred.from_line(b";TIME:9", 0.0), b"b\n"]
         write_output(outputs.open(target), lines, lambda: (7.0, 98.0))
     assert [line.rstrip() for line in target.read_bytes().splitlines()] == [
         b"a", b";TIME:100", b"b",
@@ -105,7 +129,7 @@ def test_times_are_filled_in_at_their_place(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_what_tells_no_duration_passes_byte_for_byte(line: bytes) -> None:
-    assert passed_on(line, 1000.0) == line + b"\n"
+    assert not says_time(line)
 
 
 def test_the_summary_is_comments_that_fit_their_place() -> None:
@@ -144,11 +168,17 @@ def test_previews_stay_in_the_first_bytes(screen: str, lines: bool) -> None:
 
 
 def test_times_in_the_head_and_a_file_of_comments() -> None:
-    time = DeferredLine(b";TIME:5", 0.0)
+    time = Deferred.from_line(b";TIME:5", 0.0)
     assert list(after_head([b";a\n", time, b"G28\n"], b"x")) == [b";a\n", time, b"x", b"G28\n"]
-    percent = DeferredLine(b"M73 P0 R5", 0.0)
+    percent = Deferred.from_line(b"M73 P0 R5", 0.0)
     assert list(after_head([b";a\n", percent], b"x")) == [b";a\n", b"x", percent]
     assert list(after_head([b";a\n"], b"x")) == [b";a\n", b"x"]
+    both = Deferred(b";TIME:5\nM73 R5\n", np.array([[0, 7], [8, 14]]), np.array([0.0, 1.0]))
+    first, _, rest = after_head([both], b"x")
+    assert isinstance(first, Deferred)
+    assert isinstance(rest, Deferred)
+    assert [first.text, rest.text] == [b";TIME:5\n", b"M73 R5\n"]
+    assert [first.at.tolist(), rest.at.tolist()] == [[[0, 7]], [[0, 6]]]
 
 
 @pytest.mark.parametrize(
@@ -156,7 +186,7 @@ def test_times_in_the_head_and_a_file_of_comments() -> None:
 )
 def test_a_corrupted_time_stays(text: bytes) -> None:
     line = text % (b"9" * 5000)
-    assert with_times(DeferredLine(line, 1.0), 100.0, 110.0) == line
+    assert with_times(line, 1.0, 100.0, 110.0) == line
 
 
 @pytest.mark.parametrize(

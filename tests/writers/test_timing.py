@@ -11,6 +11,7 @@ from hframe_post.firmware.klipper.firmware import Klipper
 from hframe_post.firmware.registry import firmware
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
+from hframe_post.writers.carried import NOTHING_BETWEEN
 from hframe_post.writers.decimation import Units
 from hframe_post.writers.machine import Motion
 from hframe_post.writers.timing import TimedMotion, Timing
@@ -41,7 +42,7 @@ def test_a_motion_between_rests_is_in_time_with_the_ramps_at_both_ends(paper: Pr
     at = np.zeros((5, 4), dtype=np.int64)
     at[:, 0] = np.rint(units.per_mm[0] * np.arange(5.0))
     timing = Timing(rules, units)
-    [timed] = timing.timed([Motion(at, T, np.zeros(4, np.int64), (), True, np.inf)])
+    [timed] = timing.timed([Motion(at, T, np.zeros(4, np.int64), NOTHING_BETWEEN, True, np.inf)])
     assert isinstance(timed, TimedMotion)
     rest = np.array([True, False, False, False, True])
     late = rules.durations(at / units.per_mm, timed.feeds / units.per_feed, rest, 0.0) - T
