@@ -61,8 +61,8 @@ def owners() -> Iterator[str]:
 
 
 def inexact() -> Iterator[str]:
-    yield "## The paper's printer with an inexact model\n"
-    yield "The rectangle on 50 random printers that differ from the model by up to a share.\n"
+    yield "## An inexact model\n"
+    yield "The rectangle on 50 random printers that differ from the paper's by up to a share.\n"
     yield table_head("off by up to", "median µm", "worst µm")
     printer = hp.load_printer("paper")
     found = hp.simulate(SAMPLES / "rectangle.gcode", printer, model_error=OFF, draws=50)
