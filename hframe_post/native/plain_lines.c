@@ -203,7 +203,7 @@ static const char *move(const char *c, const char *last, const struct rules *rul
     const double *at = state->at;
     int given, inside = 1;
     const char *next = words(c, last, value, &given);
-    if (next == NULL || next - c > LONGEST_LINE)
+    if (next == NULL)
         return NULL;
     if (given & 1 << 4) {
         rate = value[4] * rules->scale / 60.0;
@@ -279,6 +279,8 @@ static int64_t plain_lines(const char *text, int64_t size, int64_t offset, int64
     for (; count < most && passed < most_marks && c < last; c = next, lines++) {
         double before = state->at[E];
         int moved = 0;
+        if (memchr(c, '\n', (size_t)(last - c < LONGEST_LINE ? last - c : LONGEST_LINE)) == NULL)
+            break;
         if (c[0] == 'G' && (c[1] == '0' || c[1] == '1')) {
             if (rules->moves == 0.0 || (next = move(c, last, rules, state, &moved)) == NULL)
                 break;

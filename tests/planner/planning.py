@@ -50,11 +50,11 @@ def moves(
 
 def cut(whole: Moves, size: int) -> list[Moves]:
     """The same moves in blocks of ``size``; a mark between two blocks goes with the later."""
-    n = len(whole.line)
+    n, every = len(whole.line), list(whole.marks)
     blocks = []
     for a in range(0, n, size):
         b = min(a + size, n)
-        marks = (m for m in whole.marks if a <= m.index < b or m.index == b == n)
+        marks = (m for m in every if a <= m.index < b or m.index == b == n)
         blocks.append(
             Moves(
                 whole.line[a:b], whole.points[a : b + 1], whole.speed[a:b],
