@@ -417,7 +417,7 @@ static int peaked(struct wanted run, double peak, double jerk, double *t)
     return left >= 0.0;
 }
 
-/* Return the peak where both accelerations are reached and there is no cruise; NAN if they are not. */
+/* Return the peak where both accelerations are reached without a cruise; NAN if they are not. */
 static double peak_of(struct wanted run, double jerk)
 {
     double a = run.up, b = run.down, square = (1.0 / a + 1.0 / b) / 2.0, half = (a + b) / (4.0 * jerk);

@@ -26,7 +26,7 @@ class ShortMoves:
         self._origin: Array | None = None  # where the last move ended that is long enough, mm
 
     def forget(self) -> None:
-        """Begin again, where the place is known anew."""
+        """Begin again at a place that the file sets."""
         self._origin = None
 
     def joined(self, moves: Moves) -> tuple[Moves | None, Flags]:

@@ -38,7 +38,7 @@ class HframePost:
         ).as_json()  # fmt: skip
         if gone := [name for name in GONE if config.get(name, None) is not None]:
             server.add_warning(
-                f"[{NAME}]: {', '.join(gone)} can be deleted: uploads are no longer converted. "
+                f"[{NAME}]: {', '.join(gone)} can be deleted: uploads are not converted any more. "
                 "'hframe-post connect moonraker' lets Klipper compensate by itself"
             )
         self._processes = set[asyncio.subprocess.Process]()

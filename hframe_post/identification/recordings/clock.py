@@ -234,7 +234,7 @@ def _refined(command: Array, acceleration: Array, reach: float) -> float:
     return float(drifts[np.argmin(unexplained)])
 
 
-# ---------------------------------------------------------------------- told by the printer
+# ---------------------------------------------------------------------- by the printer's clock
 
 PLAYED_SD = 2e-5  # s: by how much Klipper plays a motion longer or shorter than its command
 AGREED = 1e-3  # s by which the two starts may differ, beyond the time between samples
