@@ -48,7 +48,7 @@ GONE = {  # former commands, and what replaced them
     "use": "'hframe-post setup PROFILE.TOML' makes it the default, 'hframe-post doctor' shows it",
     "printers": "'hframe-post doctor -p paper' shows where a shipped profile is",
     "sweep": "'hframe-post measure' writes it for Marlin",
-    "bands": "Shake&Tune's CREATE_VIBRATIONS_PROFILE shows them; write them as avoid under [speed]",
+    "bands": "Shake&Tune's CREATE_VIBRATIONS_PROFILE shows them; give outer walls another speed",
     "verify": "'hframe-post measure --for verify' writes the file, 'hframe-post check' reads it",
     "klipper-macros": "'hframe-post setup' writes them, 'hframe-post connect klipper' prints them",
     "calibrate-marlin": "'hframe-post measure --for planner'",

@@ -39,8 +39,8 @@ def _chip(text: str) -> str:
 def _purpose(text: str) -> str:
     if text == "bands":
         raise click.BadParameter(
-            "bands is gone: Shake&Tune's CREATE_VIBRATIONS_PROFILE shows them; write them as avoid "
-            "under [speed]"
+            "bands is gone: Shake&Tune's CREATE_VIBRATIONS_PROFILE shows them; give outer walls "
+            "another speed"
         )
     choices = click.Choice(["identify", "check", "verify", "planner"])
     return str(choices.convert(text, None, None))

@@ -216,9 +216,8 @@ def _of_kind(text: str, kinematics: str, target: Path) -> str:
 
 def _with_model(profile: Printer, before: Printer) -> Printer:
     """Return a profile with the model of the one that it replaces."""
-    avoiding = replace(profile.speed, avoid=before.speed.avoid)
     model = measured(profile, before.plant, before.uncertainty, before.measured)
-    model = replace(model, speed=avoiding, verified=before.verified)
+    model = replace(model, verified=before.verified)
     return with_windows(model, before.compensation.windows)
 
 

@@ -9,23 +9,21 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from hframe_post.arrays import TS, E, Z, lengths
+from hframe_post.arrays import TS, E, lengths
 from hframe_post.compensation.advance import AdvanceSummary
 from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
 from hframe_post.firmware.dialect import object_label
 from hframe_post.gcode.state import ROUNDED_S
-from hframe_post.model.kinematics import Differences
-from hframe_post.planner.bands import OUTER_WALL, MotorBands, TimeInBands
 from hframe_post.planner.profiles import ProfileAtRest
-from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics, Labels
+from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Limits
-from hframe_post.stream.features import Place, kind
+from hframe_post.stream.features import Place
 from hframe_post.stream.types import (
     Dwell,
     Item,
@@ -111,13 +109,12 @@ class Ledger:
     Of the file: read, path. Of its plans: ramps, the motion if nothing limited its jerk; slowed,
     the share of the path that is slower so that the motors can follow; following, the share of the
     lines that accelerate less for the extruder, and the least of these accelerations. As sliced:
-    sliced_s, as the firmware plays it, and sliced_bands; elsewhere, an estimate for moves from
-    unknown places, in neither time.
+    sliced_s, as the firmware plays it; elsewhere, an estimate for moves from unknown places, in
+    neither time.
 
     Of the samples: their number; resting, those added at stops; judged, those whose errors were
-    predicted; filament_out; peaks; clamped; advancing, pressure advance; in_bands, outer walls and
-    what of them a motor spends in a band that it avoids; contour and width, errors by strategy;
-    picture, if one was asked for; metered, sums of a trial's meters.
+    predicted; filament_out; peaks; clamped; advancing, pressure advance; contour and width, errors
+    by strategy; picture, if one was asked for; metered, sums of a trial's meters.
 
     Of the output: written, steps.
     """
@@ -129,7 +126,6 @@ class Ledger:
     following: tuple[float, float] | None = None
     sliced_s: float = 0.0
     elsewhere: float = 0.0
-    sliced_bands: TimeInBands | None = None
     samples: int = 0
     resting: int = 0
     judged: int = 0
@@ -137,7 +133,6 @@ class Ledger:
     peaks: Peaks = field(default_factory=Peaks)
     clamped: Clamped = field(default_factory=Clamped)
     advancing: AdvanceSummary = field(default_factory=AdvanceSummary)
-    in_bands: TimeInBands = field(default_factory=TimeInBands)
     contour: dict[str, ContourErrors] = field(default_factory=dict)
     width: dict[str, ErrorStatistics] = field(default_factory=dict)
     picture: Picture | None = field(default=None, compare=False, repr=False)
@@ -296,18 +291,11 @@ class FileNotes:
 
 
 class SampleNotes:
-    """Notes samples on their way to the output.
+    """Notes samples on their way to the output."""
 
-    strategy: whose commands count. place: where in the print the first chunk begins. bands: that
-    the motors avoid, if any.
-    """
-
-    def __init__(self, strategy: str, place: Place, bands: MotorBands | None) -> None:
-        self._strategy, self._bands, self._labels = strategy, bands, Labels(replace(place))
+    def __init__(self) -> None:
         self.end, self.resting, self.filament = 0, 0, 0.0
-        self.in_bands = TimeInBands()
         self._last: float | None = None  # filament at the last sample of the stretch
-        self._rates: Differences | None = None
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
         for chunk in chunks:
@@ -321,19 +309,6 @@ class SampleNotes:
                     self.resting += event.samples
                 elif isinstance(event, Dwell) and isinstance(event.action, Passthrough):
                     self.filament += event.action.filament
-            if self._bands is not None:
-                self._note_bands(chunk, self._bands)
             if chunk.ends_stretch:
-                self._last = self._rates = None
+                self._last = None
             yield chunk
-
-    def _note_bands(self, chunk: Samples, bands: MotorBands) -> None:
-        """Note how long motors are in the bands that they avoid, while outer walls are printed."""
-        self._rates = self._rates or Differences(bands.kinematics)
-        _, feature = self._labels.number(chunk)
-        walls = [n for n, name in enumerate(self._labels.features) if kind(name) == OUTER_WALL]
-        outer = np.isin(feature, walls)
-        command = chunk.commands.get(self._strategy, chunk.xyze[:, :Z])
-        inside = bands.contains(self._rates.rates(command).belt_velocity)
-        self.in_bands.total += TS * np.count_nonzero(outer)
-        self.in_bands.inside += TS * np.count_nonzero(outer & inside)

@@ -29,7 +29,7 @@ from hframe_post.compensation.guard import Guard, check_deviation, check_model, 
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
 from hframe_post.conversion.ledger import FileNotes, Ledger, Meters, SampleNotes
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.report import AdvanceReport, BandReport, Report
+from hframe_post.conversion.report import AdvanceReport, Report
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError, PrinterError
@@ -39,11 +39,10 @@ from hframe_post.gcode.limits import with_motors
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
-from hframe_post.planner.bands import MotorBands, avoid_bands
 from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.motors import WithinMotors, with_ramps
-from hframe_post.planner.pacing import Paces, PieceStart, pace
+from hframe_post.planner.pacing import Paces, pace
 from hframe_post.planner.sampling import sample
 from hframe_post.planner.short_moves import ShortMoves
 from hframe_post.prediction.doubts import Doubts
@@ -79,7 +78,6 @@ class Chain:
     def __init__(self, printer: Printer, options: Options, trial: Trial | None = None) -> None:
         self.printer, self.options, self.trial = printer, options, trial
         self.firmware = firmware(printer)
-        self.bands = MotorBands.from_profile(printer.speed.avoid, printer.kinematics)
 
     @cached_property
     def compensator(self) -> Compensator:
@@ -107,20 +105,19 @@ class Chain:
         return self.scheduled(self.parsed(lines))
 
     def scheduled(
-        self, items: Iterable[Item], start: PieceStart | None = None,
-        followed: FollowedAdvance | None = None, within: WithinMotors | None = None,
+        self, items: Iterable[Item], followed: FollowedAdvance | None = None,
+        within: WithinMotors | None = None,
     ) -> Iterator[Planned]:  # fmt: skip
         """Plan the speeds of moves, so that the motors can follow, and the extruder its advance.
 
-        They keep out of the bands that the profile's motors avoid. start: place of the first item
-        in the print. followed: lowers the accelerations, as ``following`` gives it. within: slows
-        moves down for the motors.
+        followed: lowers the accelerations, as ``following`` gives it. within: slows moves down for
+        the motors.
         """
         followed = followed or self.following()
         items = items if followed is None else followed.items(items)
         items = (within or self.within_motors()).items(items)
         caps = with_ramps(self.firmware.caps(), self.printer.motors.stated)
-        items, own = avoid_bands(items, self.bands, caps, start), self.firmware.limits()
+        own = self.firmware.limits()
         if not own.least:
             return plan(items, caps)
         joined = ShortMoves(own.least, own.step, own.motors).joined_travel(items)
@@ -207,7 +204,7 @@ class Stages:
             picture=(picture := _picture(printing) if options.picture else None),
             whole=None if picture else whole, rules=None if whole is None else rules,
         )  # fmt: skip
-        self._notes = SampleNotes(options.strategy, printing, chain.bands)
+        self._notes = SampleNotes()
         meters = chain.trial.meters if chain.trial else None
         self._meter = meters.begun(printing) if meters else None
 
@@ -271,7 +268,7 @@ class Stages:
         return Ledger(
             samples=notes.end, resting=notes.resting, judged=errors.judged,
             filament_out=notes.filament, peaks=self._guard.peaks, clamped=self._clamp.clamped,
-            advancing=self._advancing.summary, in_bands=notes.in_bands, contour=errors.contour,
+            advancing=self._advancing.summary, contour=errors.contour,
             width=errors.width, picture=errors.picture,
             metered=self._meter.sums if self._meter is not None else None,
         )  # fmt: skip
@@ -298,7 +295,7 @@ class PlannedFile:
         printer = chain.printer
         self._lines, self._chain, self._options = lines, chain, chain.options
         self._notes = FileNotes(chain.firmware.dialect.label, chain.firmware.caps())
-        self._sliced = SlicedFile(printer, chain.firmware, chain.bands)
+        self._sliced = SlicedFile(printer, chain.firmware)
         self._following = chain.following()
         self._within = chain.within_motors()
 
@@ -325,7 +322,6 @@ class PlannedFile:
             read=notes.read, path=notes.path, ramps=notes.ramps,
             slowed=self._within.share, sliced_s=own.seconds, elsewhere=own.elsewhere,
             following=None if slowed is None else (slowed.share, slowed.least),
-            sliced_bands=own.in_bands,
         )  # fmt: skip
 
     def report(self, rest: Ledger) -> Report:
@@ -349,7 +345,6 @@ class PlannedFile:
             notices=tuple(printer.warnings()) if options.strategy != "none" else (),
             capped=_binds(self._chain.firmware.caps()),
             other_tools=printer.firmware.other_tools,
-            bands=_bands(ledger, printer.speed.avoid),
         )  # fmt: skip
 
     @property
@@ -376,12 +371,6 @@ class PlannedFile:
         lost = self._notes.read.filament - written
         if abs(lost) > 1e-3 + late:
             raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")
-
-
-def _bands(ledger: Ledger, bands: tuple[tuple[float, float], ...]) -> BandReport | None:
-    if not bands or ledger.sliced_bands is None:
-        return None
-    return BandReport(bands, ledger.sliced_bands, ledger.in_bands)
 
 
 def _binds(caps: Limits) -> bool:

@@ -15,7 +15,6 @@ from hframe_post.conversion.ledger import Ledger
 from hframe_post.gcode.reader import CHANGE_OF_OBJECT, START_OF_FILE
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.planner.bands import TimeInBands
 from hframe_post.prediction.error_meter import PIECE
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.writers.print_time import duration
@@ -133,33 +132,6 @@ class AdvanceReport:
         return [advance, Row("extruder", extruder)]
 
 
-@dataclass(frozen=True, slots=True)
-class BandReport:
-    """Time of outer walls in bands of motor speed (mm/s): as sliced, and as converted."""
-
-    bands: tuple[tuple[float, float], ...]
-    before: TimeInBands
-    after: TimeInBands
-
-    def as_row(self) -> Row:
-        bands = ", ".join(f"{low:g} to {high:g}" for low, high in self.bands)
-        text = (
-            f"outer walls: {percent(self.before.share)} of their time with a motor at {bands} mm/s "
-            f"as sliced, {percent(self.after.share)} now"
-        )
-        if not self.after.total:
-            text = (
-                "no outer walls are named in the file, so no speed was changed for speed.avoid of "
-                "the profile"
-            )
-        both = {"before": self.before, "after": self.after}
-        return Row("motor bands", text, {"motor_bands": {
-            "bands": self.bands,
-            "outer_wall_s": {name: round(one.total, 3) for name, one in both.items()},
-            "in_bands_s": {name: round(one.inside, 3) for name, one in both.items()},
-        }})  # fmt: skip
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report(Ledger):
     """What one conversion did: its ledger, and what must be known of the printer to read it.
@@ -167,10 +139,10 @@ class Report(Ledger):
     speed: rows on how accuracy was traded for speed. notices: warnings of the printer's profile.
     capped: see ``PrintTime``. other_tools: commands after which the plant is not that of the tool
     that prints; None if the profile does not say. advance: pressure advance, if there is any.
-    bands: of motor speed, if the profile avoids any. couples: whether a coupling, such as racking,
-    is compensated. shaping: the best input shaper, whose errors stand among the others.
-    predicted_sliced: share of the print whose errors as sliced are predicted. lines_per_second:
-    that the firmware takes. when_stopped: what to send after the print was stopped midway.
+    couples: whether a coupling, such as racking, is compensated. shaping: the best input shaper,
+    whose errors stand among the others. predicted_sliced: share of the print whose errors as
+    sliced are predicted. lines_per_second: that the firmware takes. when_stopped: what to send
+    after the print was stopped midway.
     """
 
     strategy: str
@@ -181,7 +153,6 @@ class Report(Ledger):
     shaping: Shaping | None = None
     couples: bool = True
     advance: AdvanceReport | None = None
-    bands: BandReport | None = None
     predicted_sliced: float = 1.0
     lines_per_second: float = math.inf
     when_stopped: str = ""
@@ -317,7 +288,6 @@ class Report(Ledger):
                 "clamped_samples": self.clamped.samples,
                 "clamped_mm": round(self.clamped.most, 6),
             }),
-            *((self.bands.as_row(),) if self.bands else ()),
             *((Row("steps", f"{steps.rows} rows, {steps.ticks} ticks of {steps.clock_hz:g} Hz; "
                 f"{motors}", {"steps": asdict(steps)}),) if steps else ()),
             *self.speed,

@@ -19,7 +19,6 @@ from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
-from hframe_post.planner.bands import MotorBands
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.best_shaper import Paths, paths, ranked
 from hframe_post.prediction.error_meter import ErrorMeter
@@ -55,11 +54,9 @@ class Today:
 class SlicedFile:
     """The firmware's own motion of the items that pass: their time, and pieces of the motion."""
 
-    def __init__(
-        self, printer: Printer, own: Firmware | None = None, bands: MotorBands | None = None
-    ) -> None:
+    def __init__(self, printer: Printer, own: Firmware | None = None) -> None:
         self._firmware = own or firmware(printer)
-        self._printer, self.own = printer, AsSliced(self._firmware.limits(), bands)
+        self._printer, self.own = printer, AsSliced(self._firmware.limits())
         self._pieces, self._every, self._count = list[Piece](), 1, 0
         self._piece, self._seconds = list[Planned](), 0.0  # of motion
         self._total, self._extrudes = 0.0, False  # seconds of all pieces that count

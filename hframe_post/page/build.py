@@ -66,7 +66,6 @@ def page(
             "speed": _of(belts.belt_velocity, stated.belt_velocity),
             "acceleration": _of(belts.belt_acceleration, stated.belt_acceleration),
         },
-        "bands": _bands(report),
         "matrix": printer.kinematics.matrix.tolist(),
         "features": picture.labels.features,
         "layers": _layers(picture, pieces, columns),
@@ -107,13 +106,6 @@ def _live(report: Report) -> list[str]:
     return [
         f"in Klipper       {um:.1f} µm RMS: the sliced file, compensated by Klipper itself (live)"
     ]
-
-
-def _bands(report: Report) -> dict[str, Any] | None:
-    """Return the bands of motor speed that outer walls avoid, and the share of time in them."""
-    if (found := report.bands) is None or not found.after.total:
-        return None
-    return {"bands": found.bands, "share": [found.before.share, found.after.share]}
 
 
 def _strategy(name: str, report: Report) -> dict[str, Any]:

@@ -259,7 +259,6 @@ function cards() {
   const [plain, compensated] = data.seconds, longer = 100 * (compensated / plain - 1);
   card("Print time", clock(compensated), "", Math.abs(longer) < 0.05 ? "as long as the sliced file" : `${longer > 0 ? "+" : ""}${longer.toFixed(1)} % for compensation`, "");
   card("Belts at most", String(data.belts.speed[0]), data.belts.speed[1] ? `of ${data.belts.speed[1]} mm/s` : "mm/s", `${data.belts.acceleration.join(" of ")} mm/s²`, "");
-  if (data.bands) card("Outer walls in motor bands", (100 * data.bands.share[1]).toFixed(1), "% of their time", `${(100 * data.bands.share[0]).toFixed(1)} % as sliced; ${data.bands.bands.map((band) => band.join(" to ")).join(", ")} mm/s`, "");
   if (before && chosen && data.chosen !== "none") {
     const strong = (each) => make("strong", `${micrometres(each.rms)}\u00a0µm`);
     $("lead").replaceChildren("Predicted distance of the nozzle from the path, RMS: ", strong(chosen), " with compensation, ",

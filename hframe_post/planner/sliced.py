@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Flags, Z, lengths
+from hframe_post.arrays import Array, Z
 from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.native.planning import smoothed_runs
-from hframe_post.planner.bands import MotorBands, OuterWalls, TimeInBands
 from hframe_post.planner.lookahead import Lookahead, standing
 from hframe_post.planner.profiles import ProfileAtRest
 from hframe_post.planner.sampling import sample
@@ -40,16 +39,13 @@ class AsSliced:
     """The firmware's own plan of a file. ``seconds``: of all items that were planned.
 
     elsewhere: an estimate for moves from unknown places, not in them.
-    in_bands: the outer walls' time, and what of it a motor spends in these bands.
     """
 
-    def __init__(self, rules: FirmwareLimits, bands: MotorBands | None = None) -> None:
+    def __init__(self, rules: FirmwareLimits) -> None:
         self._rules = rules
         self._queue = Lookahead(rules.limits, z_share=1.0, steep=math.inf, joins=rules.joins)
         self._last: Moves | None = None  # moves before the item
         self.seconds = self.elsewhere = 0.0
-        self._bands, self._walls, self.in_bands = bands, OuterWalls(), TimeInBands()
-        self._outer = list[Flags]()  # which of the queued moves are outer walls
         self._ratio = list[Array]()  # cruise ratios of the queued moves
         self._short = ShortMoves(rules.least, rules.step, rules.motors) if rules.least else None
 
@@ -67,12 +63,10 @@ class AsSliced:
         """Take the next item, or None at the end; yield what is final."""
         if isinstance(item, Moves):
             self._last = item
-            yield from self._moved(item, item.limits.cruise_ratio, self._outer_walls(item))
+            yield from self._moved(item, item.limits.cruise_ratio)
             return
-        if self._bands is not None and item is not None:
-            self._walls.pass_by(item)
         if isinstance(item, MoveAtRest) and self._joins(item):
-            yield from self._moved(self._standing(item), 0.0, np.zeros(1, dtype=bool))
+            yield from self._moved(self._standing(item), 0.0)
             return
         if isinstance(item, Marks):
             if self._queue.count:
@@ -93,20 +87,14 @@ class AsSliced:
             self.seconds += ProfileAtRest.from_move(item, self._rules.limits).trapezoid.seconds
             yield item
 
-    def _outer_walls(self, moves: Moves) -> Flags:
-        """Return which moves are outer walls, (n,), if that matters."""
-        return np.zeros(len(moves.line), bool) if self._bands is None else self._walls.among(moves)
-
-    def _moved(self, moves: Moves, ratio: float, outer: Flags) -> Iterator[Plan]:
-        """Add moves to the queue; yield what is final. outer (n,): those of outer walls."""
+    def _moved(self, moves: Moves, ratio: float) -> Iterator[Plan]:
+        """Add moves to the queue; yield what is final."""
         if self._short is not None:
-            whole, kept = self._short.joined(moves)
+            whole, _ = self._short.joined(moves)
             if whole is None:
                 return
-            moves, outer = whole, outer[kept]
+            moves = whole
         self._queue.add(moves)
-        if self._bands is not None:
-            self._outer.append(outer)
         self._ratio.append(np.full(len(moves.line), ratio))
         while (plan := self._queue.take_final()) is not None:
             yield self._timed(plan)
@@ -131,8 +119,6 @@ class AsSliced:
         speed, top, seconds = smoothed_runs(
             plan.s, plan.ends, plan.speed, cruise, plan.acceleration, ratio[plan.ends[:-1]]
         )
-        if self._bands is not None:
-            self._add_in_bands(replace(plan, speed=speed), top, self._bands)
         if (durations := self._rules.durations) is not None:
             way = np.abs(np.diff(plan.points, axis=0) @ self._rules.motors.T).max(axis=1)
             lead = np.add.reduceat(way, plan.ends[:-1])
@@ -140,35 +126,6 @@ class AsSliced:
             seconds = durations(lead, d, speed[:-1], speed[1:], cruise, plan.acceleration)
         self.seconds += float(seconds.sum())
         return replace(plan, cruise=top, speed=speed)
-
-    def _add_in_bands(self, plan: Plan, top: Array, bands: MotorBands) -> None:
-        """Add a plan's outer walls to the time in bands. top: greatest speed of each run."""
-        outer = _joined(self._outer)
-        self._outer = [outer[len(plan.line) :]]
-        if not outer[: len(plan.line)].any():
-            return
-        begun, ended = plan.s[plan.ends[:-1]], plan.s[plan.ends[1:]]
-        v_s, v_e, a = plan.speed[:-1], plan.speed[1:], plan.acceleration
-        ramps = begun + (top**2 - v_s**2) / (2.0 * a), ended - (top**2 - v_e**2) / (2.0 * a)
-        # between these ways the acceleration is constant and the direction is that of one move
-        ways = np.clip(np.sort(np.concatenate([plan.s, *ramps])), 0.0, plan.s[-1])
-        middle = 0.5 * (ways[1:] + ways[:-1])
-        move = np.clip(np.searchsorted(plan.s, middle, "right") - 1, 0, len(plan.line) - 1)
-        chosen = np.flatnonzero(outer[move] & (np.diff(ways) > 1e-9))
-        move, middle = move[chosen], middle[chosen]
-        run = np.clip(np.searchsorted(begun, middle, "right") - 1, 0, len(begun) - 1)
-        v = np.sqrt([
-            np.clip(np.minimum(
-                v_s[run] ** 2 + 2.0 * a[run] * (way - begun[run]),
-                v_e[run] ** 2 + 2.0 * a[run] * (ended[run] - way),
-            ), 1e-6, top[run] ** 2)
-            for way in (ways[chosen], ways[chosen + 1])
-        ])  # fmt: skip
-        way = np.diff(plan.points[:, :E], axis=0)[move]
-        seconds = np.diff(ways)[chosen] / v.mean(axis=0)
-        shares = bands.share(v.min(axis=0), v.max(axis=0), way[:, :Z] / lengths(way)[:, None])
-        self.in_bands.total += float(seconds.sum())
-        self.in_bands.inside += float((seconds * shares).sum())
 
 
 def _joined(parts: list[Any]) -> Any:

@@ -133,7 +133,7 @@ def _naming(text: str, model: str, printer: Printer, source: str) -> str:
         document: Any = tomlkit.parse(text)
         for name in ("model", "plant", "verified"):
             document.pop(name, None)
-        for table, keys in (("compensation", WINDOW), ("speed", ("avoid",))):
+        for table, keys in (("compensation", WINDOW),):
             for key in keys if table in document else ():
                 document[table].pop(key, None)
             if table in document and not document[table] and "#" not in document[table].as_string():
@@ -163,8 +163,6 @@ def _lines(printer: Printer, notes: Sequence[str]) -> Iterator[str]:
     yield "# Written by hframe-post: what it measured. The profile's own keys count more.\n\n"
     yield f"[compensation]\nL = {found.L}\nn_C = {found.n_C}\nn_up = {found.n_up}\n"
     yield f"effort = {[*found.effort]}\n"
-    if printer.speed.avoid:
-        yield f"\n[speed]\navoid = {[[*band] for band in printer.speed.avoid]}\n"
     yield "\n[plant]\n"
     for note in notes:
         yield f"# {note}".rstrip() + "\n"

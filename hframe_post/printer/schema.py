@@ -154,7 +154,10 @@ def digest_of(settings: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-OLD_KEYS = {f"sweep.{key}": STROKES for key in ("start_hz", "stroke", "sway", "quiet")}
+OLD_KEYS = {
+    **{f"sweep.{key}": STROKES for key in ("start_hz", "stroke", "sway", "quiet")},
+    "speed.avoid": "in the slicer, give outer walls a speed at which the motors shake less",
+}
 
 
 def known_keys(table: dict[str, Any], known: tuple[str, ...], path: str) -> None:

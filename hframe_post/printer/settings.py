@@ -18,7 +18,6 @@ from hframe_post.stream.features import KINDS
 
 PLACES = {"least": -1e4, "most": 1e4, "ascending": True}  # mm of travel
 SHARE = {"least": 0.0, "most": 0.99}
-BANDS = {"least": 0.1, "most": 1e4, "ascending": True, "count": 16}  # mm/s of the motors
 STOPS = {"fast": 2, "exact": 8}  # samples for which the path rests before and after a stop
 MAX_RAMP_S = 60.0  # s
 # mm/s³ of the path: real slices take the time that the firmware needs (docs/reliability.md)
@@ -278,7 +277,6 @@ class Speed:
     largest mm/s² of filament, to which pressure advance drives the extruder in proportion, for
     moves that accelerate harder than in the file; 0: no limit. acceleration: largest mm/s² of the
     path, with corners no faster than limits.square_corner_velocity; 0: what the motors allow.
-    avoid: bands (least, greatest) of the motors' speed, mm/s at the belt, that outer walls avoid.
     """
 
     max_error: dict[str, float] = field(
@@ -290,7 +288,6 @@ class Speed:
     model_error: float = within(0.0, 0.99, default=0.05)
     filament_acceleration: float = not_negative(0.0, most=1e6)
     acceleration: float = not_negative(0.0, most=1e6)
-    avoid: tuple[tuple[float, float], ...] = field(default=(), metadata=BANDS)
 
 
 @dataclass(frozen=True, slots=True)

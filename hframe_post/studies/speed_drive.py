@@ -127,7 +127,7 @@ class Drive:
             for piece in pieces:
                 items = pace(iter(piece.items), paces, piece.start)
                 followed = chain.following(piece.advance)
-                commands = stages.commands(chain.scheduled(items, piece.start, followed))
+                commands = stages.commands(chain.scheduled(items, followed))
                 meter = TrialMeter(
                     sums, plants, self._options.strategy, piece.start.place, self._width
                 )
@@ -194,7 +194,7 @@ class Drive:
     ) -> dict[int, float]:
         printer, paces = self.configured(settings)
         chain = Chain(printer, replace(self._options, retract="standing"))
-        planned = chain.scheduled(pace(items, paces, start), start)
+        planned = chain.scheduled(pace(items, paces, start))
         labels, layers = Labels(replace(start.place), by_name=False), dict[int, float]()
         for chunk in chain.sampled(planned):
             add_layer_times(layers, labels.number(chunk)[0])
