@@ -3,8 +3,6 @@
 At the end of a run, folders above their budget are shown. Nothing fails: machines differ.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections import defaultdict

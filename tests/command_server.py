@@ -1,7 +1,5 @@
 """Processes that have imported what commands need, and fork for each that they are asked to run."""
 
-from __future__ import annotations
-
 import atexit
 import gc
 import json

@@ -1,7 +1,5 @@
 """Fixtures and settings of all tests: the paper's printer, its compensator, golden files."""
 
-from __future__ import annotations
-
 import os
 import signal
 import tempfile

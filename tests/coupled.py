@@ -1,7 +1,5 @@
 """Printers whose modes are not quite along x and y, so that each command moves both."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

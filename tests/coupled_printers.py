@@ -1,7 +1,5 @@
 """Printers whose modes move x and y together: as measured, and as a simulation of their motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sample files, their conversion, and a reader of written streams independent of the package."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field

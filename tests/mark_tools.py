@@ -1,7 +1,5 @@
 """Lines that pass without a stop, one by one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from hframe_post.stream.marks import Mark, Marks

@@ -1,7 +1,5 @@
 """Modes without lag at constant speed, as transfer functions and as impulse responses."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex

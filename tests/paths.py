@@ -1,7 +1,5 @@
 """Motions: random ones, and strokes with rest around them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags

@@ -1,7 +1,5 @@
 """Transfer functions and a sweep for the tests of identification."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.signal import sosfilt
 

@@ -1,7 +1,5 @@
 """What firmware says of itself: a printer.cfg and answers of Marlin, and profiles of them."""
 
-from __future__ import annotations
-
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import from_klipper, kinematics_in
 from hframe_post.printer.new_profile import Known, profile_text

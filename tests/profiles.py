@@ -1,7 +1,5 @@
 """Profiles with a model, in one file as older versions wrote them, or in two."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import date

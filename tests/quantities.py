@@ -1,7 +1,5 @@
 """Checks whose failure names the quantity and its unit."""
 
-from __future__ import annotations
-
 
 def below(value: float, bound: float, quantity: str) -> None:
     """Check that a quantity, named with its unit, is less than a bound."""

@@ -1,7 +1,5 @@
 """Simulated printers with random parameters and faults: measured, identified and judged."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ The nozzle moves as eq. 1 and 2 say. Between the 1 ms samples the motion is a sp
 derivative a sensor samples at its own, uneven times.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """TEST_RESONANCES on drawn printers, recorded by the sensors that owners have."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

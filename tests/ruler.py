@@ -1,7 +1,5 @@
 """What the owner of a simulated printer reads off a tower's walls with a ruler."""
 
-from __future__ import annotations
-
 import tomllib
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a file asks for, as our reader understands it, and whether another asks for the same."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

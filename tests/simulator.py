@@ -7,8 +7,6 @@ belts that stiffen. On an H-bot the force along x turns the gantry, which has a 
     q_i″ = ω_i²(u − q_i) − 2ζ_iω_i q_i′,   x = Σ s_i q_i,   θ″ = ω²(κx″ − θ) − 2ζωθ′
 """
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import hashlib

@@ -5,8 +5,6 @@ conversion hard: headers, object labels, layer and feature comments, lifts, mode
 firmware commands, and the wording of print times.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Samples to step, and step files, made and read in the plainest way."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The documentation is correct: snippets run, links have targets, names exist."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import tomllib

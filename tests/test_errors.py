@@ -1,7 +1,5 @@
 """The tool's exceptions reach the process that waits for a worker, with all they say."""
 
-from __future__ import annotations
-
 import copy
 import importlib
 import inspect

@@ -1,7 +1,5 @@
 """The examples run as they are, and what they show is what the rest of the project shows."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The library: what ``import hframe_post`` offers, and that it is what the tool does."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

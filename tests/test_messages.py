@@ -4,8 +4,6 @@ Other tests check an error's type, line and key. Read the difference of the file
 understand each message at first reading?
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The wheel holds everything the tool needs, and its sources."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

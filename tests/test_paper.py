@@ -1,7 +1,5 @@
 """One test an equation or figure of the paper, beyond those of the modules that use them."""
 
-from __future__ import annotations
-
 from time import thread_time
 
 import numpy as np

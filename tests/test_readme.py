@@ -3,8 +3,6 @@
 ``pytest --update-golden`` writes the present output into the tutorial.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 The profiles are as `identify` wrote them: two of published recordings, two of simulated printers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Models that are sliced for the benchmarks, as binary STL, each with settings of CuraEngine."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -4,8 +4,6 @@ python -m tests.benchmarks.simulated: an H-bot that racks as the paper's does, a
 bed-slinger with Marlin. The other owners' profiles are of published recordings.
 """
 
-from __future__ import annotations
-
 import shutil
 from contextlib import chdir
 from pathlib import Path

@@ -3,8 +3,6 @@
 make results PREVIOUS=/path/to/another/bin/hframe-post
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

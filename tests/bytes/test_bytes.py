@@ -5,8 +5,6 @@ and a summary in the file only as numbers. Other libraries may round another way
 manifest comes from other versions or another processor, its figures must agree instead.
 """
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import json

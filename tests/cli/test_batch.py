@@ -1,7 +1,5 @@
 """``hframe-post batch``: each file is converted as if it were alone."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The script for Cura, loaded and run as by Cura's PostProcessingPlugin, on Cura's text."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import re

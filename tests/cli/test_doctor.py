@@ -1,7 +1,5 @@
 """``doctor`` with and without problems."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """``--help`` of each command: an example that would be taken, and every option explained."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import subprocess

@@ -1,7 +1,5 @@
 """``--json``: what every command writes, also when it fails, and what it never replaces."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The command line as its users meet it: processes, files, exit statuses."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

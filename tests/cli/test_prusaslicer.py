@@ -1,7 +1,5 @@
 """The tool as a post-processing program of the real PrusaSlicer."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import re

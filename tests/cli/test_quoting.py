@@ -1,7 +1,5 @@
 """Commands that messages advise can be typed as they stand, whatever the files are called."""
 
-from __future__ import annotations
-
 import shlex
 import subprocess
 from pathlib import Path

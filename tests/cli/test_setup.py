@@ -1,7 +1,5 @@
 """``setup`` from printer.cfg or M503, again after changes, and wrong input."""
 
-from __future__ import annotations
-
 import math
 import os
 import pty

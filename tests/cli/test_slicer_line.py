@@ -1,7 +1,5 @@
 """The line for slicers; tests/cli/test_prusaslicer.py pastes it into the real one."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

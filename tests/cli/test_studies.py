@@ -1,7 +1,5 @@
 """simulate as their users meet them: processes, files, exit statuses."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from subprocess import CompletedProcess

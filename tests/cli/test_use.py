@@ -1,7 +1,5 @@
 """Choice of the profile; the summary names it and the reason."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The stage that adds pressure advance: cuts, lines of the file, and filament at every stop."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace

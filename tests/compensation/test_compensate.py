@@ -1,7 +1,5 @@
 """Commands through the plant trace the path; standstill is as long as settling takes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Couplings: what a command in one axis does to the nozzle in the other, over the bed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

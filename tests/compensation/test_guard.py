@@ -1,7 +1,5 @@
 """No command leaves the bed or outruns a motor; a clamp reduces compensation smoothly."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

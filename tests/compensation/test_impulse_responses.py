@@ -1,7 +1,5 @@
 """Compensation and prediction with impulse responses: as with transfer functions, and two-sided."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """At stops the command stands still, on the path or off it; next to them the print is traced."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Convert a slice and read from the result what a slicer's user would check."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A bed that gets heavier by the print: y's model follows it, and nothing jumps."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """At the edge of the bed: what is clamped keeps its filament along the way; no path is clamped."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

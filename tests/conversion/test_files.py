@@ -1,7 +1,5 @@
 """Steps and samples from end to end: the pipeline's bytes, the command line."""
 
-from __future__ import annotations
-
 import gzip
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Options: declared once, the same from the library, the command line and a batch."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 from typing import Any

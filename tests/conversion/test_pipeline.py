@@ -1,7 +1,5 @@
 """The whole tool on real slices: nothing lost, nothing out of order, the paper's figures."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Settings of the real PrusaSlicer (Debian's prusa-slicer), where it is installed."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import subprocess

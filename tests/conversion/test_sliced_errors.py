@@ -1,7 +1,5 @@
 """What a print has today: its pieces stand for the whole, also where it never stops."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Prints of many slicers from end to end: nothing lost, in order, everything reported."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Printers whose owners keep the planner slow print, compensated: M201 is no limit of a motor."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

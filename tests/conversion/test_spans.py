@@ -1,7 +1,5 @@
 """Spans are cut by the input alone; bytes do not depend on jobs; nothing is lost between them."""
 
-from __future__ import annotations
-
 import os
 import signal
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Files that change tools, on profiles with the model of one."""
 
-from __future__ import annotations
-
 import pytest
 
 from hframe_post.conversion.report import Report

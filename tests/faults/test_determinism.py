@@ -1,7 +1,5 @@
 """Equal input gives equal bytes: whatever the processes, hash seeds, BLAS kernels, processors."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

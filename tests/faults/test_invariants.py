@@ -1,7 +1,5 @@
 """The last looks at what is written: each of them is reached, and nothing appears."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Memory: 200 MB at most for a process, whatever a file holds and however long it is."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,8 +1,6 @@
 """Streams that are closed or full, disks that are full, names that are hostile: exit status,
 one line of error, and whatever was there is still there."""
 
-from __future__ import annotations
-
 import os
 import resource
 import shutil

@@ -1,7 +1,5 @@
 """Signals at any time: the input is whole, old or new; no file is left; no traceback is shown."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random

@@ -3,8 +3,6 @@
 ``add`` makes it known to this process, ``installed`` to those that a test starts.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

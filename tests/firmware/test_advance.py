@@ -1,7 +1,5 @@
 """Which lines set pressure advance, and to what."""
 
-from __future__ import annotations
-
 import pytest
 
 from hframe_post.firmware.dialect import Advance, klipper_advance, marlin_advance

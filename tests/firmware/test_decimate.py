@@ -1,7 +1,5 @@
 """Decimation: every sample within the tolerance of its chord, nothing forced left out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 

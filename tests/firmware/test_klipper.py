@@ -1,7 +1,5 @@
 """What Klipper makes of a stream: its time for each segment, its commands."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

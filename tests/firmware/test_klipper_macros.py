@@ -1,7 +1,5 @@
 """The macros for printer.cfg: what they set, and that the docs name them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The Marlin mode: commands, whole steps, filament, order, modes, equal bytes."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

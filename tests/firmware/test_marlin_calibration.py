@@ -1,7 +1,5 @@
 """The calibration file, played by the simulation of each board: what it tells."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

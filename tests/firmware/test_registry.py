@@ -1,7 +1,5 @@
 """Firmwares as objects: chosen by a name that is checked, built from a printer."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Every command with a firmware that is none of those in the package."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

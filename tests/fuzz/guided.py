@@ -4,8 +4,6 @@ TEST is one of test_fuzz.py; other arguments are libFuzzer's, as -max_total_time
 the first defect. Once that is corrected, its G-code belongs into the folder ``found``.
 """
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 from typing import Any

@@ -1,7 +1,5 @@
 """Inputs that are almost valid: slices, profiles and other texts with a few changes."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 

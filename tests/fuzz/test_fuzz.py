@@ -4,8 +4,6 @@ A few examples in every run, a hundred in ``make slow``; ``make fuzz`` and ``mak
 more.
 """
 
-from __future__ import annotations
-
 import gzip
 import io
 import os

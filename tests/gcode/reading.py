@@ -1,7 +1,5 @@
 """Read lines of G-code into items, moves and end points."""
 
-from __future__ import annotations
-
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions

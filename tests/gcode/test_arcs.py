@@ -1,7 +1,5 @@
 """Arcs and splines: around the centre and to the end that the file gives."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

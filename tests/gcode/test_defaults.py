@@ -1,7 +1,5 @@
 """What commands mean without their words, where firmwares differ."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Marlin's soft endstops end moves of homed axes at the edge, where the profile knows them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

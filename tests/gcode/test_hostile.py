@@ -1,7 +1,5 @@
 """Files that would never end, fill the memory, leave the bed or do not say what E is."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import repeat
 

@@ -1,7 +1,5 @@
 """Input: lines of a file, of an open file or of a list, once or several times."""
 
-from __future__ import annotations
-
 import io
 import os
 import threading

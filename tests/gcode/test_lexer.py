@@ -1,7 +1,5 @@
 """Lines as words: read as firmwares do, in linear time, without numbers that are too large."""
 
-from __future__ import annotations
-
 import re
 import time
 

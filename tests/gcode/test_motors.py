@@ -1,7 +1,5 @@
 """Motors whose limits nobody stated can do what a file asks of the firmware today."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

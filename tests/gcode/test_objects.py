@@ -1,7 +1,5 @@
 """The first move of x and y after an object, which firmware may have left out, stays one line."""
 
-from __future__ import annotations
-
 import pytest
 
 from hframe_post.firmware.klipper.firmware import Klipper

@@ -5,8 +5,6 @@ pygcode (https://pypi.org/project/pygcode) reads words as we do, but it refuses 
 has no E and gives G92 another meaning, so those are compared as words only.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from pathlib import Path

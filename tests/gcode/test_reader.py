@@ -1,7 +1,5 @@
 """Reading: modal state, pass-through lines, and what is refused."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

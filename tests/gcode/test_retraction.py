@@ -1,7 +1,5 @@
 """G10 and G11 as moves of filament: as often and as far as the firmware, without a trace in E."""
 
-from __future__ import annotations
-
 import pytest
 
 from hframe_post.arrays import E

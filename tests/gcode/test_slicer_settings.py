@@ -1,7 +1,5 @@
 """Flow, layer time and least speed of the filament, as slicers write them."""
 
-from __future__ import annotations
-
 import pytest
 
 from hframe_post.gcode.limits import SlicerSettings, slicer_settings

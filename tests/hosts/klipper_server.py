@@ -4,8 +4,6 @@ Run as ``python -m tests.hosts.klipper_server KLIPPY_ARGUMENT...``. In batch mod
 socket and ends with its input; here it opens one and stays.
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 from typing import Any

@@ -1,7 +1,5 @@
 """The real Moonraker with the component, in front of the real Klipper host."""
 
-from __future__ import annotations
-
 import json
 import os
 import secrets

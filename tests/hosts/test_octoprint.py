@@ -3,8 +3,6 @@
 OCTOPRINT_PYTHON names a Python in which OctoPrint is installed, as ``make hosts`` does.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -4,8 +4,6 @@ The real Moonraker, the real Klipper host, and an accelerometer that answers wit
 printer's response to what the host plans.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator

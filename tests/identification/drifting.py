@@ -1,7 +1,5 @@
 """Printers that drift after `identify`: each mode by itself, and what `check` finds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import date
 

@@ -1,7 +1,5 @@
 """A machine with two modes along x, and its frequency response."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex

@@ -1,7 +1,5 @@
 """Accelerometer files of all formats, and the sensor's axes."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

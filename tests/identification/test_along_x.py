@@ -1,7 +1,5 @@
 """Modes that shift as the gantry moves, distinguished from those that do not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

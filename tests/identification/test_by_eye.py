@@ -1,7 +1,5 @@
 """A model without a sensor: what a tower shows, the form, and squares to compare."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``hframe-post check``: drift is found, and nothing else is taken for drift."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

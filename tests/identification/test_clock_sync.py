@@ -1,7 +1,5 @@
 """Start and rate of a sensor's clock, found from a motion whose frequency grows."""
 
-from __future__ import annotations
-
 import pytest
 
 from hframe_post.arrays import TS

@@ -1,7 +1,5 @@
 """Printers whose modes move x and y together: what recordings share of it is found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

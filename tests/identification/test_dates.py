@@ -1,7 +1,5 @@
 """The day of a recording is that of its test, not that of the last copy of its file."""
 
-from __future__ import annotations
-
 import json
 import os
 from datetime import UTC, date, datetime

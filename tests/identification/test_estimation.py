@@ -1,7 +1,5 @@
 """Estimation of impulse responses with a kernel: its maths, and what it finds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import linalg

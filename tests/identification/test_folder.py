@@ -1,7 +1,5 @@
 """Folders of recordings: what is found under the names that tools give, and what is left aside."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import os

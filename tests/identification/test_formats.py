@@ -1,7 +1,5 @@
 """Files of accelerometers as Klipper, Shake&Tune and other programs write them."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import lzma

@@ -1,7 +1,5 @@
 """Frequency responses against the transfer functions that made the samples."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """`identify` with a folder: what owners have, under the names that their tools gave."""
 
-from __future__ import annotations
-
 import json
 import lzma
 import re

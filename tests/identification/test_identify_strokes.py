@@ -1,7 +1,5 @@
 """Drawn printers identified from strokes: linear ones are as good as by their exact model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Recordings of strokes: found in a folder, on the clock of their command, along the printer."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Racking, x_c and the sensor's rotation from one sensor at several places."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

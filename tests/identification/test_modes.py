@@ -1,7 +1,5 @@
 """A sum of modes that describes a response."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

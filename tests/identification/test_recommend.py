@@ -1,7 +1,5 @@
 """The windows that ``identify`` writes for measured responses: known beforehand, not searched."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

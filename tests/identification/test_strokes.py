@@ -1,7 +1,5 @@
 """``hframe-post measure``: a motion like a print's, in every direction and at every frequency."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

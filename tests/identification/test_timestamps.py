@@ -1,7 +1,5 @@
 """Time stamps that wander, gaps in them, and samples that are truly uneven."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

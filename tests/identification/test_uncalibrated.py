@@ -1,7 +1,5 @@
 """Models from recordings that tell neither start, clock, axes nor gain: TEST_RESONANCES."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The impulse response of an axis, from what TEST_RESONANCES showed of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

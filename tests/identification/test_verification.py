@@ -1,7 +1,5 @@
 """`verify` measures the true reduction, and a wrong profile fails."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Sweeps of moves as written: played by a simulated board, recorded by anything, identified."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -4,8 +4,6 @@
 types once it is ready.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -1,7 +1,5 @@
 """Converted files that Klipper's virtual_sdcard prints, pauses, repeats, cancels, begins again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

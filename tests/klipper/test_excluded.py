@@ -3,8 +3,6 @@
 As sliced, the head does not go to an excluded object again. Nor may it as converted.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from functools import cache

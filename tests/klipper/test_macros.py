@@ -1,7 +1,5 @@
 """hframe.cfg in the real host: after a cancel, a pause and an error the printer's limits hold."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Mainline Klipper plays files as Kalico does, which is the host of all other tests."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,8 +1,6 @@
 """What Klipper does to a stream in mid-print: objects left out, pauses, bed mesh, skew, pressure
 advance. It ends where the file as sliced ends, with as much filament."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Converted samples through the real Klipper host: right place, right time, no warning."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

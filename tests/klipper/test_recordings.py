@@ -1,7 +1,5 @@
 """What the host's accelerometer commands record of our motions: their start, and their file."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The motion of TEST_RESONANCES, compared with what the real Klipper host plays."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What a print has today, against the trapezoids of Klipper's own host."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

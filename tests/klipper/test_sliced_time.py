@@ -1,7 +1,5 @@
 """The time of a file as sliced is the one that Klipper's own host takes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

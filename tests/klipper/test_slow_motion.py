@@ -1,7 +1,5 @@
 """Slow motion and long pauses: left out of the samples, and played as if they were not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

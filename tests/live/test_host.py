@@ -1,7 +1,5 @@
 """Live on the real Klipper host: its steps are the kernel's, whatever a print does meanwhile."""
 
-from __future__ import annotations
-
 import random
 import shutil
 import subprocess

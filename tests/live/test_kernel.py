@@ -1,7 +1,5 @@
 """Kernels: exact at rest and at constant speed, within the belts' limits, better than nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

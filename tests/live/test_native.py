@@ -1,7 +1,5 @@
 """The C of the extras module against numpy, on drawn trapezoids in a queue of Klipper's own."""
 
-from __future__ import annotations
-
 import importlib
 from dataclasses import replace
 from functools import cache

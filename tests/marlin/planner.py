@@ -12,8 +12,6 @@ B = x − y (or one motor an axis). It follows a file line by line:
  4. G4, M400 and the end of the file let the queue run empty.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Converted files through a simulation of Marlin's planner and stepper: place, time, nozzle."""
 
-from __future__ import annotations
-
 import gzip
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A cell of the matrix: one command on one printer with one file, run as its owner would."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

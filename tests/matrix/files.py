@@ -3,8 +3,6 @@
 A print is the sample cube as CuraEngine sliced it, cut to its first layers.
 """
 
-from __future__ import annotations
-
 from itertools import takewhile
 
 from tests.conftest import SAMPLES

@@ -3,8 +3,6 @@
 Each comes in three kinds: good; hard, of which nothing can be made; and foreign, of another format.
 """
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Each makes a profile in the way that docs/start.md describes: `setup`, then `ide
 sensor recorded of the printer. The folder of an owner is made once a session.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from contextlib import chdir

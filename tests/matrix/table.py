@@ -6,8 +6,6 @@ is no G-code. Where a command reads recordings, a form or a configuration, they 
 right, one that is cut off or impossible, and one of another format.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

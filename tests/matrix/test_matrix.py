@@ -1,7 +1,5 @@
 """Every command of --help, as owners run it: with default options, on good and bad files."""
 
-from __future__ import annotations
-
 import fcntl
 import re
 from collections.abc import Iterator

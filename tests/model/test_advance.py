@@ -1,7 +1,5 @@
 """Pressure advance: what it is in a steady line, at its ends, and within which limits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

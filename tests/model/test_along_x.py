@@ -1,7 +1,5 @@
 """Responses that change along x: between places, applied to streams, and compensated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

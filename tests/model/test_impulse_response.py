@@ -1,7 +1,5 @@
 """Impulse responses: the same as transfer functions where both can be, and two-sided ones."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Junction speeds are those of Klipper."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

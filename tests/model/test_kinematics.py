@@ -1,7 +1,5 @@
 """x, y ↔ belts, and printers that do not rack."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """B-splines and the limited preview: equations, certificate, exact past."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline

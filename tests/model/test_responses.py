@@ -1,7 +1,5 @@
 """Side by side, each nozzle moves as it does alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

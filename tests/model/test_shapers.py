@@ -1,7 +1,5 @@
 """Input shapers: the properties that define each of them."""
 
-from __future__ import annotations
-
 import importlib
 import re
 

@@ -1,7 +1,5 @@
 """A strategy is a class and a row of the registry, from which everything else follows."""
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 from pathlib import Path

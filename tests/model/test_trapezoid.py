@@ -1,7 +1,5 @@
 """Motion of one axis from speed to speed: within its limits and over all of its length."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

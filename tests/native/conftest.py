@@ -1,7 +1,5 @@
 """The compiled loops, built from the sources in the tree without Python's own headers."""
 
-from __future__ import annotations
-
 import importlib.util
 import shutil
 import subprocess

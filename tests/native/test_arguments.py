@@ -1,7 +1,5 @@
 """What a compiled loop refuses, and an installation without them."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 import threading

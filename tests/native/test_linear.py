@@ -1,7 +1,5 @@
 """Linear algebra with sums in order."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

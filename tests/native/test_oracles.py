@@ -1,7 +1,5 @@
 """Compiled loops give what plain numpy does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Plain moves read many at once give the same items and errors as read one by one."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

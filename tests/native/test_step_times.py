@@ -1,7 +1,5 @@
 """Each step of Marlin's blocks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

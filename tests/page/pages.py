@@ -1,7 +1,5 @@
 """What a page carries, and whether it can be read."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

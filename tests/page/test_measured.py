@@ -1,7 +1,5 @@
 """The page of measurements, in a real browser: values appear where the pointer is."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

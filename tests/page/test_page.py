@@ -1,7 +1,5 @@
 """The report as a page: whole, small, harmless, and alive in a real browser."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Make streams of moves, plan them, and compute their limits one move at a time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

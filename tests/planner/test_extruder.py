@@ -1,7 +1,5 @@
 """Accelerations with which the extruder can follow its advance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

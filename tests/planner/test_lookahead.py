@@ -1,7 +1,5 @@
 """Look-ahead: Klipper's junctions, limits of moves, reachable speeds, independence of cuts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

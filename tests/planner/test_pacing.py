@@ -1,7 +1,5 @@
 """Pacing: each kind of feature at its pace, the rest as the file has it, filament untouched."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

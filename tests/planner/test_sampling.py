@@ -1,7 +1,5 @@
 """Profiles and samples: on the path, within the limits, on the clock, independent of cuts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import replace

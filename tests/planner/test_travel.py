@@ -1,7 +1,5 @@
 """Limits of travel and of diagonals, where the profile has them; nothing else changes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

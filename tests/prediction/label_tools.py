@@ -1,7 +1,5 @@
 """Make samples with slicer comments and read back their labels."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hframe_post.arrays import Array

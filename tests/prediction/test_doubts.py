@@ -1,7 +1,5 @@
 """The range of a predicted error: what other printers of the same model do with the command."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

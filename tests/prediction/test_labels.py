@@ -1,7 +1,5 @@
 """Layers and features of every sample, as the slicer's comments tell."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The width of the printed line, from the nozzle's way."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The flow that follows the extruder late."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, X

@@ -1,7 +1,5 @@
 """The picture of a print: bounded, and no error is lost in it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Prediction: the exact plant, and the distance to the path."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

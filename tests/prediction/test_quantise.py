@@ -1,7 +1,5 @@
 """Commands in whole steps: never more than half a step off."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

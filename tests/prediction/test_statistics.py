@@ -1,7 +1,5 @@
 """Running statistics equal those of the whole stream, however it was cut."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

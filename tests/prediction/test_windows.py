@@ -1,7 +1,5 @@
 """A share of a print stands for all of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Profiles with an unmeasured plant: nothing is compensated until the printer is measured."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A printer.cfg is read as Klipper reads it, and compared with a profile."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Marlin's answers and headers, as logs have them, and the profile that they give."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

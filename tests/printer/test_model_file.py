@@ -1,7 +1,5 @@
 """A measured model in a file of its own, next to the profile that names it."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import replace
 from datetime import date

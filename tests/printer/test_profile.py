@@ -1,7 +1,5 @@
 """Shipped profiles load; errors in a profile name the key and the reason."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

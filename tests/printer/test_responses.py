@@ -1,7 +1,5 @@
 """Profiles whose plant is a measured impulse response."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import date

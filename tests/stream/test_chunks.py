@@ -1,7 +1,5 @@
 """Re-cutting loses no sample and no event, wherever it cuts."""
 
-from __future__ import annotations
-
 import weakref
 from collections.abc import Iterator
 from dataclasses import replace

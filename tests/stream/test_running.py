@@ -1,7 +1,5 @@
 """Prefetching leaves items, errors and threads in order; each stage is charged its own time."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Pieces that represent a print: every kind of feature, from everywhere, of limited length."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """All studies report the same peak speed and acceleration of the belts."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

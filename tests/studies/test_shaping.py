@@ -1,7 +1,5 @@
 """The best input shaper for a printer: better than none, and than a rule of thumb."""
 
-from __future__ import annotations
-
 import configparser
 import json
 from collections.abc import Iterable

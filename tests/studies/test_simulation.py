@@ -1,7 +1,5 @@
 """Simulated prints: strategies in their order, parts that add up to the whole, any cut."""
 
-from __future__ import annotations
-
 from operator import attrgetter
 from statistics import median
 

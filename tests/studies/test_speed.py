@@ -1,7 +1,5 @@
 """The fastest print within an error: the bound holds, and less error takes more time."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The trade-off of window and weight, and which of them is recommended."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Printers drawn around the model: repeatable, at rest as they were."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise

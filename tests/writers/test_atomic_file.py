@@ -1,7 +1,5 @@
 """Output files: whole or not there, kept as they were but for their contents, never in the way."""
 
-from __future__ import annotations
-
 import os
 import stat
 import threading

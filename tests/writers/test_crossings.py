@@ -1,7 +1,5 @@
 """Where a sampled command crosses half steps, against scipy's splines and roots."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Numbers from tables of digits equal those that Python formats."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Lines carried through motion: what has been extruded by then is what the path has there."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The writer alone, fed with samples made up for it: what holds for every stream it writes."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Modes of the stream: a file's own mode commands do not outlast their line, however spelled."""
 
-from __future__ import annotations
-
 import pytest
 
 from hframe_post.conversion.conversions import GcodeConversion

@@ -1,7 +1,5 @@
 """Lines that tell of print time, the summary, and previews, which stay in the first bytes."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 from pathlib import Path

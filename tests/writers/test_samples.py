@@ -1,7 +1,5 @@
 """Tables of samples: what they say, and that every kind of file says the same."""
 
-from __future__ import annotations
-
 import tracemalloc
 import zipfile
 from collections.abc import Callable, Iterator

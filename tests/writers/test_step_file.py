@@ -1,7 +1,5 @@
 """Step files: their text, and that the plant which they drive prints what was predicted."""
 
-from __future__ import annotations
-
 import gzip
 from collections.abc import Callable
 from dataclasses import replace

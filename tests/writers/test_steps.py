@@ -1,7 +1,5 @@
 """Steps of the motors: none lost, none too early, none two at once."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

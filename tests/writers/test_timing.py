@@ -1,7 +1,5 @@
 """Time as the writer keeps it, from one batch to the next."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
