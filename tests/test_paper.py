@@ -225,9 +225,7 @@ def test_fig_7_has_the_papers_number_of_points(rectangle: Array) -> None:
 
 
 @pytest.mark.slow
-def test_fig_8_decoupled_is_as_good_as_coupled(
-    approximations: list[results.Approximation],
-) -> None:
+def test_fig_8_decoupled_is_as_good_as_coupled(approximations: list[results.Approximation]) -> None:
     """Within 20 % at 0.15 E, as in the paper. From 0.20 E on both are below 1.5 µm, of 242 µm
     without control; there the coupled one is better by more than 20 % of the very little left.
     """

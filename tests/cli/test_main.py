@@ -95,8 +95,7 @@ def test_bad_input_is_one_line_and_status_1(part: Path, text: bytes, cause: byte
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [["--bad"], ["-c", "nonsense"], ["--tolerance", "-1"], ["convert"], ["a", "b"]],
+    "arguments", [["--bad"], ["-c", "nonsense"], ["--tolerance", "-1"], ["convert"], ["a", "b"]]
 )
 def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
     assert run(*arguments).returncode == 2

@@ -42,10 +42,7 @@ FORMATS = ["steps", "samples"]
 def test_output_does_not_depend_on_how_the_stream_is_cut(
     paper: Printer, monkeypatch: pytest.MonkeyPatch, kind: Kind
 ) -> None:
-    for lines, cuts in (
-        (TURN, [(1, 7), (100, 100)]),
-        (layers("cube.gcode", 1), [(7, 1000)]),
-    ):
+    for lines, cuts in ((TURN, [(1, 7), (100, 100)]), (layers("cube.gcode", 1), [(7, 1000)])):
         whole = converted(lines, paper, kind)
         for moves, samples in cuts:
             with monkeypatch.context() as patch:

@@ -31,17 +31,11 @@ def test_numbers_are_plain(paper: Printer) -> None:
 
 @pytest.mark.parametrize(
     ("lines", "cuts"),
-    [
-        (small_rectangle(), [(1, 7), (100, 100)]),
-        (layers("cube.gcode", 1), [(7, 1000)]),
-    ],
+    [(small_rectangle(), [(1, 7), (100, 100)]), (layers("cube.gcode", 1), [(7, 1000)])],
     ids=["rectangle", "cube"],
 )
 def test_output_does_not_depend_on_how_the_stream_is_cut(
-    paper: Printer,
-    monkeypatch: pytest.MonkeyPatch,
-    lines: list[bytes],
-    cuts: list[tuple[int, int]],
+    paper: Printer, monkeypatch: pytest.MonkeyPatch, lines: list[bytes], cuts: list[tuple[int, int]]
 ) -> None:
     options = Options("racking", ("none", "racking"))
     whole, report = converted(lines, paper, options)

@@ -10,11 +10,7 @@ from hframe_post.conversion.options import Options
 from hframe_post.gcode.reader import CHANGE_OF_OBJECT
 from hframe_post.prediction.statistics import BEFORE
 from hframe_post.printer.settings import Printer
-from tests.conversion.slice_tools import (
-    carried,
-    converted,
-    filament,
-)
+from tests.conversion.slice_tools import carried, converted, filament
 from tests.prediction.label_tools import block, names, printing
 from tests.quantities import below
 from tests.slices import LAYERS, SLICES, Slice

@@ -69,9 +69,7 @@ def as_good_as_exact(printer: Printer) -> None:
     below(errors(printer).compensated, most, "contour error, µm RMS")
 
 
-def test_one_macro_measures_the_printer_and_another_keeps_its_model_right(
-    printer: Printer,
-) -> None:
+def test_one_macro_measures_the_printer_and_another_keeps_its_model_right(printer: Printer) -> None:
     (gone,) = [each for each in printer.get("/server/info")["warnings"] if "hframe_post" in each]
     assert "uploads can be deleted" in gone
     # without an answer of the sensor nothing changes

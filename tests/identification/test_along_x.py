@@ -7,10 +7,7 @@ import pytest
 
 from hframe_post.arrays import TS, Complex
 from hframe_post.identification.estimation.axes import fit_known_start
-from hframe_post.identification.estimation.frequency_response import (
-    FrequencyResponse,
-    average,
-)
+from hframe_post.identification.estimation.frequency_response import FrequencyResponse, average
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identify import MeasurementSettings, identify
 from hframe_post.identification.places import (
@@ -22,10 +19,7 @@ from hframe_post.identification.places import (
     racking_along_x,
 )
 from hframe_post.identification.report import IdentificationReport
-from hframe_post.model.impulse_response import (
-    Elsewhere,
-    ImpulseResponse,
-)
+from hframe_post.model.impulse_response import Elsewhere, ImpulseResponse
 from tests.modes import deviation_of_mode
 from tests.quantities import below, near
 from tests.random_printers import drawn, judged, printer, struck
@@ -152,8 +146,7 @@ def test_a_printer_whose_modes_move_is_compensated_all_along_x() -> None:
     machine, chip, _ = drawn(seed)
     profile = printer(machine)
     found = identify(
-        struck(machine, chip, seed),
-        MeasurementSettings(BAND, racks=profile.kinematics.racks),
+        struck(machine, chip, seed), MeasurementSettings(BAND, racks=profile.kinematics.racks)
     )
     assert found.refusal is None
     assert set(found.along_x) == {"Gxx", "Gyy", "Gxtheta"}

@@ -9,13 +9,7 @@ import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.errors import HframeError, IdentificationError
-from hframe_post.identification.by_eye import (
-    Filled,
-    Reading,
-    filled,
-    form,
-    printed_mode,
-)
+from hframe_post.identification.by_eye import Filled, Reading, filled, form, printed_mode
 from hframe_post.identification.tower import SIDE, Band, bands, squares, tower
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.profile import load

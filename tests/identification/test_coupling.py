@@ -7,17 +7,9 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Array, Complex
-from hframe_post.identification.coupling import (
-    Crossed,
-    MeasuredCoupling,
-    find_coupling,
-    in_print,
-)
+from hframe_post.identification.coupling import Crossed, MeasuredCoupling, find_coupling, in_print
 from hframe_post.identification.estimation import known_start
-from hframe_post.identification.estimation.frequency_response import (
-    FrequencyResponse,
-    advanced,
-)
+from hframe_post.identification.estimation.frequency_response import FrequencyResponse, advanced
 from hframe_post.identification.estimation.regression import Estimated
 from tests.coupled_printers import BAND, X_C, Coupled
 

@@ -11,12 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.firmware.klipper.live import (
-    bounds_of,
-    kernel_file,
-    klipper_name,
-    live_kernel,
-)
+from hframe_post.firmware.klipper.live import bounds_of, kernel_file, klipper_name, live_kernel
 from hframe_post.hosts.klipper.native import EDGE, HEADERS, compiled
 from hframe_post.model.kernel import played as spline
 from hframe_post.model.kinematics import Kinematics

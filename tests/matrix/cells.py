@@ -8,13 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.command_line import run
-from tests.matrix.material import (
-    put_config,
-    put_form,
-    put_print,
-    put_recordings,
-    put_run,
-)
+from tests.matrix.material import put_config, put_form, put_print, put_recordings, put_run
 from tests.matrix.owners import OWNERS, PROFILE
 
 NO_PROFILE = ("setup",)  # commands without -p

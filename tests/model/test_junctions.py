@@ -39,9 +39,6 @@ def test_any_corner_is_klippers(angle: float, one: float, other: float) -> None:
     half = math.radians(angle) / 2.0
     turn = math.pi - math.radians(angle)
     r = math.sin(half) / (1.0 - math.sin(half))
-    v2 = min(
-        r * SQUARE**2 * (math.sqrt(2.0) - 1.0),
-        0.5 * min(one, other) * A * math.tan(half),
-    )
+    v2 = min(r * SQUARE**2 * (math.sqrt(2.0) - 1.0), 0.5 * min(one, other) * A * math.tan(half))
     found = junction((one, 0, 0, 0), (other * math.cos(turn), other * math.sin(turn), 0, 0))
     assert found == pytest.approx(math.sqrt(v2), rel=1e-6)

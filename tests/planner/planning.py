@@ -11,13 +11,7 @@ from hframe_post.planner import lookahead
 from hframe_post.planner.lookahead import BATCH, LONGEST_QUEUE, Z_SHARE, plan
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.marks import NO_MARKS, Mark, Marks
-from hframe_post.stream.types import (
-    FileLimits,
-    Item,
-    ModalState,
-    Moves,
-    Plan,
-)
+from hframe_post.stream.types import FileLimits, Item, ModalState, Moves, Plan
 from tests.mark_tools import mark
 
 INF = math.inf

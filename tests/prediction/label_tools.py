@@ -4,13 +4,7 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.prediction.statistics import Labels
-from hframe_post.stream.types import (
-    Dwell,
-    Handling,
-    ModalState,
-    Passthrough,
-    Samples,
-)
+from hframe_post.stream.types import Dwell, Handling, ModalState, Passthrough, Samples
 from tests.mark_tools import mark
 
 STATE = ModalState(True, True, 0.0, 60.0, (0.0, 0.0, 0.0))

@@ -9,11 +9,7 @@ from hypothesis import strategies as st
 
 from hframe_post.prediction.statistics import BEFORE, TRAVEL, Labels
 from hframe_post.stream.chunks import part
-from hframe_post.stream.types import (
-    Dwell,
-    MoveAtRest,
-    Samples,
-)
+from hframe_post.stream.types import Dwell, MoveAtRest, Samples
 from tests.prediction.label_tools import block, names, printing
 
 

@@ -8,11 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
-from hframe_post.prediction.statistics import (
-    SMALLEST,
-    ErrorStatistics,
-    Figures,
-)
+from hframe_post.prediction.statistics import SMALLEST, ErrorStatistics, Figures
 
 ERRORS = st.lists(st.floats(0.0, 250.0), min_size=1, max_size=60).map(np.array)
 CUTS = st.lists(st.integers(0, 60), max_size=5)

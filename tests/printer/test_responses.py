@@ -10,10 +10,7 @@ import pytest
 
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import PrinterError
-from hframe_post.model.impulse_response import (
-    Elsewhere,
-    ImpulseResponse,
-)
+from hframe_post.model.impulse_response import Elsewhere, ImpulseResponse
 from hframe_post.model.plant import Coupling, Plant
 from hframe_post.printer.profile import load, parse
 from tests.modes import deviation_of_mode
@@ -55,10 +52,7 @@ def test_responses_are_written_as_they_are_read(
 ) -> None:
     mine = tmp_path / "mine.toml"
     mine.write_text('extends = "paper"  # mine\n')
-    cross = (
-        Coupling(Y, X, one_of(0.0, 0.02)),
-        Coupling(X, Y, one_of(0.0, 1e-4), X, 120.0),
-    )
+    cross = (Coupling(Y, X, one_of(0.0, 0.02)), Coupling(X, Y, one_of(0.0, 1e-4), X, 120.0))
     plant = Plant(one_of(), one_of(scale=0.7), one_of(0.0, 1e-3), 140.0, cross)
     text = with_plant(str(mine), plant, WINDOWS, ["measured"], 0.02, measured=date(2026, 7, 1))
 

@@ -141,8 +141,7 @@ def test_a_printer_with_marlin_is_not_offered_live(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "shown"),
-    [("klipper", "shaper_type_x: mzv"), ("marlin", "M593 X F40.0 D0.100")],
+    ("name", "shown"), [("klipper", "shaper_type_x: mzv"), ("marlin", "M593 X F40.0 D0.100")]
 )
 def test_the_settings_are_those_of_the_firmware(name: str, shown: str) -> None:
     mzv, zv = (Shaping(each, each) for each in (AxisShaping(n, 40.0, 0.1) for n in ("mzv", "zv")))

@@ -43,11 +43,7 @@ def cube() -> SimulationReport:
     return simulated(sample("cube.gcode", 3))
 
 
-PARTS = [
-    ("rectangle.gcode", None),
-    ("cube.gcode", 3),
-    ("prism.gcode", 1),
-]
+PARTS = [("rectangle.gcode", None), ("cube.gcode", 3), ("prism.gcode", 1)]
 
 
 @pytest.mark.parametrize(("name", "last"), few(PARTS, 2))

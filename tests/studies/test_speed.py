@@ -21,12 +21,7 @@ from hframe_post.stream.features import kind
 from hframe_post.studies.speed_drive import Drive
 from hframe_post.studies.speed_search import Fastest, search, speed_rows
 from hframe_post.studies.speed_steps import LIMIT, NEAR, Bound, Searches
-from hframe_post.studies.speed_trial import (
-    JUDGED_EVERY,
-    Freedom,
-    SpeedSettings,
-    TrialPrint,
-)
+from hframe_post.studies.speed_trial import JUDGED_EVERY, Freedom, SpeedSettings, TrialPrint
 from hframe_post.studies.uncertainty import draws
 from tests.command_line import run
 from tests.conftest import SAMPLES

@@ -68,8 +68,7 @@ def test_a_word_is_written_where_it_changes(rows: list[list[int]], feed: int) ->
 
 
 @pytest.mark.parametrize(
-    "value",
-    [10**8, -(10**8), 2**32, 2**32 + 5, -(2**32), 10**15, 2**63 - 1, -(2**63)],
+    "value", [10**8, -(10**8), 2**32, 2**32 + 5, -(2**32), 10**15, 2**63 - 1, -(2**63)]
 )
 def test_number_too_long_is_an_error(value: int) -> None:
     """-2⁶³ is what numpy makes of NaN."""
