@@ -37,9 +37,7 @@ def update(request: pytest.FixtureRequest) -> bool:
     return bool(request.config.getoption("--update-golden"))
 
 
-def test_sample_command_converts(
-    tmp_path: Path, update: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sample_command(tmp_path: Path, update: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     last = command("sample").split()
     assert last[0] == "hframe-post"
     last[-1] = str(tmp_path / "out.gcode")

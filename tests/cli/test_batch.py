@@ -27,9 +27,7 @@ def jobs(tmp_path: Path) -> list[Path]:
 
 
 @pytest.mark.slow
-def test_one_failure_stops_no_other_and_the_bytes_are_those_of_single_runs(
-    jobs: list[Path], tmp_path: Path
-) -> None:
+def test_one_failure_stops_no_other_job(jobs: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = run("batch", *jobs, "-o", out, "-j", "2", "--json", tmp_path / "s.json")
     assert done.returncode == 1
@@ -98,9 +96,7 @@ def test_two_files_of_one_name_are_both_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", few([signal.SIGINT, signal.SIGTERM], 1))
-def test_what_was_done_before_an_interruption_is_reported(
-    jobs: list[Path], tmp_path: Path, number: signal.Signals
-) -> None:
+def test_an_interruption_reports(jobs: list[Path], tmp_path: Path, number: signal.Signals) -> None:
     long, last = tmp_path / "long.gcode", tmp_path / "last.gcode"
     shutil.copy(SAMPLES / "prism.gcode", long)
     shutil.copy(RECTANGLE, last)
@@ -126,9 +122,7 @@ def test_what_was_done_before_an_interruption_is_reported(
 
 
 @pytest.mark.slow
-def test_resume_converts_what_is_missing_changed_or_of_other_settings(
-    jobs: list[Path], tmp_path: Path
-) -> None:
+def test_resume_converts_what_is_missing_or_changed(jobs: list[Path], tmp_path: Path) -> None:
     del jobs[1]
     again = partial(run, "batch", *jobs, "-o", tmp_path / "out", "--resume", "-j", "2")
     assert b"2 converted, 0 skipped" in again().stderr

@@ -49,9 +49,7 @@ WITHOUT_INPUT: dict[str, list[str]] = {
 
 
 @pytest.mark.parametrize("name", WITHOUT_INPUT)
-def test_every_command_with_the_option_writes_why_it_failed(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_command_says_why(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("empty").mkdir()
     done = run(name, *WITHOUT_INPUT[name], "--json", "s.json")
@@ -73,9 +71,7 @@ def test_every_command_with_the_option_is_tried_and_documented() -> None:
     assert all(re.search(rf"^\| `{name}`", page, re.MULTILINE) for name in having)
 
 
-def test_a_failure_replaces_an_earlier_summary_and_nothing_else(
-    outside: Path, tmp_path: Path
-) -> None:
+def test_a_failure_replaces_an_earlier_summary_alone(outside: Path, tmp_path: Path) -> None:
     target = tmp_path / "s.json"
     assert run(RECTANGLE, "-n", "-q", "--json", target).returncode == 0
     assert run(outside, "-n", "-q", "--json", target).returncode == 1

@@ -176,9 +176,7 @@ def test_again_it_keeps_an_identified_plant(config: Path) -> None:
         (b"", "no section [printer]"),
     ],
 )
-def test_what_is_no_printer_cfg_is_an_error_of_one_line(
-    config: Path, content: bytes, message: str
-) -> None:
+def test_what_is_no_printer_cfg_is_refused(config: Path, content: bytes, message: str) -> None:
     config.write_bytes(content)
     printed = set_up(config, status=1)
     assert message in printed
@@ -238,9 +236,7 @@ def moonraker(config: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return components
 
 
-def test_moonraker_is_connected_and_disconnected_without_a_trace(
-    config: Path, moonraker: Path
-) -> None:
+def test_moonraker_is_connected_and_disconnected(config: Path, moonraker: Path) -> None:
     conf, link = config.with_name("moonraker.conf"), moonraker / "hframe_post"
     former = moonraker / "hframe_post.py"  # of earlier versions
     former.symlink_to("/gone/moonraker.py")
@@ -305,9 +301,7 @@ def test_an_owner_may_leave_the_compensation_to_the_slicer(config: Path, moonrak
     assert "hframe_live" not in config.read_text()
 
 
-def test_macros_are_included_above_what_klipper_saved_and_taken_out_again(
-    config: Path, moonraker: Path
-) -> None:
+def test_macros_are_included_above_what_klipper_saved(config: Path, moonraker: Path) -> None:
     end = "\r\n"
     saved = "#*# <---------------------- SAVE_CONFIG ---------------------->\n#*# [probe]\n"
     before = (config.read_text() + "\n" + saved).replace("\n", end).encode()
@@ -326,9 +320,7 @@ def test_macros_are_included_above_what_klipper_saved_and_taken_out_again(
 
 
 @pytest.mark.slow
-def test_the_printers_files_are_found_and_a_question_is_answered_once(
-    config: Path, moonraker: Path
-) -> None:
+def test_the_printers_files_are_found(config: Path, moonraker: Path) -> None:
     done = run("connect", "moonraker")
     assert b"Name it: hframe-post connect moonraker --printer-cfg" in done.stderr
     folder = config.parent / "printer_data/config"

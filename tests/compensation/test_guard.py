@@ -67,9 +67,7 @@ def checked(chunks: Iterable[Samples], limits: tuple[Travel, Motors, Kinematics]
 
 
 @pytest.mark.parametrize("share", [0.99, 1.01])
-def test_a_command_farther_off_its_path_than_any_lag_explains_is_refused(
-    paper: Printer, share: float
-) -> None:
+def test_a_command_farther_off_than_any_lag_is_refused(paper: Printer, share: float) -> None:
     most = max_deviation(paper.plant, paper.limits)
     command = standing(50)
     command[30] += share * most * np.array([0.6, -0.8])
@@ -144,9 +142,7 @@ def test_a_jump_is_seen_across_chunks_but_not_where_the_machine_may_have_moved()
 
 @thorough
 @given(seeds, st.sampled_from([np.nan, np.inf, 0.01, 5.0, 300.0]), st.booleans())
-def test_what_is_safe_at_a_glance_is_safe_in_detail(
-    paper: Printer, seed: int, odd: float, in_z: bool
-) -> None:
+def test_a_glance_is_as_good_as_a_look(paper: Printer, seed: int, odd: float, in_z: bool) -> None:
     """Safe or not, the same is known of the command, and the same said of it."""
     rng = np.random.default_rng(seed)
     path = np.tile([150.0, 80.0, 0.2, 0.0], (300, 1))

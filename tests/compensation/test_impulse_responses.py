@@ -85,9 +85,7 @@ def by_definition(G: ImpulseResponse, u: Array) -> Array:
 
 @pytest.mark.parametrize(("late", "lag"), [(33, 0.0), (40, 0.0), (33, 1.7), (300, -2.4)])
 @pytest.mark.parametrize("rest", [1.0, 0.0])
-def test_a_filter_is_the_definition_wherever_its_input_is_cut(
-    rest: float, late: int, lag: float
-) -> None:
+def test_a_filter_is_the_definition_wherever_cut(rest: float, late: int, lag: float) -> None:
     rng = np.random.default_rng(2)
     G = ImpulseResponse(rng.normal(size=150), 32, rest, lag)
     u = np.cumsum(np.pad(rng.normal(size=900), (100, 200)))

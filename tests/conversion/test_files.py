@@ -39,9 +39,7 @@ FORMATS = ["steps", "samples"]
 
 
 @pytest.mark.parametrize("kind", few(FORMATS, 1))
-def test_output_does_not_depend_on_how_the_stream_is_cut(
-    paper: Printer, monkeypatch: pytest.MonkeyPatch, kind: Kind
-) -> None:
+def test_cuts_change_no_byte(paper: Printer, monkeypatch: pytest.MonkeyPatch, kind: Kind) -> None:
     for lines, cuts in ((TURN, [(1, 7), (100, 100)]), (layers("cube.gcode", 1), [(7, 1000)])):
         whole = converted(lines, paper, kind)
         for moves, samples in cuts:
@@ -107,9 +105,7 @@ def test_suffix_chooses_the_format(tmp_path: Path) -> None:
     assert len(found) == 5 + 2  # with the events of two
 
 
-def test_a_conversion_to_the_same_target_replaces_what_an_earlier_one_wrote(
-    tmp_path: Path, paper: Printer
-) -> None:
+def test_a_conversion_replaces_what_an_earlier_one_wrote(tmp_path: Path, paper: Printer) -> None:
     options = with_format(Options("racking", force=True), paper, tmp_path / "out.csv", None)
     for folder, sources in (("once", [TURN]), ("again", [layers("cube.gcode", 1), TURN])):
         (tmp_path / folder).mkdir()

@@ -157,9 +157,7 @@ def test_places_renamed_by_g92_are_the_firmwares_too(paper: Printer) -> None:
 
 
 @pytest.mark.parametrize("strategy", ["none", "racking"])
-def test_no_filament_is_lost_where_the_machine_is_released_again_and_again(
-    paper: Printer, strategy: str
-) -> None:
+def test_no_filament_is_lost_in_many_releases(paper: Printer, strategy: str) -> None:
     text = b"M83\nG28\nG1 X100 Y100 Z0.2 F6000\n"
     for k in range(40):
         x = 100 + 20 * (k % 2)
@@ -170,9 +168,7 @@ def test_no_filament_is_lost_where_the_machine_is_released_again_and_again(
 
 
 @pytest.mark.parametrize("strategy", ["none", "racking"])
-def test_what_is_extruded_on_less_than_a_micrometre_is_extruded(
-    paper: Printer, strategy: str
-) -> None:
+def test_extrusion_on_less_than_a_micrometre(paper: Printer, strategy: str) -> None:
     text = b"M83\nG1 X100 Y100 F1200\nG1 X120 Y110 E95\n;HERE\nG1 X121 Y110.5 E900\n"
     output = GcodeConversion(iter(text.splitlines(keepends=True)), paper, Options(strategy))
     assert b"".join(piece for piece in output if isinstance(piece, bytes)).count(b"G1") > 2

@@ -29,9 +29,7 @@ def today(lines: Iterable[bytes], printer: Printer) -> Today:
     return SlicedFile.from_items(Chain(printer, Options("none")).parsed(lines), printer).today()
 
 
-def test_a_share_of_a_print_without_stops_stands_for_all(
-    paper: Printer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_share_stands_for_a_vase(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sliced_errors, "KEPT_S", 1e9)
     all_of_it = today(vase(60), paper)
     monkeypatch.setattr(sliced_errors, "KEPT_S", 30.0)

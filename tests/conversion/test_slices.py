@@ -95,9 +95,7 @@ NEITHER = ["nothing ends", "time left rises"]
         ([b";TIME:900\n", b";TIME_ELAPSED:3\n", b";TIME_ELAPSED:800\n", b";TIME:999\n"], ""),
     ],
 )
-def test_what_is_strange_in_the_file_is_a_warning(
-    paper: Printer, lines: list[bytes], said: str
-) -> None:
+def test_what_is_strange_is_a_warning(paper: Printer, lines: list[bytes], said: str) -> None:
     begin = [b"G92 X100 Y100 Z1 E0\n", b"G1 X120 F6000\n"]
     conversion = GcodeConversion([*begin, *lines, b"G1 X100\n"], paper, Options("racking"))
     list(conversion)

@@ -55,9 +55,7 @@ def errors(report: Report) -> tuple[float, float]:
 @pytest.mark.parametrize(
     ("kind", "acceleration"), [("cartesian", 500), ("corexy", 1000), ("cartesian", 3000)]
 )
-def test_a_profile_of_setup_leaves_compensation_what_it_needs(
-    tmp_path: Path, kind: str, acceleration: int
-) -> None:
+def test_setup_leaves_what_compensation_needs(tmp_path: Path, kind: str, acceleration: int) -> None:
     own = measured(set_up(tmp_path, kind, acceleration), acceleration)
     assert own.limits.acceleration == acceleration
     commands = SampleStream(LAYER, own, Options(clamp=False).resolved(own))  # not yet whole steps

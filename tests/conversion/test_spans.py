@@ -65,9 +65,7 @@ def test_spans_hold_all_items_and_begin_where_the_machine_stands(paper: Printer)
 
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("profile", few(["paper", "paper-marlin"], 1))
-def test_bytes_and_figures_do_not_depend_on_the_processes(
-    profile: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_processes_change_no_byte_and_figure(profile: str, monkeypatch: pytest.MonkeyPatch) -> None:
     printer, lines = load(profile), layers("cube.gcode", 2)
     text, conversion = converted(lines, printer, 1)
     other, again = converted(lines, printer, 3)
@@ -95,9 +93,7 @@ def test_nothing_is_lost_between_spans(paper: Printer) -> None:
 
 
 @pytest.mark.usefixtures("short")
-def test_a_print_takes_hardly_longer_for_being_cut(
-    paper: Printer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cuts_hardly_lengthen_a_print(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
     lines, cuts = (
         layers("cube.gcode", 3),
         len(list(Spans(planned(layers("cube.gcode", 3), paper)))) - 1,

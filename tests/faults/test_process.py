@@ -55,9 +55,7 @@ def refused(done: tuple[int, str], folder: Path, cause: str) -> None:
         1,
     ),
 )
-def test_what_cannot_be_done_is_told_and_nothing_is_touched(
-    folder: Path, command: str, cause: str
-) -> None:
+def test_what_cannot_be_done_touches_nothing(folder: Path, command: str, cause: str) -> None:
     refused(shell(command, folder), folder, cause)
     assert (folder / "my.toml").read_text() == OWN
 
@@ -163,9 +161,7 @@ exit 98
     ("options", "to", "cause"),
     few([("rw", "", "/disk: No space left"), ("ro", "-o out.gcode", "Read-only file system")], 1),
 )
-def test_a_disk_that_is_full_or_cannot_be_written(
-    folder: Path, options: str, to: str, cause: str
-) -> None:
+def test_a_disk_that_cannot_be_written(folder: Path, options: str, to: str, cause: str) -> None:
     """A small one, mounted where only this test sees it, which takes no root."""
     if shutil.which("unshare") is None or shell("unshare -rm mount -t tmpfs none .", folder)[0]:
         pytest.skip("no disk can be mounted here")

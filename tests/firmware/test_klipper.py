@@ -183,9 +183,7 @@ def test_the_stream_averages_pressure_advance_over_a_time_of_its_own() -> None:
         (True, False, []),
     ],
 )
-def test_modes_of_the_file_come_back(
-    absolute: bool, absolute_e: bool, expected: list[bytes]
-) -> None:
+def test_modes_come_back(absolute: bool, absolute_e: bool, expected: list[bytes]) -> None:
     state = ModalState(absolute, absolute_e, 1234.56789, 41.25, (0.0, 0.0, 0.0))
     assert end(state)[2:] == [b"G1 F2475", *expected]
 

@@ -139,9 +139,7 @@ def test_what_follows_a_late_stroke_is_no_faster_than_it_allows() -> None:
 
 
 @pytest.mark.parametrize("planner", GENERATIONS)
-def test_blocks_reach_the_speeds_that_their_acceleration_allows(
-    marlin: Printer, planner: str
-) -> None:
+def test_blocks_reach_what_their_acceleration_allows(marlin: Printer, planner: str) -> None:
     """Three of 1 mm at 1000 mm/s² and 60 mm/s, from rest to rest."""
     blocks = Blocks(np.full(3, 80.0), np.ones(3), np.full(3, 80_000.0))
     joint, v = np.array([0.0, 60.0, 60.0, 0.0]), np.full(3, 60.0)
@@ -259,9 +257,7 @@ def test_filament_is_conserved(cube: tuple[bytes, bytes]) -> None:
     assert played_filament(cube[1]) == pytest.approx(played_filament(cube[0]), abs=1e-4)
 
 
-def test_segments_end_on_whole_steps_and_are_long_enough(
-    cube: tuple[bytes, bytes], marlin: Printer
-) -> None:
+def test_segments_are_whole_steps_and_long(cube: tuple[bytes, bytes], marlin: Printer) -> None:
     """All but what ends a motion may be short; nothing is slower than Marlin's slowest step."""
     assert marlin.steps is not None
     h = marlin.steps.belt
@@ -347,9 +343,7 @@ def test_a_print_that_whole_steps_spoil_is_reported(marlin: Printer) -> None:
 
 
 @pytest.mark.parametrize("planner", MARLIN_PLANNERS)
-def test_golden_rectangle(
-    marlin: Printer, golden: Callable[[str, bytes], bytes], planner: str
-) -> None:
+def test_rectangle(marlin: Printer, golden: Callable[[str, bytes], bytes], planner: str) -> None:
     """Other machines may round to another tick of the timer."""
     whole = converted(sample("rectangle.gcode"), with_own(marlin, planner=planner))[0]
     rows = whole.splitlines(keepends=True)

@@ -66,9 +66,7 @@ def test_arcs_with_rounded_numbers_keep_their_centre(
         ((116.516, 130.151), "G3 I6.268 J18.992 E2", (6.268, 18.992)),
     ],
 )
-def test_nearly_full_and_full_circles_keep_their_centre(
-    start: Point, line: str, offset: Point
-) -> None:
+def test_nearly_full_circles_keep_their_centre(start: Point, line: str, offset: Point) -> None:
     points = np.array(ends(f"G1 X{start[0]} Y{start[1]}", line))[1:, :2]
     centre = start[0] + offset[0], start[1] + offset[1]
     assert off_circle(points, start, centre) <= curves.CHORD_ERROR_MM + 1e-3

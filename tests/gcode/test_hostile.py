@@ -45,9 +45,7 @@ def test_endless_motion_is_an_error_with_its_line(line: str) -> None:
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-def test_filament_without_a_path_is_extruded_at_rest(
-    monkeypatch: pytest.MonkeyPatch, compiled: bool
-) -> None:
+def test_filament_without_a_path_is_fed(monkeypatch: pytest.MonkeyPatch, compiled: bool) -> None:
     """The path follows where it is long enough to be written."""
     if not compiled:
         monkeypatch.setattr(batching, "plain_lines", one_by_one)

@@ -48,9 +48,7 @@ def test_the_first_pair_is_the_firmwares_then_they_are_moves() -> None:
         (["G10 P0 R160", "G10", "G11"], []),  # a tool's offset: may be a macro
     ],
 )  # fmt: skip
-def test_what_is_brought_back_is_what_was_taken(
-    lines: list[str], stand: list[tuple[float, float]]
-) -> None:
+def test_what_was_taken_is_brought_back(lines: list[str], stand: list[tuple[float, float]]) -> None:
     assert found([*HOME, *lines])[0] == stand
 
 

@@ -164,9 +164,7 @@ def logged(folder: Path) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not PYTHON, reason="OCTOPRINT_PYTHON names no Python with OctoPrint")
-def test_what_a_print_must_not_suffer_from_and_its_owner_must_know(
-    octoprint: Server, tmp_path: Path
-) -> None:
+def test_an_upload_is_gentle_and_what_fails_is_said(octoprint: Server, tmp_path: Path) -> None:
     gate, profile = tmp_path / "gate", tmp_path / "printer.toml"
     gate.touch()
     content = PART.replace(b"G1 X260 Y120", b"UNKNOWN_MACRO\nG1 X260 Y120", 1)

@@ -270,9 +270,7 @@ def test_implausible_gravity_is_a_warning(scale: float, shown: str) -> None:
 
 
 @pytest.mark.parametrize("factor", [8.0, 0.25])
-def test_a_sensor_of_another_range_is_scaled_by_gravity(
-    tmp_path: Path, rows: Array, factor: float
-) -> None:
+def test_another_range_is_scaled_by_gravity(tmp_path: Path, rows: Array, factor: float) -> None:
     """Times 8, its values look clipped at 16 g."""
     wrong = rows * [1.0, factor, factor, factor]
     recording = read(file(tmp_path, klipper(wrong)))

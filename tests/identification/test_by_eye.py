@@ -30,9 +30,7 @@ def ender(acceleration: float = A) -> Printer:
 
 @pytest.mark.parametrize(("hz", "damping"), [(20.0, 0.1), (30.0, 0.05), (45.0, 0.03), (55.0, 0.07)])
 @pytest.mark.parametrize(("seen_from", "a"), [(0.01, 500.0), (0.02, 1500.0), (0.015, 10000.0)])
-def test_waves_show_frequency_and_damping(
-    hz: float, damping: float, seen_from: float, a: float
-) -> None:
+def test_waves_show_the_mode(hz: float, damping: float, seen_from: float, a: float) -> None:
     """However small the waves are that an owner sees, and in the ramp behind a corner, too."""
     its = [read(hz, damping, band, a, seen_from) for band in bands(ender(a))]
     found = printed_mode(its, a, SIDE)

@@ -172,9 +172,7 @@ def record(folder: Path, machine: Machine, day: str = "2026-07-01") -> None:
     os.utime(path, (at, at))
 
 
-def test_a_check_moves_the_profile_and_keeps_the_rest(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_check_moves_the_profile(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A shell takes the printed command as it is, for a folder whose name has a space."""
     monkeypatch.chdir(folder)
     run = Path("a place", "check.gcode")
@@ -222,9 +220,7 @@ def test_a_check_of_a_printer_that_did_not_drift_leaves_its_model(folder: Path) 
         ("another motion", "does not follow the command"),
     ],
 )
-def test_a_recording_that_tells_nothing_of_the_printer_is_refused(
-    folder: Path, case: str, message: str
-) -> None:
+def test_a_recording_that_tells_nothing_is_refused(folder: Path, case: str, message: str) -> None:
     mine = folder / "my.toml"
     before = mine.read_bytes()
     if case != "none":

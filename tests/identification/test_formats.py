@@ -110,9 +110,7 @@ def test_broken_shaketune_files_are_refused(tmp_path: Path, text: bytes, words: 
         (b"time, x, y, z\n", GRAVITY),  # of adxl345spi and adxl345usb; gravity tells the unit
     ],
 )
-def test_columns_that_say_what_they_are_need_no_option(
-    tmp_path: Path, rows: Array, head: bytes, scale: float
-) -> None:
+def test_columns_say_what_they_are(tmp_path: Path, rows: Array, head: bytes, scale: float) -> None:
     path = tmp_path / "logged.csv"
     path.write_bytes(csv(rows / [1.0, scale, scale, scale], head))
     found = read(path)

@@ -108,9 +108,7 @@ def error(found: Array, true: Array) -> Array:
 @pytest.mark.parametrize(
     ("chip", "bound", "seed"), [(FAST, 1.5, 0), (SLOW, 1.0, 1)], ids=["3200", "394"]
 )
-def test_the_true_acceleration_is_found(
-    tmp_path: Path, chip: Chip, bound: float, seed: int
-) -> None:
+def test_true_acceleration_is_found(tmp_path: Path, chip: Chip, bound: float, seed: int) -> None:
     run, folder = planned(), Folder(tmp_path)
     tilted = replace(chip, turned=(25.0 * seed - 30.0, 3.0, -4.0), jitter=1e-5)
     name = folder.add(run, mounted(tilted.record(MACHINE, run.command, seed), mounting(seed)))

@@ -116,9 +116,7 @@ def like(row: dict[str, Any], expected: dict[str, Any]) -> bool:
 
 
 @pytest.mark.klipper
-def test_the_shaper_comes_back_though_the_profile_knows_none(
-    machine: Printer, tmp_path: Path
-) -> None:
+def test_a_shaper_that_the_profile_lacks_comes_back(machine: Printer, tmp_path: Path) -> None:
     """printer.cfg was read without the file that has [input_shaper]."""
     copy = tmp_path / "printer.cfg"
     lost = TEMPLATE.read_text().replace("[input_shaper]", "[include conf/*.cfg]")

@@ -116,9 +116,7 @@ def test_the_stream_ends_where_the_file_ends(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.klipper
-def test_catching_up_on_a_left_out_object_is_not_done_with_the_streams_limits(
-    tmp_path: Path,
-) -> None:
+def test_catching_up_on_a_left_out_object_has_the_users_limits(tmp_path: Path) -> None:
     """The long move after it has the printer's own acceleration, not the stream's."""
     _, ours = both(left_out("c"), tmp_path)
     moves = ours.moves
@@ -130,9 +128,7 @@ def test_catching_up_on_a_left_out_object_is_not_done_with_the_streams_limits(
 
 
 @pytest.mark.klipper
-def test_with_the_macros_in_its_configuration_a_paused_print_goes_on_as_it_was(
-    tmp_path: Path,
-) -> None:
+def test_with_the_macros_a_paused_print_goes_on_as_it_was(tmp_path: Path) -> None:
     """Begun and ended by macros; what the pause's own moves do, they do with the user's limits."""
     paper = load("paper")
     assert paper.firmware.klipper is not None

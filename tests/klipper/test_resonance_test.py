@@ -59,9 +59,7 @@ def largest_difference(playback: Playback, test: ResonanceTest, seconds: float) 
         ),
     ],
 )  # fmt: skip
-def test_every_step_of_the_motion(
-    tmp_path: Path, axis: str, direction: tuple[float, float], options: str
-) -> None:
+def test_each_step(tmp_path: Path, axis: str, direction: tuple[float, float], options: str) -> None:
     test = expected(tmp_path, direction, options)
     host = played(tmp_path, f"TEST_RESONANCES AXIS={axis} OUTPUT=raw_data", options)
     # Kalico brakes from the wrong speed at the end, as Klipper did until July 2026

@@ -18,9 +18,7 @@ from tests.quantities import near
 
 
 @pytest.mark.klipper
-def test_errors_as_sliced_are_those_of_the_motion_that_klipper_makes(
-    paper: Printer, tmp_path: Path
-) -> None:
+def test_errors_as_sliced_are_those_of_klippers_motion(paper: Printer, tmp_path: Path) -> None:
     lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
     lines = lines[: lines.index(b";LAYER:3\n")]
     (tmp_path / "part.gcode").write_bytes(b"".join(lines))

@@ -30,9 +30,7 @@ def turns(seed: int, count: int) -> list[bytes]:
 
 @pytest.mark.klipper
 @pytest.mark.parametrize("lines", [turns(0, 400), hops(0, 40)], ids=["turns", "lifts"])
-def test_it_has_klippers_cruise_ratio_and_corners_of_lifts(
-    lines: list[bytes], tmp_path: Path
-) -> None:
+def test_it_has_klippers_cruise_ratio_and_lifts(lines: list[bytes], tmp_path: Path) -> None:
     printer, lines = load("paper"), [*lines[:1], b"G92 X0 Y0 Z0\n", *lines[1:]]
     own = AsSliced(firmware(printer).limits())
     for item in [*Chain(printer, Options("racking").resolved(printer)).parsed(lines), None]:

@@ -57,9 +57,7 @@ def motion(run: Playback, seconds: float) -> Array:
     return np.column_stack([run.position(t), run.extruded(t)])
 
 
-def test_slow_motion_is_written_as_if_every_sample_of_it_had_been_computed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slow_motion_is_written_as_any(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Within 10 ms: at 20 mm/min the last digit of a place is 3 ms."""
     short, computed = (tmp_path / name for name in ("short.gcode", "computed.gcode"))
     texts = both(monkeypatch)

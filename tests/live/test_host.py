@@ -112,9 +112,7 @@ def test_the_edge_of_the_bed_asks_no_more_of_the_motors(kernel: Path, tmp_path: 
 
 @pytest.mark.slow
 @pytest.mark.klipper
-def test_a_file_that_asks_for_more_than_the_motors_can_is_slowed(
-    kernel: Path, tmp_path: Path
-) -> None:
+def test_a_file_that_asks_for_too_much_is_slowed(kernel: Path, tmp_path: Path) -> None:
     lines = [line for line in drawn(3, 300, 60.0, 0.0) if "F600" not in line or "F6000" in line]
     asked = ["M204 S100000", "SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY=100 VELOCITY=2000", *lines]
     live = played([*asked, "SET_HFRAME_LIVE"], tmp_path / "live", kernel)
@@ -207,9 +205,7 @@ RESONANCES = (
 
 @pytest.mark.slow
 @pytest.mark.klipper
-def test_objects_and_resonance_tests_leave_every_motor_where_it_was(
-    kernel: Path, tmp_path: Path
-) -> None:
+def test_objects_and_tests_leave_motors_where_they_were(kernel: Path, tmp_path: Path) -> None:
     test = [*drawn(7, 20, 30.0, 0.0), "TEST_RESONANCES AXIS=X OUTPUT=raw_data"]
     for number, lines in enumerate([*map(list, map(objects, range(4))), [*test, *test]]):
         folder = tmp_path / str(number)
@@ -237,9 +233,7 @@ def test_a_file_that_turns_the_shaper_off_is_played_as_it_is(kernel: Path, tmp_p
 
 @pytest.mark.slow
 @pytest.mark.klipper
-def test_what_is_wrong_at_the_start_is_an_error_with_the_next_step(
-    kernel: Path, tmp_path: Path
-) -> None:
+def test_what_is_wrong_at_the_start_is_an_error(kernel: Path, tmp_path: Path) -> None:
     damaged = tmp_path / "damaged.kernel"
     damaged.write_bytes(kernel.read_bytes().replace(b"10000", b"20000"))
     cases = (
@@ -263,9 +257,7 @@ def headers(folder: Path) -> Path:
     return folder
 
 
-def test_an_unknown_klipper_and_a_missing_compiler_are_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unknown_klipper_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="not known"):
         compiled(tmp_path / "elsewhere", tmp_path)
     known = headers(tmp_path)

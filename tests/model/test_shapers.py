@@ -40,9 +40,7 @@ KLIPPER = {  # amplitudes, and times (ms), of Klipper in August 2026 at 40 Hz an
 
 
 @pytest.mark.parametrize(("name", "pulses"), KLIPPER.items())
-def test_the_pulses_are_those_of_todays_klipper(
-    name: str, pulses: tuple[list[float], list[float]]
-) -> None:
+def test_pulses_are_those_of_klipper(name: str, pulses: tuple[list[float], list[float]]) -> None:
     s = shaper(name, 40.0, 0.1)
     np.testing.assert_allclose(s.A, pulses[0], atol=1e-5)
     np.testing.assert_allclose(1e3 * (s.T - s.T[0]), pulses[1], atol=1e-4)

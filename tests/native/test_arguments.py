@@ -64,9 +64,7 @@ def test_another_thread_runs_during_a_loop(library: ModuleType) -> None:
 
 
 @pytest.mark.parametrize("name", ["missing", "another version"])
-def test_an_installation_without_its_loops_says_what_to_do(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_loops_say_what_to_do(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     found = None if name == "missing" else ModuleType("_kernels")
     if found:
         found.BUILT_FOR = native.BUILT_FOR - 1  # type: ignore[attr-defined]

@@ -42,9 +42,7 @@ def test_lines_are_thinned_and_keep_their_gaps() -> None:
 
 
 @pytest.mark.slow
-def test_charts_show_values_at_the_pointer_and_text_is_never_markup(
-    browser: Browser, tmp_path: Path
-) -> None:
+def test_charts_show_values_and_text_is_never_markup(browser: Browser, tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     path.write_bytes(built(EVIL))
     for width in (1280, 390):

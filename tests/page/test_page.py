@@ -57,9 +57,7 @@ def test_a_simulation_writes_it_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_slider_strategies_click_and_zoom_change_what_they_should(
-    browser: Browser, paper: Printer, tmp_path: Path
-) -> None:
+def test_controls_change_what_they_should(browser: Browser, paper: Printer, tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     built(paper, sliced(), path)
     browser.screen(1280, 1500)

@@ -345,9 +345,7 @@ def test_sharp_corner_far_along_the_queue_is_slow(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("turn", "fits"), [(90.0, False), (40.0, True)])
-def test_boards_with_junction_deviation_fit_arcs_into_short_gentle_turns_only(
-    turn: float, fits: bool
-) -> None:
+def test_boards_fit_arcs_into_short_gentle_turns_only(turn: float, fits: bool) -> None:
     """As Marlin: its corner of 90° is as fast between short moves as between long ones."""
     angle, a, deviation, length = np.radians(turn), 500.0, 0.08, 0.2
     way = length * np.array([[1.0, 0.0], [np.cos(angle), np.sin(angle)]])

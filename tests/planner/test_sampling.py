@@ -98,9 +98,7 @@ def test_samples_follow_the_path_and_end_on_it(seed: int, n: int, jerk: float) -
 
 @settings(max_examples=40, deadline=None)
 @given(seeds, st.floats(10.0, 300.0), st.floats(500.0, 1e4))
-def test_straight_path_keeps_speed_acceleration_and_jerk(
-    seed: int, speed: float, acceleration: float
-) -> None:
+def test_straight_path_keeps_its_limits(seed: int, speed: float, acceleration: float) -> None:
     steps = np.random.default_rng(seed).uniform(0.01, 20.0, 12)
     straight = moves(line(*((0.6 * d, 0.8 * d, 0.0, d) for d in steps)), speed, acceleration)
     jerk = 20.0 * acceleration / 0.2
@@ -276,9 +274,7 @@ def test_a_lift_passes_from_motion_and_into_it() -> None:
         ([LIFT, there(50.0)], 0.0, 0.0),  # a stretch begins, for which the command settles
     ],
 )
-def test_a_lift_comes_to_rest_where_anything_else_is_next_to_it(
-    items: list[Item], entry: float, leaving: float
-) -> None:
+def test_a_lift_beside_anything_else_rests(items: list[Item], entry: float, leaving: float) -> None:
     lift, _, _ = lift_of(items)
     assert (lift.entry, lift.leaving) == pytest.approx((entry, leaving))
 
@@ -540,9 +536,7 @@ def test_every_run_between_rests_takes_the_least_time(jerk: float) -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(seeds, st.integers(1, 100), jerks, st.floats(1e2, 1e5))
-def test_every_planned_run_gets_a_profile_within_its_limits(
-    seed: int, n: int, jerk: float, deceleration: float
-) -> None:
+def test_profiles_are_within_limits(seed: int, n: int, jerk: float, deceleration: float) -> None:
     limits = replace(LIMITS, jerk=jerk, deceleration=deceleration)
     assert_profiles_fit(one(random_moves(seed, n), limits), jerk, deceleration)
 

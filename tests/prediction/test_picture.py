@@ -51,9 +51,7 @@ def test_the_nozzle_is_beside_the_path_by_its_error(paper: Printer) -> None:
     assert max(beside(place, ends) for place in nearest[::7].reshape(-1, 2)) < 0.03
 
 
-def test_a_long_print_is_shown_coarser_and_keeps_shape_and_largest_errors(
-    paper: Printer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_long_print_is_coarser(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
     fine = taken(paper)[0].pieces()
     monkeypatch.setattr(picture_module, "MOST", 40)
     picture, _ = taken(paper)
@@ -91,9 +89,7 @@ def test_what_has_no_shape_is_bounded_too(paper: Printer, monkeypatch: pytest.Mo
     assert found == pytest.approx(peaks)
 
 
-def test_spans_of_a_print_know_their_layers(
-    paper: Printer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_spans_know_their_layers(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
     """Marks without a number are counted from the beginning of the print, not of a span."""
     lines = ["G28", "M83", "G1 X100 Y100 Z0.2 F9000"]
     for _ in range(4):

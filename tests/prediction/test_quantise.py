@@ -54,9 +54,7 @@ def test_each_belt_stays_within_half_a_step(kinematics: Kinematics) -> None:
 
 @TYPES
 @given(st.floats(-300.0, 300.0), st.floats(-300.0, 300.0))
-def test_at_rest_each_belt_is_at_the_nearest_step(
-    kinematics: Kinematics, x: float, y: float
-) -> None:
+def test_at_rest_each_belt_is_at_a_step(kinematics: Kinematics, x: float, y: float) -> None:
     command = np.tile([x, y], (3, 1))
     belts = kinematics.belts(*stepped(command, kinematics, STEPS).T)
     np.testing.assert_allclose(belts / STEPS.belt, np.rint(belts / STEPS.belt), atol=1e-6)

@@ -84,9 +84,7 @@ def test_what_a_new_profile_leaves_out_has_its_default(tmp_path: Path) -> None:
         (("microsteps: 16", "microsteps: 32"), "[steps]: the printer has none"),
     ],
 )
-def test_each_difference_is_wrong(
-    own: Printer, tmp_path: Path, change: tuple[str, str], message: str
-) -> None:
+def test_differences(own: Printer, tmp_path: Path, change: tuple[str, str], message: str) -> None:
     found = wrong(changed(tmp_path, change), own)
     assert len(found) == (1 if message else 0)
     assert message in "".join(found)

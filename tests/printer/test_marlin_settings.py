@@ -97,9 +97,7 @@ BOARDS = tomllib.loads(Path(__file__).with_name("boards.toml").read_text("utf-8"
         ("echo:Soft endstops: Off  Min: X0.00 Y0.00 Z0.00  Max: X220.00 Y210.50 Z250.00", ()),
     ],
 )  # fmt: skip
-def test_soft_endstops_are_the_range_of_travel(
-    answers: Path, answer: str, edges: tuple[tuple[float, float], ...]
-) -> None:
+def test_soft_endstops(answers: Path, answer: str, edges: tuple[tuple[float, float], ...]) -> None:
     table = (
         own := profile(changed(answers, "ok\n>>> M503", f"{answer}\nok\n>>> M503"))
     ).firmware.marlin

@@ -66,9 +66,7 @@ def test_the_owners_keys_count_more_than_the_models(mine: Path) -> None:
     ],
     ids=["scattered", "dotted"],
 )
-def test_a_plant_in_the_profile_goes_wherever_it_is_written(
-    mine: Path, text: str, newline: str
-) -> None:
+def test_a_plant_in_the_profile_goes(mine: Path, text: str, newline: str) -> None:
     mine.write_bytes(f'extends = "paper"\n{text}'.replace("\n", newline).encode())
     made = texts(identified(str(mine)), str(mine), mine, [])
     mine.write_bytes(made.profile.encode())
@@ -147,9 +145,7 @@ def test_couplings_are_written_as_they_are_read(mine: Path) -> None:
         ("[compensation]\n", "plant: the table is missing"),
     ],
 )
-def test_a_model_that_is_missing_or_broken_is_named(
-    mine: Path, model: str | None, cause: str
-) -> None:
+def test_a_missing_or_broken_model_is_named(mine: Path, model: str | None, cause: str) -> None:
     mine.write_text('extends = "paper"\nmodel = "gone.toml"\n')
     if model is not None:
         mine.with_name("gone.toml").write_text(model)

@@ -47,9 +47,7 @@ def deviation(G: ImpulseResponse | None) -> Array:
 
 
 @pytest.mark.parametrize("one_of", [doubted, placed])
-def test_responses_are_written_as_they_are_read(
-    tmp_path: Path, one_of: Callable[..., ImpulseResponse]
-) -> None:
+def test_responses_read_back(tmp_path: Path, one_of: Callable[..., ImpulseResponse]) -> None:
     mine = tmp_path / "mine.toml"
     mine.write_text('extends = "paper"  # mine\n')
     cross = (Coupling(Y, X, one_of(0.0, 0.02)), Coupling(X, Y, one_of(0.0, 1e-4), X, 120.0))

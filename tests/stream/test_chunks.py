@@ -82,9 +82,7 @@ def test_smaller_chunks_are_the_same_stream(sizes: list[int], n: int) -> None:
 
 
 @given(SIZES, st.integers(0, 20), st.integers(0, 20))
-def test_neighbours_are_those_of_the_whole_stream(
-    sizes: list[int], before: int, after: int
-) -> None:
+def test_neighbours_are_those_of_the_whole(sizes: list[int], before: int, after: int) -> None:
     blocks = stream(sizes)
     total, seen = sum(sizes), []
     for block, wide, where in with_neighbours(blocks, before, after):
@@ -151,9 +149,7 @@ def test_stretches_end_where_the_machine_is_yielded(yields: list[bool]) -> None:
 
 
 @given(st.integers(0, 6), st.integers(1, 4), st.data())
-def test_every_branch_has_every_block_in_any_order_of_taking(
-    blocks: int, count: int, data: st.DataObject
-) -> None:
+def test_every_branch_has_every_block(blocks: int, count: int, data: st.DataObject) -> None:
     source = stream([3] * blocks)
     taken: list[list[Samples]] = [[] for _ in range(count)]
     running = dict(enumerate(branches(iter(source), count)))

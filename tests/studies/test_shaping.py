@@ -75,9 +75,7 @@ def test_the_stream_is_shaped_as_the_whole_is(corner: Paths) -> None:
 
 
 @pytest.mark.parametrize("name", ["ei", "2hump_ei", "3hump_ei"])
-def test_no_setting_has_more_damping_than_klipper_takes(
-    paper: Printer, corner: Paths, name: str
-) -> None:
+def test_no_setting_is_damped_too_much(paper: Printer, corner: Paths, name: str) -> None:
     """Since October 2025 Klipper refuses to start with more."""
     found = guess(quadratic_form(paper.plant, corner), name)
     section = configparser.ConfigParser()

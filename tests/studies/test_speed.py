@@ -57,9 +57,7 @@ def tight(paper: Printer) -> Fastest:
     return found(paper, 0.08, 2.0)
 
 
-def test_less_error_takes_more_time_and_both_less_than_the_file(
-    loose: Fastest, tight: Fastest
-) -> None:
+def test_less_error_takes_more_time_and_less_than_the_file(loose: Fastest, tight: Fastest) -> None:
     assert loose.trial.seconds < tight.trial.seconds < loose.original.seconds
     assert loose.original.seconds == tight.original.seconds
 
@@ -78,9 +76,7 @@ def judged(fast: Fastest, plant: Plant, every: int) -> tuple[float, dict[str, fl
 
 
 @pytest.mark.parametrize("which", ["loose", "tight"])
-def test_the_bound_holds_when_the_print_is_computed_anew(
-    which: str, request: pytest.FixtureRequest
-) -> None:
+def test_the_bound_holds_computed_anew(which: str, request: pytest.FixtureRequest) -> None:
     fast: Fastest = request.getfixturevalue(which)
     seconds, errors = judged(fast, fast.printer.plant, JUDGED_EVERY)
     assert seconds == pytest.approx(fast.trial.seconds)
@@ -89,9 +85,7 @@ def test_the_bound_holds_when_the_print_is_computed_anew(
         assert max(of_model, *of_drawn) <= fast.bound.limit(name)
 
 
-def test_no_layer_is_too_short_and_what_limits_the_speed_is_reported(
-    paper: Printer, loose: Fastest
-) -> None:
+def test_no_layer_is_too_short_and_the_limit_is_said(paper: Printer, loose: Fastest) -> None:
     least = paper.limits.min_layer_time
     for number, seconds in loose.trial.layers.items():
         assert seconds > 0.97 * min(least, loose.original.layers[number])
@@ -121,9 +115,7 @@ def test_a_bound_on_the_width_of_lines_holds_and_takes_time(paper: Printer) -> N
         search(cube, printer, options, Bound(10.0, width=1e-4))
 
 
-def test_layers_whose_feed_changes_take_as_long_as_in_a_plan_of_the_whole_print(
-    paper: Printer,
-) -> None:
+def test_layers_take_as_long_as_in_a_plan_of_the_whole_print(paper: Printer) -> None:
     drive = Drive(lambda: whole_cube()[:4000], paper, Options("racking"), "p95", Freedom())
     before = SpeedSettings(dict.fromkeys(ADJUSTED, 5e3), dict.fromkeys(ADJUSTED, 1.0))
     after = replace(before, layer_feed={4: 0.7, 5: 0.6, 9: 0.8})
@@ -194,9 +186,7 @@ def test_a_profile_bounds_acceleration_and_corners_of_the_path(paper: Printer) -
 
 @pytest.mark.parametrize("slope", [0.15, 0.4, 1.0, 3.0])
 @pytest.mark.parametrize("start", [(8e3,), (500.0, 20e3), (20e3, 500.0)])
-def test_accelerations_reach_the_bound_in_few_trials(
-    slope: float, start: tuple[float, ...]
-) -> None:
+def test_accelerations_take_few_trials(slope: float, start: tuple[float, ...]) -> None:
     """Also where the error hardly depends on the acceleration, so that a step changes little."""
     bound, used = Bound(0.1), 0.0
 

@@ -95,9 +95,7 @@ def test_a_window_that_diverges_is_refused_and_the_others_are_tried(profiled: Pr
 # ---------------------------------------------------------------------- recommendation
 
 
-def test_recommendation_stays_within_limits_that_bind(
-    profiled: Printer, trials: list[Trial]
-) -> None:
+def test_recommendation_is_within_its_limits(profiled: Printer, trials: list[Trial]) -> None:
     """Whatever acceleration is allowed, down to one that none of the candidates keeps."""
     usable = [trial for trial in trials if not trial.refused]
     errors = []
@@ -121,9 +119,7 @@ FIGURES = st.tuples(ERROR, st.floats(1.0, 100.0), st.floats(1.0, 100.0))
 
 
 @given(st.lists(st.tuples(FIGURES, st.booleans()), max_size=8))
-def test_recommended_is_the_gentlest_of_the_good(
-    printed: list[tuple[tuple[float, float, float], bool]],
-) -> None:
+def test_the_gentlest_of_the_good(printed: list[tuple[tuple[float, float, float], bool]]) -> None:
     trials, motors = [], Motors(50.0, 50.0)
     for (error, velocity, acceleration), refused in printed:
         trial = Trial((WINDOW, WINDOW), "diverges" if refused else "")

@@ -124,9 +124,7 @@ PARTS = st.lists(
 @settings(max_examples=40)
 @given(PARTS)
 @pytest.mark.parametrize("name", list(PROFILES))
-def test_filament_and_height_are_those_of_the_samples(
-    name: str, parts: list[tuple[str, int]]
-) -> None:
+def test_filament_and_height_of_samples(name: str, parts: list[tuple[str, int]]) -> None:
     whole = stream(parts)
     written, writer = text([whole], parts_of(PROFILES[name]))
     reading = follow(written)

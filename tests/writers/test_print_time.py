@@ -61,9 +61,7 @@ from hframe_post.writers.print_time import (
         (b"M117 Time Left 1h2m3s", b"M117 Time Left 1h3m18s"),
     ],
 )  # fmt: skip
-def test_times_change_by_as_much_as_the_print_and_keep_their_form(
-    line: bytes, printed: bytes
-) -> None:
+def test_times_change_as_the_print_and_keep_form(line: bytes, printed: bytes) -> None:
     """What only the slicer knows of, such as 62 changes of filament, stays in them."""
     assert says_time(line)
     assert with_times(line, 275.0, 1000.0, 1100.0) == printed
@@ -191,9 +189,7 @@ def test_a_corrupted_time_stays(text: bytes) -> None:
     ("acceleration", "cause"),
     [(500.0, "slower corners and stops"), (300.0, "lower limits in the profile")],
 )
-def test_limits_are_blamed_only_where_the_owner_lowered_them(
-    tmp_path: Path, acceleration: float, cause: str
-) -> None:
+def test_only_lowered_limits_are_blamed(tmp_path: Path, acceleration: float, cause: str) -> None:
     printer = hp.load_printer("example-ender")
     printer = replace(printer, limits=replace(printer.limits, acceleration=acceleration))
     strokes = [b"G1 X110 E0.4\n", b"G1 Z0.4\n", b"G1 X100 E0.4\n", b"G1 Z0.2\n"]

@@ -25,9 +25,7 @@ def column(table: Array, name: str) -> Array:
     return table[:, COLUMNS.index(name)]
 
 
-def test_row_is_path_command_and_prediction(
-    paper: Printer, commands: Callable[[str], Samples], table: Array
-) -> None:
+def test_each_row(paper: Printer, commands: Callable[[str], Samples], table: Array) -> None:
     whole = commands("racking")
     ((_, motion),) = predict([whole], paper.plant)
     np.testing.assert_allclose(column(table, "t"), np.arange(1, len(whole) + 1) / 1000)

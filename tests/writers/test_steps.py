@@ -193,9 +193,7 @@ def test_after_a_yield_the_motors_may_stand_elsewhere() -> None:
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 7, 100])
-def test_steps_do_not_depend_on_how_the_stream_is_cut(
-    size: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cuts_change_no_step(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     path = swinging(300)
     marks = tuple(mark(k, b"%d" % k) for k in range(0, 300, 7))
     wait = Dwell(150, 0, line(b"M400", Handling.REST))
