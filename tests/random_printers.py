@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from hframe_post.arrays import Array, Z
+from hframe_post.arrays import Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import SampleStream
 from hframe_post.identification.identify import Identified, MeasurementSettings, Run, identify
 from hframe_post.identification.recordings.clock import Clock
 from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.identification.recordings.strokes import runs
-from hframe_post.identification.verify import motion_of
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import contour_error
@@ -84,16 +83,6 @@ def judged(machine: Playing, profile: Printer, path: str = "rectangle") -> Error
         nozzle = np.vstack([command[:1], machine.played(command)[:, :2]])
         errors[name] = float(np.sqrt((contour_error(wanted, nozzle)[moving] ** 2).mean()))
     return Errors(1e3 * errors["none"], 1e3 * errors["racking"])
-
-
-def traced(machine: Playing, path: Array, command: Array) -> float:
-    """Return the RMS contour error, µm, of a command (n, 2) that `verify` made for the path."""
-    nozzle = np.vstack([command[:1], machine.played(command)[:, :Z]])
-    part = motion_of(path)
-    moving = np.zeros(len(path), dtype=bool)
-    moving[part] = (np.diff(path[part], axis=0, append=path[-1:]) != 0.0).any(axis=1)
-    error = contour_error(path, nozzle)[moving]
-    return 1e3 * float(np.sqrt((error**2).mean()))
 
 
 def cube() -> list[bytes]:

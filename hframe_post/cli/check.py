@@ -1,4 +1,4 @@
-"""``hframe-post check``: what has drifted since a profile was identified, and whether it helps."""
+"""``hframe-post check``: what has drifted since a profile was identified, and what it brings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hframe_post.cli.model_output import (
     publish,
     recordings_argument,
 )
-from hframe_post.cli.parameters import files_read, page_option, printer_option
+from hframe_post.cli.parameters import files_read, printer_option
 from hframe_post.errors import IdentificationError, PrinterError
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.printer.settings import Verified
@@ -31,19 +31,16 @@ if TYPE_CHECKING:  # which imports SciPy, as do the imports in functions: that t
 @click.command()
 @recordings_argument
 @printer_option
-@page_option
 @json_option
 @profile_option
 def check(
-    recordings: tuple[Path, ...], printer: str, report_file: Path | None, json_file: Path | None,
-    output: Path | None,
+    recordings: tuple[Path, ...], printer: str, json_file: Path | None, output: Path | None
 ) -> None:  # fmt: skip
-    """Read what 'measure --for check' or '--for verify' recorded.
+    """Read what 'measure --for check' recorded.
 
-    A check takes 20 s, before a print or once a week. It updates the profile's model, and refuses
-    recordings of another printer. Verify compares one motion uncompensated and compensated; the
-    status is 1 if compensation does not help as predicted. Without recordings, the age of the model
-    raises its uncertainty.
+    A check takes 20 s, before a print or once a week. It updates the profile's model, says what
+    compensation brings on the printer as it is now, and refuses recordings of another printer.
+    Without recordings, the age of the model raises its uncertainty.
 
     \b
     Example:
@@ -51,29 +48,21 @@ def check(
       hframe-post check -p my.toml check.check-*.csv adxl345-check-*.csv -o my.toml
     """
     profile = load(printer)
+    check_identified(profile)
     if not recordings:
-        check_identified(profile)
         _age(printer, profile, output)
         return
-    from hframe_post.identification.recordings.folder import CHECK, VERIFY, files_in
-    from hframe_post.identification.recordings.names import stem
+    from hframe_post.identification.recordings.folder import files_in
 
-    files = files_in(recordings)
-    runs = [stem(each.name).rpartition(".")[2] for each in files]  # of the commands among them
-    verifies = any(run.startswith(VERIFY) for run in runs)
-    if verifies and any(run.startswith(CHECK) for run in runs):
-        raise click.UsageError("these are recordings of check and of verify: give those of one")
-    if not verifies:
-        check_identified(profile)
     publish(
-        lambda: (_verified if verifies else _drifted)(recordings, profile),
-        [*files_read(printer), *files], printer, output, json_file, report_file,
+        lambda: _drifted(recordings, profile), [*files_read(printer), *files_in(recordings)],
+        printer, output, json_file,
     )  # fmt: skip
 
 
 def _drifted(recordings: tuple[Path, ...], profile: Printer) -> Findings:
     """Return what has drifted, and the profile with the model and the uncertainty of that day."""
-    from hframe_post.identification.check import CheckReport, drifts
+    from hframe_post.identification.check import judged
 
     gathered = _gathered(recordings, profile)
     runs = list({run.axes: run for run in gathered.runs}.values())  # the last of each
@@ -83,38 +72,21 @@ def _drifted(recordings: tuple[Path, ...], profile: Printer) -> Findings:
             f"the recordings are of {day}, older than the model, of {profile.measured}: "
             "print check.gcode and fetch the new files"
         )
-    report = CheckReport(profile, drifts(profile.plant, runs), day)
+    report = judged(profile, runs, day)
     moved: dict[str, Any] = report.moved
+    verified = profile.verified
+    if report.effect is not None and not moved:
+        brought = round(report.effect.reduction, 4)
+        verified = Verified(day.isoformat(), brought, profile.firmware.dialect, profile.model)
     updated = replace(
         profile,
         plant=replace(profile.plant, **moved),
         uncertainty=report.uncertainty,
         measured=day if report.complete else profile.measured,
+        verified=verified,
     )
     aside = [f"{one.label}: {one.reason}" for one in gathered.aside]
     return Findings(report, updated, aside=aside)
-
-
-def _verified(recordings: tuple[Path, ...], profile: Printer) -> Findings:
-    """Return the verdict on one motion, uncompensated and compensated, and the marked profile."""
-    from hframe_post.identification.gather import from_folders
-    from hframe_post.identification.pages import verification_page
-    from hframe_post.identification.recordings.folder import VERIFY
-    from hframe_post.identification.verify import both, compare_runs
-
-    gathered = from_folders(recordings, None, profile.travel, kinds=[VERIFY])
-    runs = both(gathered.runs)
-    verdict = compare_runs(profile, *runs)
-    used = [("recordings", ", ".join(run.name for run in runs))]
-    name = profile.description or profile.name
-    found = Findings(verdict, page=lambda: verification_page(verdict, name, used))
-    if verdict.fault is not None:
-        found.fault = IdentificationError(f"the profile is not verified: {verdict.fault}")
-        return found
-    day = gathered.day(runs).isoformat()
-    mark = Verified(day, round(verdict.reduction, 4), profile.firmware.dialect, profile.model)
-    found.printer = replace(profile, verified=mark)
-    return found
 
 
 def _gathered(recordings: tuple[Path, ...], profile: Printer) -> Gathered:

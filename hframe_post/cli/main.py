@@ -29,7 +29,7 @@ GROUPS = {  # by group: name, its function in a module of hframe_post.cli, a lin
     "Every print": {
         "convert": ("convert", "Convert a sliced file. This is the default command."),
         "batch": ("batch", "Convert many files and folders."),
-        "check": ("check", "Find what has drifted, or verify that compensation helps."),
+        "check": ("check", "Find what has drifted, and what compensation brings."),
         "doctor": ("doctor", "Check the installation, a profile and printer.cfg."),
     },
     "Study": {
@@ -49,7 +49,7 @@ GONE = {  # former commands, and what replaced them
     "printers": "'hframe-post doctor -p paper' shows where a shipped profile is",
     "sweep": "'hframe-post measure' writes it for Marlin",
     "bands": "Shake&Tune's CREATE_VIBRATIONS_PROFILE shows them; give outer walls another speed",
-    "verify": "'hframe-post measure --for verify' writes the file, 'hframe-post check' reads it",
+    "verify": "'hframe-post check' tells what compensation brings, from 'measure --for check'",
     "klipper-macros": "'hframe-post setup' writes them, 'hframe-post connect klipper' prints them",
     "calibrate-marlin": "'hframe-post measure --for planner'",
     "slicer-line": "'hframe-post connect slicer'",
@@ -66,6 +66,10 @@ GONE_OPTIONS = {  # former options by command, and what replaced them
     ("convert", "--verbose"): "a terminal shows a bar",
     ("calibrate-print", "--advance-lines"): "slicers print such a pattern, as OrcaSlicer does",
     ("calibrate-print", "--advance"): "write extruder.advance into the profile",
+    (
+        "check",
+        "--report",
+    ): "it was for verify; the line effect says what the profile leaves",
     ("check", "--gcode"): "write the run with 'hframe-post measure --for check -o CHECK.GCODE'",
     ("check", "--axis"): "the run moves both axes; where the bed moves, each has its file",
     ("check", "--axes"): MOUNTED,

@@ -37,12 +37,16 @@ def _chip(text: str) -> str:
 
 
 def _purpose(text: str) -> str:
+    if text == "verify":
+        raise click.BadParameter(
+            "verify is gone: '--for check' writes a run that also tells what compensation brings"
+        )
     if text == "bands":
         raise click.BadParameter(
             "bands is gone: Shake&Tune's CREATE_VIBRATIONS_PROFILE shows them; give outer walls "
             "another speed"
         )
-    choices = click.Choice(["identify", "check", "verify", "planner"])
+    choices = click.Choice(["identify", "check", "planner"])
     return str(choices.convert(text, None, None))
 
 
@@ -54,7 +58,7 @@ def _purpose(text: str) -> str:
 @printer_option
 @click.option(
     "--for", "purpose", default="identify", show_default=True,
-    type=_purpose, metavar="[identify|check|verify|planner]",
+    type=_purpose, metavar="[identify|check|planner]",
     help="What to find out.",
 )  # fmt: skip
 @click.option(
@@ -78,8 +82,7 @@ def measure(
 
     \b
     identify  strokes as in prints, a minute at each position; with Marlin, sweeps
-    check     20 s: what has drifted since identify
-    verify    the same motion uncompensated and compensated
+    check     20 s: what has drifted since identify, and what compensation brings
     planner   Marlin only: a file whose duration shows the board's planner
 
     The command of each run is written next to the file. The summary says what to do next.
@@ -109,21 +112,16 @@ def _motion(
     places: tuple[tuple[float, float], ...], chips: tuple[str, ...], times: int,
 ) -> str:  # fmt: skip
     """Write runs that Klipper records, each with its command; return the summary."""
-    from hframe_post.identification import check, verify
+    from hframe_post.identification import check
     from hframe_post.identification.recordings import strokes
     from hframe_post.identification.recordings.folder import STROKES
     from hframe_post.identification.recordings.runs import moves_sensor
 
     if purpose != "identify":
         check_identified(profile)
-    if purpose == "identify":
-        planned = strokes.runs(profile, places)
-    elif purpose == "check":
-        planned = check.runs(profile)
-    else:
-        planned = verify.runs(profile)
+    planned = strokes.runs(profile, places) if purpose == "identify" else check.runs(profile)
     jobs: dict[Path, list[PlannedRun]] = {}
-    if purpose != "verify" and moves_sensor(profile, planned, chips):
+    if moves_sensor(profile, planned, chips):
         for run in planned:
             jobs.setdefault(_of_axis(target, "xy"[run.axis]), []).append(run)
     repeated = {file: times * runs for file, runs in (jobs or {target: planned}).items()}

@@ -3,6 +3,9 @@
 The first part of a run is regressed as `identify` does it. The rest is not fitted, but judges: the
 profile changes only if the new response foresees it better. Both axes change together, since their
 recordings tell a delay of motors and drivers that the old ones may not.
+
+The new responses also judge the profile: its commands for a rectangle, played on the printer as it
+is now.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 
 from hframe_post.arrays import TS, Array, Complex
+from hframe_post.conversion.options import Options
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
 from hframe_post.identification.estimation import known_start
@@ -35,6 +39,8 @@ from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
+from hframe_post.studies.inputs import rectangle
+from hframe_post.studies.simulation import Study, simulate
 
 SECONDS = 20.0
 FITTED = 0.7  # of the motion; the rest judges
@@ -174,12 +180,46 @@ def _foreseen(G: ImpulseResponse, unseen: tuple[Array, Array]) -> FrequencyRespo
 
 
 @dataclass(frozen=True, slots=True)
+class Effect:
+    """RMS contour errors of a rectangle, µm, on the printer as it is now: without compensation,
+    and with the profile's."""
+
+    none: float
+    compensated: float
+
+    @property
+    def reduction(self) -> float:
+        return 1.0 - self.compensated / self.none
+
+    def as_text(self) -> str:
+        return (
+            f"on a 120 × 20 mm rectangle the profile leaves {self.compensated:.1f} of the "
+            f"{self.none:.0f} µm without compensation"
+        )
+
+
+def effect(profile: Printer, found: Mapping[str, Drift]) -> Effect:
+    """Return what the profile's commands do on the printer that was found. Raises HframeError."""
+    Gxx, Gyy = (found[name].G for name in AXIS)
+    now = replace(profile.plant, Gxx=Gxx, Gyy=Gyy)
+    options = Options("racking", ("none", "racking"), clamp=True)
+    study = Study(now, name=profile.name, exact=True)
+    whole = simulate(lambda: rectangle(profile), profile, options, study).parts.whole
+    none, compensated = (1e3 * whole[name].contour.rms for name in ("none", "racking"))
+    return Effect(none, compensated)
+
+
+@dataclass(frozen=True, slots=True)
 class CheckReport:
-    """What drifted on the printer of a profile. found: by Gxx and Gyy. day: of the recordings."""
+    """What drifted on the printer of a profile.
+
+    found: by Gxx and Gyy. day: of the recordings. effect: None unless both axes were recorded.
+    """
 
     profile: Printer
     found: Mapping[str, Drift]
     day: date
+    effect: Effect | None = None
 
     @property
     def complete(self) -> bool:
@@ -209,6 +249,8 @@ class CheckReport:
             drifted = any(one.certain for one in self.found.values())
             rows.append(("note", "its delay is not the profile's, so one axis alone cannot change"
                          if drifted else "nothing drifted: the model stays"))  # fmt: skip
+        if self.effect is not None:
+            rows.append(("effect", self.effect.as_text()))
         if not self.complete:
             rows.append(("note", "the other axis was not recorded: the date stays"))
         before = 100 * (self.profile.uncertainty or 0.0)
@@ -220,4 +262,14 @@ class CheckReport:
             "measured": self.day.isoformat(),
             "uncertainty": self.uncertainty,
             "functions": {name: one.as_json() for name, one in self.found.items()},
-        }
+            "contour_error_um": self.effect and {
+                "none": round(self.effect.none, 3), "racking": round(self.effect.compensated, 3),
+            },
+        }  # fmt: skip
+
+
+def judged(profile: Printer, runs: Sequence[Run], day: date) -> CheckReport:
+    """Return what drifted on a printer, and what its profile brings. Raises HframeError."""
+    found = drifts(profile.plant, runs)
+    complete = found.keys() >= AXIS.keys()
+    return CheckReport(profile, found, day, effect(profile, found) if complete else None)

@@ -1,4 +1,4 @@
-"""The results of an identification and of a verification as pages for a browser."""
+"""The results of an identification as a page for a browser."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from hframe_post.identification.estimation.axes import Fit, Measured
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.identify import AXIS
 from hframe_post.identification.report import IdentificationReport
-from hframe_post.identification.verify import Verdict
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.page.charts import Card, Chart, Curve, Section, page
 
@@ -179,36 +178,6 @@ def _coupling_chart(coupling: MeasuredCoupling) -> Chart:
             known, colour = decibel(np.sum(parts, axis=0)), "var(--racking)"
             lines.append(Curve(f"compensated {where}", hz, known, colour, strong=True, dashed=True))
     return Chart("Magnitude", "frequency, Hz", "dB (mm/mm)", lines, (True, False))
-
-
-def verification_page(verdict: Verdict, name: str, setup: list[tuple[str, str]]) -> bytes:
-    measured, predicted = verdict.measured, verdict.predicted
-    kind = "bad" if verdict.fault else "best"
-    reduction = f"{100 * verdict.reduction:.0f}"
-    cards = [
-        Card("Reduction of contour error", reduction, "%",
-             f"{100 * verdict.expected:.0f} % predicted", kind),
-        Card("Measured", f"{measured[1]:.1f}", "µm RMS", f"{measured[0]:.1f} µm without"),
-        Card("Predicted", f"{predicted[1]:.1f}", "µm RMS", f"{predicted[0]:.1f} µm without"),
-        Card("Model misses", f"{100 * verdict.unexplained:.0f}", "%",
-             "of the nozzle's motion off its path"),
-    ]  # fmt: skip
-    lead = verdict.fault or (
-        f"The profile helps: it reduces the contour error on the machine by {reduction} %."
-    )
-    charts = [
-        Chart(title, "time, s", "µm", [
-            Curve("not compensated", verdict.at, errors[0], "var(--none)"),
-            Curve("compensated", verdict.at, errors[1], "var(--racking)"),
-        ])
-        for title, errors in (
-            ("Contour error, measured", verdict.errors_measured),
-            ("Contour error, predicted", verdict.errors_predicted),
-        )
-    ]  # fmt: skip
-    notes = verdict.as_text().splitlines()[-1:]  # the verdict; the cards show the rest
-    lead = lead[:1].upper() + lead[1:]
-    return page(name, lead, cards, [Section("Along the motion", charts)], notes, setup)
 
 
 def decibel(H: Complex) -> Array:

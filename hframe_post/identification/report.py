@@ -1,4 +1,4 @@
-"""The results of an identification and of a verification as text and JSON."""
+"""The results of an identification as text and JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bounds of every verdict: what identify, check and verify refuse, and what they warn of.
+"""Bounds of every verdict: what identify and check refuse, and what they warn of.
 
 A bound is a share unless its name has a unit. Each message shows the number and its bound.
 """
@@ -17,12 +17,6 @@ NONLINEAR = 0.2  # unexplained: of an SV08 0.37, of a Neptune and two Vorons 0.0
 
 # check refuses
 FREQUENCY_CHANGE = 0.1  # of the main resonance, from which it is another printer
-
-# verify refuses
-REDUCTION = 0.2  # of the contour error; with less a profile is not worth its risk
-REDUCTION_OF_PREDICTED = 0.6
-UNEXPLAINED_OFF_PATH = 0.34  # of the nozzle's motion off its path
-COUPLING_ERROR = 0.45  # of what couples in the model, in addition to three standard deviations
 
 # a recording is refused
 LONGEST_GAP_S, LOST = 0.1, 0.01  # of samples; what is lost in all is a share

@@ -120,13 +120,13 @@ def choose(requested: str | None, environ: Mapping[str, str]) -> Choice:
 
 
 def verification_as_text(printer: Printer) -> list[str]:
-    """Return a line for the summary: what ``verify`` measured, or how to see what this brings."""
+    """Return a line for the summary: what ``check`` measured, or how to see what this brings."""
     if (mark := printer.verified) is None:
         how = "print it, and the file as sliced, and compare"
         if printer.firmware.kind.records:
-            how += "; or 'hframe-post measure --for verify' measures it"
+            how += "; or 'hframe-post measure --for check' measures it"
         return [] if printer.invented else [f"next             {how}"]
-    less = f"{100.0 * mark.reduction:.0f} % less contour error measured on the printer"
+    less = f"{100.0 * mark.reduction:.0f} % less contour error on the printer as measured"
     return [f"verified         {less}, {one_line(mark.date)}, {one_line(mark.firmware)}"]
 
 

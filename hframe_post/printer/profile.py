@@ -246,7 +246,7 @@ def _day(value: Any, key: str) -> date | None:
 
 
 def _verified(document: dict[str, Any], model: str) -> Verified | None:
-    """Return the mark of `verify`, if it was for this plant and window."""
+    """Return the mark of `check`, if it was for this plant and window."""
     if "verified" not in document:
         return None
     mark = checked(Verified, document["verified"], "verified")

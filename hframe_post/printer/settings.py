@@ -292,8 +292,8 @@ class Speed:
 
 @dataclass(frozen=True, slots=True)
 class Verified:
-    """The result of `verify`. date: of the recording, ISO; reduction: share of the contour error
-    that compensation removed; model: digest of the plant and window that were verified."""
+    """The result of `check`. date: of the recording, ISO; reduction: share of the contour error
+    that compensation removes; model: digest of the plant and window that were verified."""
 
     date: str
     reduction: float = field(metadata={"least": -1e3, "below": 1.001})
@@ -309,7 +309,7 @@ class Printer:
     unless this plant and window were verified. invented: the plant was not measured on this
     printer. uncertainty: share by which the printer may differ from its plant; None if it was not
     measured. measured: day of the recordings, if known. model: digest of plant and window, which
-    `verify` marks.
+    `check` marks.
     """
 
     name: str

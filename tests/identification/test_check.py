@@ -16,7 +16,7 @@ from hframe_post.cli.main import main
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import text_from_klipper
-from hframe_post.identification.check import runs
+from hframe_post.identification.check import effect, runs
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.model_file import model_path
 from hframe_post.printer.profile import load
@@ -116,6 +116,16 @@ def test_the_printer_itself_is_never_refused(invented: tuple[Mode, ...]) -> None
     assert found.hz[1] == pytest.approx(32.0, rel=0.05)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("hz", [32.0, 29.5], ids=["as it was", "drifted"])
+def test_the_effect_is_that_of_the_profile_on_the_printer_as_it_is_now(hz: float) -> None:
+    now = changed(MACHINE, hz=hz)
+    found = effect(PROFILE, checked(now, CHIP, PROFILE, 5))
+    true = judged(now, PROFILE)
+    assert found.none == pytest.approx(true.none, rel=0.03)
+    assert found.compensated == pytest.approx(true.compensated, rel=0.1, abs=1.0)
+
+
 def test_uncertainty_grows_with_age() -> None:
     profile = replace(PROFILE, uncertainty=0.02, measured=MEASURED)
     grown = [profile.uncertainty_on(MEASURED + timedelta(days)) for days in (0, 1, 70, 10_000)]
@@ -192,6 +202,7 @@ def test_a_check_moves_the_profile(folder: Path, monkeypatch: pytest.MonkeyPatch
     profile = load(str(mine))
     assert (profile.measured, profile.uncertainty) == (date(2026, 7, 1), 0.02)
     assert profile.verified is not None
+    assert profile.verified.date == "2026-06-02", "what drifted has not been verified"
     assert off(profile.plant.Gxx, changed(MACHINE, hz=33.0).exact().Gxx) < 0.02
     assert off(profile.plant.Gyy, MACHINE.exact().Gyy) < 0.02
     assert mine.read_text() == 'model = "my.model.toml"\nextends = "example-corexy"\n'
@@ -207,6 +218,11 @@ def test_a_check_of_a_printer_that_did_not_drift_leaves_its_model(folder: Path) 
     done = invoked("-p", mine, folder, "-o", mine)
     assert "nothing drifted" in done.output
     after = load(str(mine)).plant
+    mark = load(str(mine)).verified
+    assert mark is not None
+    assert mark.date == "2026-07-01"
+    none, left = (judged(MACHINE, PROFILE).none, judged(MACHINE, PROFILE).compensated)
+    assert mark.reduction == pytest.approx(1.0 - left / none, abs=0.03)
     np.testing.assert_array_equal(after.Gxx.deviation, plant.Gxx.deviation)
 
 

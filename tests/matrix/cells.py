@@ -83,8 +83,8 @@ def _expanded(word: str, cell: Cell, home: Path) -> list[str]:
         return put_print(kind, printer)
     if word == "{recordings}":
         return put_recordings(kind, home / "recordings")
-    if word in ("{checked}", "{verified}"):
-        return put_run({"{checked}": "check"}.get(word, "verify"), kind, printer)
+    if word == "{checked}":
+        return put_run(kind, printer)
     if word == "{form}":
         return put_form(kind, printer)
     if word == "{config}":

@@ -45,13 +45,13 @@ def put_recordings(kind: str, made: Path) -> list[str]:
     return [held.name]
 
 
-def put_run(command: str, kind: str, printer: str) -> list[str]:
-    """Let ``check`` or ``verify`` write its run, and put what the sensor records of it here."""
+def put_run(kind: str, printer: str) -> list[str]:
+    """Let ``check`` write its run, and put what the sensor records of it here."""
     Path("held").mkdir()
     if printer not in OWNERS:  # whose plant is not measured, so that there is no run
         (Path("held") / "adxl345-check-x.csv").write_bytes(STL)
         return ["held"]
-    done = run("measure", "--for", command, "-p", PROFILE, "-o", f"held/{command}.gcode")
+    done = run("measure", "--for", "check", "-p", PROFILE, "-o", "held/check.gcode")
     if not OWNERS[printer].has_klipper:  # Marlin has no such run
         assert done.returncode == 1
         (Path("held") / "adxl345-check-x.csv").write_bytes(STL)

@@ -53,10 +53,6 @@ DONE = {
     "simulate {print}": Done(r"1( +[\d.]+){3}"),
     "simulate": Done(r"0( +[\d.]+){3}"),
     "simulate --shapers": Done("."),
-    "measure --for verify -o v.gcode": Done(
-        "", r"v\.gcode v\.verify-compensated\.csv v\.verify-plain\.csv"
-    ),
-    "check {verified}": Done("Nothing is written. To keep it"),
     "measure --for check -o c.gcode": Done(
         "", r"((c\.check-[-\w]+\.csv|c-[xy]\.gcode) ?)+(c\.gcode)?"
     ),

@@ -46,7 +46,7 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
     out, folder = tmp_path / "out.gcode", tmp_path / "many"
     line = (RECTANGLE, "-o", out, "-p", "example-corexy")
     for refused in (run(*line), run("batch", RECTANGLE, "-o", folder, "-p", "example-corexy"),
-                    run("measure", "--for=verify", "-o", out, "-p", "example-corexy")):  # fmt: skip
+                    run("measure", "--for=check", "-o", out, "-p", "example-corexy")):  # fmt: skip
         assert refused.returncode == 1
         assert b": this printer is not measured yet" in refused.stderr
         assert b"'hframe-post measure -o measure.gcode'" in refused.stderr

@@ -37,7 +37,7 @@ from hframe_post.identification.verdict import CLOCK_DRIFT
 
 SUFFIXES = (".csv", ".csv.gz", ".csv.xz", ".csv.zst", ".stdata")
 DEPTH, MOST_FILES = 3, 500  # of folders in folders; of files
-STROKES, CHECK, VERIFY = "measure", "check", "verify"  # how the names of their runs begin
+STROKES, CHECK = "measure", "check"  # how the names of their runs begin
 WAITING = 120.0  # s before and after the motion, in a recording that was started by hand
 UNUSABLE = {
     "axes map": "a test of the sensor's axes, which the other recordings show as well",
@@ -69,7 +69,7 @@ class RunMotion:
     @property
     def kind(self) -> str:
         """Return the command that wrote it, if Klipper records it and so tells its start."""
-        return next((kind for kind in (STROKES, CHECK, VERIFY) if self.run.startswith(kind)), "")
+        return next((kind for kind in (STROKES, CHECK) if self.run.startswith(kind)), "")
 
     def lasts_as_long_as(self, recording: Recording) -> bool:
         """Return whether the recording covers the motion, and little more."""

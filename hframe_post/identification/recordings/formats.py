@@ -111,7 +111,7 @@ def read_command(path: Path) -> Array:
     return np.asarray(rows[:, 1:])
 
 
-COMMAND = ["t", "x", "y"]  # as sweep and verify write it
+COMMAND = ["t", "x", "y"]  # as measure writes it
 KLIPPER = ["#time", "accel_x", "accel_y", "accel_z"]
 REPRAP = ["sample", "x", "y", "z"]
 REPRAP_RATE = re.compile(rb"^\s*rate:?\s+(\d+(?:\.\d*)?)", re.IGNORECASE)
