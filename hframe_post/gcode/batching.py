@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, lengths
+from hframe_post.arrays import Array, E
 from hframe_post.errors import GcodeError
 from hframe_post.gcode import commands
 from hframe_post.gcode.commands import Vocabulary
@@ -18,12 +19,14 @@ from hframe_post.native.plain_lines import (
     APPLY,
     HARMLESS,
     LEAVE,
+    SETS,
     SHOWS,
     SKIP,
     TELLS,
     name_table,
     plain_lines,
 )
+from hframe_post.stream.features import PLACE_WORDS
 from hframe_post.stream.marks import NO_MARKS, Mark, Marks
 from hframe_post.stream.types import (
     FileLimits,
@@ -45,6 +48,20 @@ BYTES_PER_MARK = 200  # in addition to the text
 MAX_FILAMENT_MM = 2e3  # mm of one move; loading takes less
 MAX_FILAMENT_PER_PATH = 10.0  # mm/mm; Klipper refuses more than a quarter
 MIN_PATH_MM = 1e-9  # mm; a curve may end where it begins, and squares of less may be 0
+# of comments and messages that need a closer look, and of comments that later stages read
+WORDS = commands.COMMENT_WORDS, PLACE_WORDS, commands.TIME_WORDS
+CORNER = 7  # column of ``PlainLines``' rows
+
+
+class Taken(NamedTuple):
+    """Whether lines that were read travel, and give E a new name; more: whether to read on."""
+
+    travels: bool = False
+    renamed: bool = False
+    more: bool = False
+
+
+NOTHING_TAKEN = Taken()
 
 
 class PlainLines:
@@ -62,71 +79,82 @@ class PlainLines:
             low[axis], high[axis] = max(low[axis], edge[0]), min(high[axis], edge[1])
         self._edges = *low.tolist(), *high.tolist()
         self._names = _names(options.vocabulary)
-        self._values, self._rules = np.empty(15), np.empty(21)
+        self._values, self._rules = np.empty(16), np.empty(24)
         self._rows = np.empty((MOVES_PER_ITEM, 8))
-        self._marks, self._taken = np.empty((MARKS_AT_ONCE, 4), np.int64), np.zeros(4, np.int64)
+        self._marks, self._taken = np.empty((MARKS_AT_ONCE, 4), np.int64), np.zeros(6, np.int64)
 
-    def take(self, items: ItemBuilder) -> tuple[int, bool]:
-        """Read lines, change the state, and add to the items.
-
-        Returns how many moves are among the lines, -1 for no line, and whether E has a new name.
-        """
+    def take(self, items: ItemBuilder) -> Taken:
+        """Read lines, change the state, and add to the items."""
         state, source = self._state, self._source
         text, offset = source.upcoming()
         if not text:
-            return -1, False
+            return NOTHING_TAKEN
         clocks, values = self._options.clocks, self._values
         values[:] = (
             *state.position, *state.offset, state.feed, state.speed, state.acceleration,
-            state.travel_acceleration, *clocks, items.passed,
+            state.travel_acceleration, state.corner, *clocks, items.passed,
         )  # fmt: skip
         self._rules[:] = self._present_rules()
         count = plain_lines(
-            text, offset, source.number + 1, self._names, values, self._rules,
+            text, offset, source.number + 1, self._names, WORDS, values, self._rules,
             self._rows[: items.free], self._marks, self._taken,
         )  # fmt: skip
-        lines, size, passed, renamed = self._taken.tolist()
+        lines, size, passed, renamed, sets, stopped = self._taken.tolist()
         if not lines:
-            return -1, False
+            return NOTHING_TAKEN
         source.skip(lines, size)
         start = state.position
-        clocks[:] = values[12:14]
-        x, y, z, e, *_, e_offset, state.feed, _ = values[:10].tolist()
-        state.acceleration, state.travel_acceleration = values[10:12].tolist()
-        if count:
-            state.position = (x, y, z, e)
+        clocks[:] = values[13:15]
+        *_, e_offset, state.feed, _ = values[:10].tolist()
+        state.acceleration, state.travel_acceleration, state.corner = values[10:13].tolist()
         if renamed:
             state.offset = (*state.offset[:3], e_offset)
         marks = Marks(self._marks[:passed].copy(), text).compact() if passed else NO_MARKS
-        items.add_rows(start, self._rows[:count].copy(), marks, int(values[-1]))
-        return count, bool(renamed)
+        if sets:
+            self._set_advance(marks)
+        rows = self._rows[:count].copy()
+        if count:
+            x, y, z, e = values[:4].tolist()
+            state.position = (x, y, z, e)
+        travels = items.add_rows(start, rows, marks, int(values[-1]))
+        return Taken(travels, bool(renamed), not stopped)
+
+    def _set_advance(self, marks: Marks) -> None:
+        for line in marks.said():
+            seconds, smooth_time = self._options.dialect.advance(line.text)
+            if seconds is not None:
+                self._state.advance = seconds
+            if smooth_time is not None:
+                self._state.smooth_time = smooth_time
 
     def _present_rules(self) -> tuple[float, ...]:
         state, limits, dialect = self._state, self._options.limits, self._options.dialect
-        rules = [
+        others = state.others
+        m204, m205, velocity_limit = [
             (APPLY if limits == "file-all" or name in dialect.obeyed else SKIP)
             if limits != "printer" else SKIP
-            for name in ("M204", commands.LIMITS)
+            for name in ("M204", "M205", commands.LIMITS)
         ]  # fmt: skip
-        if rules[0] == APPLY and state.others.travel < math.inf:
-            rules[0] = LEAVE
+        if m204 == APPLY and others.travel < math.inf:
+            m204 = LEAVE
+        if dialect.has_deviation:
+            m205 = SKIP
         moves = state.absolute and state.e_mode_known and all(state.known)
         return (
             state.scale, state.factor, MIN_FEED_MM_S, MAX_COORDINATE_MM, MAX_FILAMENT_MM,
-            *self._edges, not state.absolute_e, state.corner, 0.99 * MAX_FILAMENT_PER_PATH,
-            MIN_PATH_MM, moves, *rules, MAX_MARK_BYTES, BYTES_PER_MARK, ROUNDED_S,
+            *self._edges, not state.absolute_e, 0.99 * MAX_FILAMENT_PER_PATH, MIN_PATH_MM,
+            MAX_MOVE_S, moves, m204, m205, velocity_limit, others.cruise_ratio, others.path,
+            MAX_MARK_BYTES, BYTES_PER_MARK, ROUNDED_S,
         )  # fmt: skip
 
 
 def _names(vocabulary: Vocabulary) -> bytes:
-    """Return the table of the commands that pass in mid-motion, and that nothing follows."""
-    harmless = {
-        name: HARMLESS
-        for name, effect in vocabulary.names.items()
-        if effect is commands.Effect.NONE and name not in commands.FOLLOWED
-    }
+    """Return the table of the commands that pass in mid-motion, and that no item depends on."""
+    passing = [name for name, effect in vocabulary.names.items() if effect is commands.Effect.NONE]
+    classes = {name: HARMLESS for name in passing if name not in commands.FOLLOWED}
     special = {"M73": TELLS, "M117": SHOWS, "M118": SHOWS}
-    return name_table(harmless | {name: special[name] for name in special if name in harmless})
+    special |= {"SET_PRESSURE_ADVANCE": SETS, "M900": SETS}
+    return name_table(classes | {name: special[name] for name in special if name in passing})
 
 
 class ItemBuilder:
@@ -149,6 +177,7 @@ class ItemBuilder:
         return MOVES_PER_ITEM - self._count
 
     def add_move(self, number: int, start: Position, end: Position, speed: float) -> None:
+        _check_duration(math.dist(start[:E], end[:E]) / speed, number)
         self._begin(start)
         self._count += 1
         state = self._state
@@ -158,8 +187,28 @@ class ItemBuilder:
         if not self.free:
             self.flush()
 
-    def add_rows(self, start: Position, rows: Array, marks: Marks, passed: int) -> None:
-        """Add at most ``free`` rows and lines of ``PlainLines``. passed: bytes since the last."""
+    def add_rows(self, start: Position, rows: Array, marks: Marks, passed: int) -> bool:
+        """Add at most ``free`` rows and lines of ``PlainLines``; return whether a row travels.
+
+        passed: bytes since the last move.
+        """
+        stand, at = np.flatnonzero(rows[:, CORNER] < 0.0).tolist(), 0
+        for k in stand:
+            before = marks.count_before(k - at + 1) if marks else 0
+            self._add_travel(start, rows[at:k], marks.rows(0, before))
+            marks, at = marks.rows(before).shifted(at - k - 1) if marks else marks, k + 1
+            if k > 0:
+                start = tuple(rows[k - 1, 1:5].tolist())
+            number, *end, speed, acceleration, _ = rows[k].tolist()
+            self.stand(int(number), start, tuple(end), speed, acceleration)
+            start = tuple(end)
+        self._add_travel(start, rows[at:], marks)
+        self.passed = passed
+        if not self.free:
+            self.flush()
+        return len(rows) > len(stand)
+
+    def _add_travel(self, start: Position, rows: Array, marks: Marks) -> None:
         if not self._count and marks:
             first = marks.count_before(1)
             self._add_marks(marks.rows(0, first))
@@ -170,9 +219,6 @@ class ItemBuilder:
             self._tables.append(rows)
         self._add_marks(marks)
         self._count += len(rows)
-        self.passed = passed
-        if not self.free:
-            self.flush()
 
     def _add_marks(self, marks: Marks) -> None:
         if self._lines:
@@ -192,13 +238,16 @@ class ItemBuilder:
             self._tables.append(np.array(self._rows))
             self._rows = []
 
-    def add_move_at_rest(self, move: MoveAtRest) -> None:
+    def stand(
+        self, number: int, start: Position, end: Position, speed: float, acceleration: float
+    ) -> None:
         """Add a move while x and y are at rest. Raises GcodeError if it takes too long."""
+        limits = self._state.others.at_rest(start, end, speed, acceleration)
         self.flush()
-        length = max(abs(a - b) for a, b in zip(move.end, move.start, strict=True))
-        _check_duration(length / move.speed, move.line)
+        length = max(abs(end[2] - start[2]), abs(end[E] - start[E]))
+        _check_duration(length / limits[0], number)
         self.passed, self.any_motion = 0, True
-        self.ready.append(move)
+        self.ready.append(MoveAtRest(number, start, end, *limits))
 
     def carry(self, text: bytes) -> bool:
         """Add a line that needs no stop; return False if there are too many in a row.
@@ -226,21 +275,22 @@ class ItemBuilder:
     def flush(self, limits: FileLimits | None = None) -> None:
         """End the item that is collected. limits: of its moves; those in force by default."""
         self._add_marks(NO_MARKS)
-        marks, self._marks = Marks.joined(self._marks), []
+        marks = NO_MARKS
+        if self._marks:
+            marks, self._marks = Marks.joined(self._marks), []
         if not self._count:
             if marks:
                 self.ready.append(marks)
             return
         self._tabulate()
-        table = np.concatenate(self._tables)
-        points = np.vstack([self._start, table[:, 1:5]])
-        speed, acceleration, corner = (frozen(table[:, k].copy()) for k in (5, 6, 7))
-        line = table[:, 0].astype(np.int64)
-        seconds = lengths(points[1:, :E] - points[:-1, :E]) / speed
-        _check_duration(float(seconds.max()), int(line[seconds.argmax()]))
+        points = np.empty((self._count + 1, 4))
+        points[0] = self._start
+        table = np.concatenate(self._tables) if len(self._tables) > 1 else self._tables[0]
+        points[1:] = table[:, 1:5]
+        speed, acceleration, corner = frozen(table[:, 5:].T.copy())
         self.ready.append(
             Moves(
-                line, frozen(points), speed, acceleration, corner,
+                table[:, 0].astype(np.int64), frozen(points), speed, acceleration, corner,
                 limits or self._state.others, marks,
             )
         )  # fmt: skip

@@ -169,6 +169,9 @@ def _finite(line: Line, found: dict[str, float]) -> dict[str, float]:
 
 STAMP = b"; processed by hframe-post"
 OFF = b"; hframe-post: off"  # a file with this line is not to be converted
+# comments with such a word need a closer look: the two above, labels of objects, times of the
+# print; so do messages with such a word, which may say a time left
+COMMENT_WORDS, TIME_WORDS = b"hframe-post|printing|mesh:|time", b"left|remaining"
 
 MOTION_WORDS = {
     "G0": "XYZEF",

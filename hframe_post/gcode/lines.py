@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from io import IOBase
+from itertools import chain
 from pathlib import Path
 from typing import IO, cast
 
@@ -116,18 +117,23 @@ class Lines:
 
     def ahead(self) -> Iterator[Line]:
         """Yield the next lines without taking them: a limited number of them."""
-        size, k = 0, 0
-        while k < MAX_LINES_AHEAD and size < MAX_BYTES_AHEAD:
-            if k >= len(self._queue) and not self._read_line():
+        seen = size = 0
+        for line in chain(self._queue, self._unread()):
+            yield line
+            seen, size = seen + 1, size + len(line.text)
+            if seen >= MAX_LINES_AHEAD or size >= MAX_BYTES_AHEAD:
                 return
-            yield self._queue[k]
-            size += len(self._queue[k].text)
+
+    def _unread(self) -> Iterator[Line]:
+        k = 0
+        while self._next + k < len(self._block) or self._read_block():
+            yield from self._split(self._lines_read + k + 1, self._block[self._next + k])
             k += 1
 
     def upcoming(self) -> tuple[bytes, int]:
         """Return a text that ends with a line feed, and the offset of the next line in it.
 
-        The text is empty at the end of the file, or if the next line has been seen ``ahead``.
+        The text is empty at the end of the file.
         """
         if self._queue or not (self._next < len(self._block) or self._read_block()):
             return b"", 0
@@ -153,20 +159,24 @@ class Lines:
         return True
 
     def _read_block(self) -> bool:
+        """Read more of the source behind the lines left; return False if it has ended."""
         if self._error is not None:
             raise self._error
-        self._block, self._next, self._text, self._offset, size = [], 0, None, 0, 0
+        new, size = list[bytes](), 0
         try:
             for raw in self._source:
-                self._block.append(raw)
+                new.append(raw)
                 size += len(raw)
                 if size > BYTES_PER_READ:
                     break
         except Exception as error:
             self._error = error
-        if not self._block and self._error is not None:
+        if not new and self._error is not None:
             raise self._error
-        return bool(self._block)
+        if new:
+            self._block = self._block[self._next :] + new
+            self._next, self._text, self._offset = 0, None, 0
+        return bool(new)
 
     def _split(self, number: int, raw: bytes) -> Iterable[Line]:
         """Return the lines in a line of the file: one, except for carriage returns."""

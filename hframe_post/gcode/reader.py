@@ -48,7 +48,7 @@ from hframe_post.gcode.extrusion import FirmwareRetraction, is_absolute
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.state import Extent, Objects, ReadOptions, State
 from hframe_post.model.constant_acceleration import Trapezoid
-from hframe_post.stream.types import Handling, Item, MoveAtRest, Passthrough, Position
+from hframe_post.stream.types import Handling, Item, Passthrough, Position
 
 MAX_DWELL_S = 24 * 3600.0  # s
 RESOLUTION_MM = 1e-3  # mm; the resolution of a file
@@ -71,6 +71,8 @@ def read(lines: Iterable[bytes], options: ReadOptions) -> Iterator[Item]:
         while reader.apply_plain_lines():
             yield from ready
             ready.clear()
+        yield from ready
+        ready.clear()
     reader.finish()
     yield from ready
 
@@ -93,14 +95,14 @@ class _Reader:
         self.items = ItemBuilder(self._state)
 
     def apply_plain_lines(self) -> bool:
-        """Apply many lines at once, if they are plain; return whether there were any."""
+        """Apply many lines at once, as far as they are plain; return whether more may be."""
         if self._objects.left:
             return False
-        moves, renamed = self._plain_lines.take(self.items)
-        if moves > 0:
+        taken = self._plain_lines.take(self.items)
+        if taken.travels:
             self._objects.moved()
-        self._e_named |= renamed
-        return moves >= 0
+        self._e_named |= taken.renamed
+        return taken.more
 
     def apply(self, line: Line) -> None:
         """Apply one line, whatever it is. Raises GcodeError, LimitError."""
@@ -220,8 +222,7 @@ class _Reader:
         state, start = self._state, self._state.position
         extrudes = end[3] != start[3]
         acceleration = state.acceleration if extrudes else state.travel_acceleration
-        limits = state.others.at_rest(start, end, state.speed, acceleration)
-        self.items.add_move_at_rest(MoveAtRest(line.number, start, end, *limits))
+        self.items.stand(line.number, start, end, state.speed, acceleration)
 
     def _pass_move_through(
         self, line: Line, name: str, words: Words, end: Position, cause: str
@@ -334,8 +335,7 @@ class _Reader:
             start = state.position
             state.add_filament(filament)
             end, speed = state.position, speed * state.factor
-            limits = state.others.at_rest(start, end, speed, state.acceleration)
-            self.items.add_move_at_rest(MoveAtRest(line.number, start, end, *limits))
+            self.items.stand(line.number, start, end, speed, state.acceleration)
         return True
 
     def _g11_follows(self) -> bool:

@@ -1,12 +1,14 @@
 /* Lines of a file as slicers write them, up to the first that needs a closer look: plain moves, lines
- * that pass in mid-motion, accelerations and new names of E. It does what gcode/reader.py does, in the
- * same order. */
+ * that pass in mid-motion, limits of motion and new names of E. It does what gcode/reader.py does, in
+ * the same order. */
 
 #include <string.h>
 
 #include "kernels.h"
 
-enum { EXACT_DIGITS = 15, LONGEST_LINE = 512, ROW = 8, MARK = 4, CELL = 32, CELLS = 1024 };
+enum { EXACT_DIGITS = 15, LONGEST_LINE = 512, ROW = 8, MARK = 4, TAKEN = 6, CELL = 32, CELLS = 1024 };
+enum { LEAVE, APPLY, SKIP };          /* what to do with a line that limits the motion */
+enum { NO_MOVE, TRAVELS, STANDS };    /* a move: x or y changes; only z or e does */
 
 /* Powers of ten that a double holds exactly: a number of 15 digits over one of them is rounded once,
  * as strtod does. */
@@ -69,39 +71,52 @@ static const char *words(const char *c, const char *last, double *value, int *gi
 
 /* ------------------------------------------------------------------------ lines that pass */
 
-enum { PLAIN, CLOCK, SAYS };             /* kinds, as in stream/marks.py */
-enum { UNKNOWN, HARMLESS, TELLS, SHOWS }; /* classes of names, as in plain_lines.py */
+enum { PLAIN, CLOCK, SAYS };                   /* kinds, as in stream/marks.py */
+enum { UNKNOWN, HARMLESS, TELLS, SHOWS, SETS }; /* classes of names, as in plain_lines.py */
 
-/* Comments with these words concern the reader; those with the others, later stages. */
-static const char *const for_reader[] = {"hframe-post", "printing", "mesh:", "time", NULL};
-static const char *const for_others[] = {"layer", "slice", "type:", "feature", "structure", "'", NULL};
-static const char *const of_times[] = {"left", "remaining", NULL};
+/* Words in lower case between bars, and which characters begin one. */
+struct words {
+    const char *list;
+    uint8_t begins[256];
+};
 
 static int lower(char c) { return c >= 'A' && c <= 'Z' ? c + ('a' - 'A') : c; }
 
-/* Return whether one of the words is here, in either case. */
-static int is_any(const char *c, const char *const *words)
+static struct words words_of(const char *list)
 {
-    for (; *words != NULL; words++) {
-        const char *w = *words, *at = c;
-        while (*w != 0 && lower(*at) == *w)
-            at++, w++;
-        if (*w == 0)
+    struct words words = {list, {0}};
+    for (const char *w = list; *w != 0; w++)
+        if (*w != '|' && (w == list || w[-1] == '|'))
+            words.begins[(uint8_t)*w] = 1;
+    return words;
+}
+
+/* Return whether one of the words is here, in either case. */
+static int is_any(const char *c, const struct words *words)
+{
+    if (!words->begins[lower(*c) & 255])
+        return 0;
+    for (const char *w = words->list; *w != 0; w += *w == '|') {
+        for (const char *at = c; *w != '|' && *w != 0 && lower(*at) == *w; at++)
+            w++;
+        if (*w == '|' || *w == 0)
             return 1;
+        while (*w != '|' && *w != 0)
+            w++;
     }
     return 0;
 }
 
 /* Return the line feed that ends a line; NULL: it has one of the words, or a character that no line
  * of text has. others: set if it has one of theirs. */
-static const char *rest(const char *c, const char *last, const char *const *words,
-                        const char *const *others_words, int *others)
+static const char *rest(const char *c, const char *last, const struct words *words,
+                        const struct words *others_words, int *others)
 {
     for (; *c != '\n'; c++) {
-        if (*c == 0 || c >= last || (*c == '\r' && c[1] != '\n') || is_any(c, words))
+        if (*c == 0 || c >= last || (*c == '\r' && c[1] != '\n') || (words && is_any(c, words)))
             return NULL;
-        if (!*others && is_any(c, others_words))
-            *others = 1;
+        if (others && !*others)
+            *others = is_any(c, others_words);
     }
     return c;
 }
@@ -153,49 +168,56 @@ static const char *progress(const char *c, double most, double *clocks, int64_t 
     return *c == ';' || *c == '\n' || (*c == '\r' && c[1] == '\n') ? c : NULL;
 }
 
+/* names: see class_of; words of comments that concern the reader, of those that concern later stages,
+ * and of messages that say a time. */
+struct lists {
+    const char *names;
+    struct words reader, later, times;
+};
+
 /* Return the line feed of a line that passes in mid-motion and that the reader need not know; NULL:
  * it is another one. */
-static const char *passing(const char *c, const char *last, const char *names, double most,
+static const char *passing(const char *c, const char *last, const struct lists *lists, double most,
                            double *clocks, int64_t *kind)
 {
-    static const char *const none[] = {NULL};
     int others = 0;
     *kind = PLAIN;
     while (*c == ' ' || *c == '\t')
         c++;
     if (*c == ';') {
-        c = rest(c, last, for_reader, for_others, &others);
+        c = rest(c, last, &lists->reader, &lists->later, &others);
         *kind = others ? SAYS : PLAIN;
         return c;
     }
     const char *name = c;
     while ((*c >= 'A' && *c <= 'Z') || (*c >= '0' && *c <= '9') || *c == '_' || *c == '.')
         c++;
-    int class = c == name ? HARMLESS : class_of(name, c - name, names);
+    int class = c == name ? HARMLESS : class_of(name, c - name, lists->names);
     int ended = *c == '\n' || (*c == '\r' && c[1] == '\n');
     if (class == UNKNOWN || !(ended || (c > name && (*c == ' ' || *c == ';'))))
         return NULL;
     if (class == TELLS && (c = progress(c, most, clocks, kind)) == NULL)
         return NULL;
-    return rest(c, last, class == SHOWS ? of_times : none, none, &others);
+    if (class == SETS)
+        *kind = SAYS;
+    return rest(c, last, class == SHOWS ? &lists->times : NULL, NULL, NULL);
 }
 
 /* ------------------------------------------------------------------------ all lines */
 
 struct state { /* mm and s; offset: of the place from what the file calls it */
-    double at[COLUMNS], offset[COLUMNS], feed, speed, acceleration, travel_acceleration, clocks[2],
-        passed;
+    double at[COLUMNS], offset[COLUMNS], feed, speed, acceleration, travel_acceleration, corner,
+        clocks[2], passed;
 };
 
 struct rules { /* see plain_lines.py */
     double scale, factor, least_feed, farthest, most_filament, least[3], greatest[3], relative_e,
-        corner, most_per_path, least_path, moves, m204, velocity_limit, most_passed, per_line,
-        rising;
+        most_per_path, least_path, longest, moves, m204, m205, velocity_limit, cruise_ratio, path_speed,
+        most_passed, per_line, rising;
 };
 enum { STATE = sizeof(struct state) / sizeof(double), RULES = sizeof(struct rules) / sizeof(double) };
 
-/* Read a plain move and change the state; return the end of its line, or NULL. moved: whether x or y
- * changes. */
+/* Read a plain move and change the state; return the end of its line, or NULL. */
 static const char *move(const char *c, const char *last, const struct rules *rules,
                         struct state *state, int *moved)
 {
@@ -211,45 +233,110 @@ static const char *move(const char *c, const char *last, const struct rules *rul
         if (!(rate >= rules->least_feed))
             return NULL;
     }
-    for (int k = X; k <= E; k++) {
-        double from = k == E && rules->relative_e != 0.0 ? at[E] : state->offset[k];
-        to[k] = given & 1 << k ? from + value[k] * rules->scale : at[k];
-        inside &= to[k] > -rules->farthest && to[k] < rules->farthest;
+    *moved = NO_MOVE;
+    if (given & 15) {
+        for (int k = X; k <= E; k++) {
+            double from = k == E && rules->relative_e != 0.0 ? at[E] : state->offset[k];
+            to[k] = given & 1 << k ? from + value[k] * rules->scale : at[k];
+            inside &= to[k] > -rules->farthest && to[k] < rules->farthest;
+        }
+        for (int k = X; k <= Z; k++)
+            inside &= rules->least[k] <= to[k] && to[k] <= rules->greatest[k];
+        double dx = to[X] - at[X], dy = to[Y] - at[Y], dz = to[Z] - at[Z], de = fabs(to[E] - at[E]);
+        double path = sqrt(dx * dx + dy * dy + dz * dz);
+        *moved = dx != 0.0 || dy != 0.0 ? TRAVELS : STANDS;
+        if (!inside || de > rules->most_filament || greater(path, de) > rules->longest * speed)
+            return NULL;
+        if (*moved == TRAVELS ? de > rules->most_per_path * path || path <= rules->least_path
+                              : dz == 0.0 && de == 0.0)
+            return NULL;
+        for (int k = X; k <= E; k++)
+            state->at[k] = to[k];
     }
-    for (int k = X; k <= Z; k++)
-        inside &= rules->least[k] <= to[k] && to[k] <= rules->greatest[k];
-    int travels = to[X] != at[X] || to[Y] != at[Y], moves = (given & 15) != 0;
-    double dx = to[X] - at[X], dy = to[Y] - at[Y], dz = to[Z] - at[Z], de = fabs(to[E] - at[E]);
-    if (moves && (!inside || !travels || de > rules->most_filament))
-        return NULL;
-    double path = sqrt(dx * dx + dy * dy + dz * dz);
-    if (moves && (de > rules->most_per_path * path || path <= rules->least_path))
-        return NULL;
     state->feed = rate, state->speed = speed;
-    for (int k = X; moves && k <= E; k++)
-        state->at[k] = to[k];
-    *moved = moves;
     return next;
 }
 
-/* Read a line that sets the acceleration of all moves; return its end, or NULL. */
+/* Return what follows a word in a line, or NULL. */
+static const char *after(const char *c, const char *last, const char *word)
+{
+    size_t size = strlen(word);
+    return last - c > (int64_t)size && memcmp(c, word, size) == 0 ? c + size : NULL;
+}
+
+/* Read the words of M204, or of M205 (corners); return the end of the line, or NULL. */
+static const char *coded_limit(const char *c, const char *last, double rule, int corners,
+                               struct state *state)
+{
+    double value, least = INFINITY, acceleration = 1.0;
+    for (; *c == ' ' && c[1] != ' ' && c[1] != ';' && c[1] != '\n' && c[1] != '\r'; ) {
+        char letter = c[1];
+        int own = corners ? letter == 'X' || letter == 'Y' : letter == 'S';
+        if (letter < 'A' || letter > 'Z' || letter == 'J' || !(own || corners || rule == SKIP))
+            return NULL;
+        if ((c = number(c + 2, &value)) == NULL || value < 0.0)
+            return NULL;
+        if (own)
+            least = lesser(least, value), acceleration = value;
+    }
+    if ((c = line_end(c, last)) == NULL || !(acceleration >= (corners ? 0.0 : 1.0)))
+        return NULL;
+    if (rule == APPLY && least < INFINITY && corners)
+        state->corner = least;
+    else if (rule == APPLY && least < INFINITY)
+        state->acceleration = state->travel_acceleration = acceleration;
+    return c;
+}
+
+/* Read SET_VELOCITY_LIMIT; return its end, or NULL. What it may change in mid-motion are acceleration
+ * and corner velocity: others must be as they are. */
+static const char *velocity_limit(const char *c, const char *last, const struct rules *rules,
+                                  struct state *state)
+{
+    static const char *const names[] = {"ACCEL=", "SQUARE_CORNER_VELOCITY=", "ACCEL_TO_DECEL=",
+                                        "MINIMUM_CRUISE_RATIO=", "VELOCITY="};
+    enum { ACCEL, CORNER, SLOWER, RATIO, VELOCITY, PARAMETERS };
+    double value[PARAMETERS] = {state->acceleration, state->corner, 0.0, rules->cruise_ratio,
+                                rules->path_speed};
+    int given[PARAMETERS] = {0};
+    while (*c == ' ' && c[1] != ';' && c[1] != '\n' && c[1] != '\r') {
+        const char *next = NULL;
+        int k = 0;
+        while (*c == ' ')
+            c++;
+        while (k < PARAMETERS && (next = after(c, last, names[k])) == NULL)
+            k++;
+        if (next == NULL || given[k]++ || (c = number(next, &value[k])) == NULL)
+            return NULL;
+    }
+    if ((c = line_end(c, last)) == NULL || !(value[ACCEL] >= 1.0) || !(value[CORNER] >= 0.0))
+        return NULL;
+    if (rules->velocity_limit == SKIP)
+        return c;
+    if (given[SLOWER]) {
+        if (!(value[SLOWER] >= 1.0))
+            return NULL;
+        value[RATIO] = 1.0 - lesser(1.0, value[SLOWER] / value[ACCEL]);
+    }
+    if (value[RATIO] != rules->cruise_ratio || value[VELOCITY] != rules->path_speed)
+        return NULL;
+    state->acceleration = state->travel_acceleration = value[ACCEL];
+    state->corner = value[CORNER];
+    return c;
+}
+
+/* Read a line that limits the motion; return its end, or NULL. */
 static const char *limit(const char *c, const char *last, const struct rules *rules,
                          struct state *state)
 {
-    static const char m204[] = "M204 S", limits[] = "SET_VELOCITY_LIMIT ACCEL=";
-    enum { LEAVE, APPLY };
-    double value, rule = LEAVE;
-    if (*c == 'M' && last - c > (int64_t)sizeof m204 && memcmp(c, m204, sizeof m204 - 1) == 0)
-        c += sizeof m204 - 1, rule = rules->m204;
-    else if (*c == 'S' && last - c > (int64_t)sizeof limits && memcmp(c, limits, sizeof limits - 1) == 0)
-        c += sizeof limits - 1, rule = rules->velocity_limit;
-    if (rule == LEAVE || (c = number(c, &value)) == NULL || (c = line_end(c, last)) == NULL)
-        return NULL;
-    if (!(value >= 1.0))
-        return NULL;
-    if (rule == APPLY)
-        state->acceleration = state->travel_acceleration = value;
-    return c;
+    const char *next;
+    if ((next = after(c, last, "M204 ")) != NULL && rules->m204 != LEAVE)
+        return coded_limit(next - 1, last, rules->m204, 0, state);
+    if ((next = after(c, last, "M205 ")) != NULL)
+        return coded_limit(next - 1, last, rules->m205, 1, state);
+    if ((next = after(c, last, "SET_VELOCITY_LIMIT ")) != NULL)
+        return velocity_limit(next - 1, last, rules, state);
+    return NULL;
 }
 
 /* Read a new name of E alone; return the end of its line, or NULL. */
@@ -265,56 +352,60 @@ static const char *renamed(const char *c, const char *last, const struct rules *
 }
 
 /* Read the lines in a text (size) from ``offset`` on; it ends with a line feed and a 0.
- * rows (most, ROW): line, x, y, z, e, speed, acceleration, corner velocity of each move in which x or
- * y changes. marks (most_marks, MARK): of each line that passes, the moves before it, where it begins
- * and ends, and its kind. taken: lines, bytes, marks, new names of E. Returns the number of rows. */
+ * rows (most, ROW): line, x, y, z, e, speed, acceleration, corner velocity of each move; this is
+ * negative where x and y do not change. marks (most_marks, MARK): of each line that passes, the moves
+ * before it, where it begins and ends, and its kind. taken: lines, bytes, marks, new names of E, lines
+ * of class SETS, and whether the next line needs a closer look. Returns the number of rows. */
 static int64_t plain_lines(const char *text, int64_t size, int64_t offset, int64_t first_line,
                            int64_t most, int64_t most_marks, const char *names,
+                           const char *for_reader, const char *for_later, const char *of_times,
                            struct state *state, const struct rules *rules, double *rows,
                            int64_t *marks, int64_t *taken)
 {
+    struct lists lists = {names, words_of(for_reader), words_of(for_later), words_of(of_times)};
     const char *c = text + offset, *last = text + size, *next, *end;
-    int64_t count = 0, lines = 0, passed = 0, kind = PLAIN;
-    taken[3] = 0;
+    int64_t count = 0, lines = 0, passed = 0;
+    memset(taken, 0, TAKEN * sizeof *taken);
     for (; count < most && passed < most_marks && c < last; c = next, lines++) {
         double before = state->at[E];
-        int moved = 0;
+        int64_t kind = PLAIN;
+        int moved = NO_MOVE;
+        taken[5] = 1;
         if (memchr(c, '\n', (size_t)(last - c < LONGEST_LINE ? last - c : LONGEST_LINE)) == NULL)
             break;
         if (c[0] == 'G' && (c[1] == '0' || c[1] == '1')) {
             if (rules->moves == 0.0 || (next = move(c, last, rules, state, &moved)) == NULL)
                 break;
-            if (!moved)
-                continue;
-            double *row = rows + ROW * count++, *at = state->at;
-            row[0] = (double)(first_line + lines);
-            for (int k = X; k <= E; k++)
-                row[1 + k] = at[k];
-            row[5] = state->speed, row[7] = rules->corner;
-            row[6] = at[E] != before ? state->acceleration : state->travel_acceleration;
-            state->passed = 0.0;
-            continue;
+        } else if ((next = limit(c, last, rules, state)) == NULL) {
+            if (c[0] == 'G' && (next = renamed(c, last, rules, state)) != NULL)
+                end = next - 1, taken[3] = 1;
+            else if ((end = passing(c, last, &lists, rules->rising, state->clocks, &kind)) == NULL)
+                break;
+            double all = state->passed + (double)(end - c) + rules->per_line;
+            if (all > rules->most_passed)
+                break;
+            state->passed = all;
+            taken[4] += kind == SAYS && *c != ';';
+            int64_t *mark = marks + MARK * passed++;
+            mark[0] = count, mark[1] = c - text, mark[2] = end - text, mark[3] = kind;
+            next = end + 1;
         }
-        if ((next = limit(c, last, rules, state)) != NULL)
+        taken[5] = 0;
+        if (moved == NO_MOVE)
             continue;
-        kind = PLAIN;
-        if (c[0] == 'G' && (next = renamed(c, last, rules, state)) != NULL)
-            end = next - 1, taken[3] = 1;
-        else if ((end = passing(c, last, names, rules->rising, state->clocks, &kind)) == NULL)
-            break;
-        double all = state->passed + (double)(end - c) + rules->per_line;
-        if (all > rules->most_passed)
-            break;
-        state->passed = all;
-        int64_t *mark = marks + MARK * passed++;
-        mark[0] = count, mark[1] = c - text, mark[2] = end - text, mark[3] = kind;
-        next = end + 1;
+        double *row = rows + ROW * count++, *at = state->at;
+        row[0] = (double)(first_line + lines);
+        for (int k = X; k <= E; k++)
+            row[1 + k] = at[k];
+        row[5] = state->speed, row[7] = moved == STANDS ? -1.0 : state->corner;
+        row[6] = at[E] != before ? state->acceleration : state->travel_acceleration;
+        state->passed = 0.0;
     }
     taken[0] = lines, taken[1] = c - text - offset, taken[2] = passed;
     return count;
 }
 
 LOOP(plain_lines, TEXT(0), WITHIN(1, 0, ITEMS(0)), WITHIN(2, 0, WHOLE(1)), WHOLE(3), COUNT(4), COUNT(5),
-     (const char *)BYTES(6, CELL * CELLS), (struct state *)OUT_FLOATS(7, STATE),
-     (const struct rules *)FLOATS(8, RULES), OUT_FLOATS(9, ROW * COUNT(4)),
-     OUT_INTEGERS(10, MARK * COUNT(5)), OUT_INTEGERS(11, 4))
+     (const char *)BYTES(6, CELL * CELLS), TEXT(7), TEXT(8), TEXT(9), (struct state *)OUT_FLOATS(10, STATE),
+     (const struct rules *)FLOATS(11, RULES), OUT_FLOATS(12, ROW * COUNT(4)),
+     OUT_INTEGERS(13, MARK * COUNT(5)), OUT_INTEGERS(14, TAKEN))

@@ -18,6 +18,9 @@ _FEATURE = re.compile(
     rb"|\s*;\s*'([^']+)', [\d.]+ \[feed"  # KISSlicer
 )
 
+# each line that one of these matches has one of these words
+PLACE_WORDS = b"layer|slice|type:|feature|structure|'"
+
 TRAVEL = "travel"  # extrudes nothing
 OTHER = "other"  # an unknown name
 
