@@ -104,6 +104,7 @@ class Lookahead:
         self._last: tuple[Array, Array] | None = None  # start and limits of the latest move
         self._marks = list[Marks]()
         self._standing: list[tuple[int, MoveAtRest | Marks]] = []  # by their place, for parts
+        self._corners = np.zeros(0)  # mm/s at which moves begin, for parts
         self._speed = 0.0
         self._want = self._batch
         self.count = 0
@@ -111,12 +112,11 @@ class Lookahead:
     def append(self, item: Moves | MoveAtRest) -> None:
         if isinstance(item, MoveAtRest):
             self._standing.append((self.count, item))
-            self.add(standing(item, self._file_limits or FileLimits()))
-        else:
-            self.add(item)
+            item = standing(item, self._file_limits or FileLimits())
+        self._corners = np.append(self._corners, self.add(item))
 
-    def add(self, moves: Moves) -> None:
-        """Add moves, in which x and y may rest."""
+    def add(self, moves: Moves) -> Array:
+        """Add moves, in which x and y may rest; return the firmware's corner speeds before each."""
         if moves.marks:
             self._marks.append(moves.marks.shifted(self.count))
         if moves.limits is not self._file_limits:
@@ -124,9 +124,10 @@ class Lookahead:
         table = limit_moves(
             moves.points, moves.speed, moves.acceleration, moves.corner, self._rules
         )
-        caps = self._caps(moves.points, table)
+        corners, caps = self._caps(moves.points, table)
         self._moves.append(_Limited(moves.line, moves.points, table, caps[:-1]))
         self.count += len(moves.line)
+        return corners[:-1]
 
     def _rules_with(self, own: FileLimits) -> Array:
         """Return the limits of the profile and of the file, as ``limit_moves`` takes them."""
@@ -153,9 +154,9 @@ class Lookahead:
     def parts(self, plan: Plan) -> Iterator[Planned]:
         """Yield the parts of a plan of this queue: motion, lifts and retractions, and their lines.
 
-        x and y come to rest between them.
+        x and y come to rest between them. A step by which motion brakes late is none of theirs.
         """
-        at, n = 0, len(plan.line)
+        at, n, speed = 0, len(plan.line), plan.speed
         while self._standing:
             index, item = self._standing[0]
             if index + isinstance(item, MoveAtRest) > n:
@@ -165,7 +166,9 @@ class Lookahead:
                 yield _part(plan, at, index)
             at = index
             if isinstance(item, MoveAtRest):
-                entry, leaving = plan.speed[np.searchsorted(plan.ends, [index, index + 1])].tolist()
+                ends = speed[np.searchsorted(plan.ends, [index, index + 1])]
+                corners = self._corners[index : index + 2]
+                entry, leaving = np.minimum(ends, np.append(corners, 0.0)[:2]).tolist()
                 item, at = replace(item, entry=entry, leaving=leaving), index + 1
             yield item
         if not at:
@@ -173,6 +176,7 @@ class Lookahead:
         elif at < n:
             yield _part(plan, at, n)
         self._standing = [(index - n, item) for index, item in self._standing]
+        self._corners = self._corners[n:]
 
     def take_final(self) -> Plan | None:
         """Return the final part of the first ``_want`` moves, or None if it is empty."""
@@ -212,8 +216,11 @@ class Lookahead:
             count -= 1
         return max(count, 0)
 
-    def _caps(self, points: Array, table: Array) -> Array:
-        """Return the greatest speeds (n + 1,) at the ends of moves that follow the latest."""
+    def _caps(self, points: Array, table: Array) -> tuple[Array, Array]:
+        """Return the firmware's corner speeds and those that count, (n + 1,) each.
+
+        They are at the ends of moves that follow the latest.
+        """
         n, own = len(table), (points, table)
         if self._last is not None:
             points, table = (np.concatenate(both) for both in zip(self._last, own, strict=True))
@@ -221,9 +228,10 @@ class Lookahead:
         extruder = self._limits.extruder_corner_velocity
         shorter = SHORT if self.joins else math.inf
         caps = greatest_speeds(points, table, self._rules, extruder, shorter, self._steep)
+        raised = caps.copy()
         if self._step:
-            self._brake_late(caps[1:-1], table)
-        return caps[-n - 1 :]
+            self._brake_late(raised[1:-1], table)
+        return caps[-n - 1 :], raised[-n - 1 :]
 
     def _brake_late(self, caps: Array, table: Array) -> None:
         """Raise the speeds (n − 1,) between moves by half of what braking a step late does.

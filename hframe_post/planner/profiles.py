@@ -172,6 +172,8 @@ class ProfileAtRest:
         ends = (entry, leaving) if planned else (min(entry, most), min(leaving, most))
         trapezoid = Trapezoid(length, cruise, acceleration, *ends)
         samples = samples_until(trapezoid.seconds)
+        if planned:  # half a millisecond less is made up for as often as one more
+            samples = max(round(trapezoid.seconds / TS), 1)
         if any(ends):  # no rest next to it can fill up the last sample
             trapezoid = trapezoid.slowed_to(samples * TS)
         return cls(trapezoid, samples)

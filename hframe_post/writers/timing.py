@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -105,14 +106,28 @@ class Timing:
         if dwells:
             rest[dwells] = True
         rest[-1] = motion.stops
+        before = 0.0
+        if self._lift is not None:
+            # as far as is known yet: the motion makes up for what the lift then takes longer
+            before = 0.0 if motion.dwell[0] else self._lift.stroke.left
+            self._pass_into(self._first_entry(at, float(motion.T[0]), before))
         feeds = self.feeds(at, motion.T, rest, motion.after)
         if self._lift is not None:
-            before = 0.0 if motion.dwell[0] else self._lift.stroke.left
             v = float(feeds[0] / self._per_feed)
             yield from self._leave(self._rules.entry(at[:2], v, before))
         lines = [(row, self._dwell(int(motion.dwell[row]))) for row in dwells]
         between = motion.between.with_lines([(row, line) for row, line in lines if line])
         yield TimedMotion(motion.at, feeds, between)
+
+    def _first_entry(self, at: Array, T: float, before: float) -> float:
+        """Return the speed, mm/s, at which a first segment that is to last T begins.
+
+        It is inf where the segment takes the speed of the lift before it.
+        """
+        if self._lift is not None and self._lift.stroke.fastest < math.inf:
+            return math.inf
+        v = float(lengths(at[1:2, :E] - at[:1, :E])[0]) / T
+        return self._rules.entry(at[:2], v, before)
 
     def feeds(self, at: Array, T: Array, rest: Flags, after: float) -> Integers:
         """Return F (k,) of segments between places at (k + 1, 4), mm, that are to last T (k,).
@@ -220,15 +235,21 @@ class Timing:
         """Yield the lift that waits for the speed, mm/s, of the next motion, if there is one."""
         if self._lift is None:
             return
+        self._pass_into(speed)
         lift, self._lift = self._lift, None
-        move, stroke = lift.move, lift.stroke
-        if speed != stroke.left:
-            stroke = self._rules.stroke(
-                lift.way, move.speed, move.dwell.exact, lift.seconds, lift.entry, speed
-            )
-            self.lag += stroke.seconds - lift.stroke.seconds
-        yield TimedMove(move, stroke)
+        yield TimedMove(lift.move, lift.stroke)
         yield from lift.lines
+
+    def _pass_into(self, speed: float) -> None:
+        """Plan the lift that waits for motion once more, to leave at its speed, mm/s."""
+        lift = self._lift
+        assert lift is not None
+        if speed != lift.stroke.left:
+            seconds, exact = lift.stroke.seconds, lift.move.dwell.exact
+            lift.stroke = self._rules.stroke(
+                lift.way, lift.move.speed, exact, lift.seconds, lift.entry, speed
+            )
+            self.lag += lift.stroke.seconds - seconds
 
     def _stop(self, samples: int) -> Iterator[Text]:
         """Yield the line for a dwell of this many samples more, if they are not 0."""

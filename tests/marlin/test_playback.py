@@ -225,11 +225,7 @@ def test_classic_jerk_plays_the_same(marlin: Printer, planner: str) -> None:
 def test_lifts_and_retractions_take_the_time_that_they_are_planned_to(
     marlin: Printer, planner: str
 ) -> None:
-    """Each begins and ends at a speed that its neighbours decide, too.
-
-    They are planned as fast as the board makes them, so what they lose is made up for in motion: a
-    first step of 2.0 after a turn, 8 ms, and a millisecond of fixed-time motion at each.
-    """
+    """Each begins and ends at a speed that its neighbours decide, too."""
     lines = [b"M83\n", b"G1 X100 Y100 Z1 F6000\n"]
     for k in range(1, 9):
         lines += [
@@ -237,8 +233,8 @@ def test_lifts_and_retractions_take_the_time_that_they_are_planned_to(
             b"G1 Y%d F6000\n" % (100 + 3 * k), b"G1 Z1.5 F600\n", b"G1 Z1\n", b"G1 E2 F1800\n",
         ]  # fmt: skip
     _, late, _ = played(lines, with_own(marlin, planner=planner), planner=planner).track()
-    lost = {"2.0": 10e-3, "ft-motion": 4e-3}.get(planner, 2e-3)
-    below(np.ptp(late[1:]), lost, "range of the lateness after the start, s")
+    most = 5e-3 if planner == "2.0" else 2e-3  # 2.0 makes a first step after a turn in 8 ms
+    below(np.ptp(late[1:]), most, "range of the lateness after the start, s")
 
 
 def layers_of_cube(last: int) -> list[bytes]:
@@ -251,14 +247,10 @@ def layers_of_cube(last: int) -> list[bytes]:
 def test_cube_keeps_time_and_place_across_lifts_and_retractions(
     marlin: Printer, planner: str
 ) -> None:
-    """2.1 makes the first prime after a lift 22 ms later than planned, which motion makes up for.
-
-    The distance counts what is made up as if it were off the path.
-    """
     cube = played(layers_of_cube(2), with_own(marlin, planner=planner), planner=planner)
     _, late, off = cube.track()
-    below(np.ptp(late), 25e-3 if planner == "2.1" else 12e-3, "range of the lateness, s")
-    below(rms(off), 0.018, "RMS distance to the command, mm")
+    below(np.ptp(late), 6e-3, "range of the lateness, s")
+    below(rms(off), 0.011, "RMS distance to the command, mm")
     below(np.median(off), 0.012, "median distance to the command, mm")
     assert cube.machine.merged == 0
 
@@ -309,7 +301,7 @@ def test_retractions_and_lifts_cost_no_time_and_the_file_sets_their_limits(plann
     text, report = converted(lines, slinger)
     near(report.sliced_s, sliced, 0.005 * sliced, "as sliced, s")
     near(report.duration, seconds(text), 0.005 * sliced, "as converted, s")
-    below(report.duration, 1.015 * sliced, "as converted, s")
+    below(report.duration, 1.016 * sliced, "as converted, s")
 
 
 def contour(block: Samples, printer: Printer, name: str) -> float:
@@ -330,14 +322,14 @@ def test_the_predicted_error_includes_whole_steps(marlin: Printer, lines: list[b
     one = played(lines, marlin)
     first, late, _ = one.track()
     whole = join([b for b in commands if len(b)])
-    n, part = len(whole), slice(int(first[0]), int(first[-1]) + WINDOW)
+    n, fed = len(whole), np.flatnonzero(np.diff(whole.xyze[:, E]) > 0.0)
+    part = slice(int(first[0]), int(fed[-1]))  # after it, windows in which only z moves
     t = np.arange(n) * TS + np.interp(np.arange(n), first + WINDOW / 2, late)
     both = {"exact": whole.commands["racking"][part], "played": one.at(t)[part]}
     block = Samples(0, whole.xyze[part], whole.line[part], (), both)
     exact, theirs = (contour(block, marlin, name) ** 2 for name in both)
     told = 1e6 * (predicted.rms**2 - commands.report().contour["racking"].rms ** 2)
-    # hurried motion after a late prime is not predicted: a tenth on the cube
-    near(np.sqrt(theirs - exact), np.sqrt(told), 0.12 * np.sqrt(told), "error of steps, µm RMS")
+    near(np.sqrt(theirs - exact), np.sqrt(told), 0.1 * np.sqrt(told), "error of steps, µm RMS")
 
 
 # ---------------------------------------------------------------------- the extruder

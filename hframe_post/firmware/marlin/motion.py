@@ -131,7 +131,8 @@ class MarlinMotion(MotionRules):
     ) -> Stroke:  # fmt: skip
         """Return a stroke between the speeds of the user's corners, slower by the time this saves.
 
-        With the stream's corners it would begin and end at full speed.
+        With the stream's corners it would begin and end at full speed. leaving: inf if it ends at
+        its own speed.
         """
         lifts = way.end[Z] != way.start[Z]
         n, d, a, _ = blocks = self._block(way)
@@ -140,14 +141,14 @@ class MarlinMotion(MotionRules):
         v = float(speeds(d, T, a, np.array([math.inf, leaving]), entry)[0])
         reached = min(speed, float(np.sqrt(a * d)[0]))
         v = min(max(v, MIN_STROKE_SHARE * reached), speed)
-        if self.planner.fixed_time:
+        if self.planner.fixed_time and leaving < math.inf:
             v = max(v, leaving)
         v = math.ceil(60.0 * v) / 60.0  # F is whole, else its rounding may change a tick
-        taken = self.planner.stroke(blocks, np.array([entry, leaving]), np.array([v]))[2]
+        left = min(leaving, v)
+        taken = self.planner.stroke(blocks, np.array([entry, left]), np.array([v]))[2]
         words = (self.code.stroke_corners(users, lifts) for users in (True, False))
         before, after = (f"M205 {word}\n".encode() if word else b"" for word in words)
         limit = self.code.stroke_limit(way.acceleration, lifts)
-        left = min(leaving, v)
         stroke = Stroke(v, float(taken[0]), left, before, after, limit=limit)
         if not self.planner.fixed_time:
             return stroke
