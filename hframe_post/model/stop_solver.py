@@ -27,7 +27,8 @@ squares: a row that exceeds its bound gets more weight, and the problem is solve
 
 1. Solve with the feet at the desired places; seek the feet of the nozzle so found; solve again.
 2. In each solution, raise E where belts accelerate too hard, and B where the bed is left, up to
-   TRIALS times. Keep the best command within the belts' limit.
+   TRIALS times; where belts then exceed their limit, begin again and raise E for that alone, up
+   to HARD_TRIALS times. Keep the best command within the belts' limit.
 3. While the nozzle is FAR from the path where it extrudes, raise W there and solve again, up to
    EMPHASES times. Keep the command with the least peak.
 """

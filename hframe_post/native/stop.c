@@ -19,13 +19,13 @@ typedef double vector[2];
 
 struct rules { /* the constants of stop.py */
     double along, far_off, emphasis, most_emphasis, target, easy, raised,
-        most_raised, hardest, excess_cost, short2, clearance;
+        most_raised, hardest, excess_cost, hard_target, hard_cost, short2, clearance;
 };
 enum { RULES = sizeof(struct rules) / sizeof(double) };
 
 struct problem {
     struct rules to;
-    int64_t searches, emphases, trials; /* at most */
+    int64_t searches, emphases, trials, hard_trials; /* at most */
     const vector *path;
     const int64_t *index; /* (r) into path */
     int64_t r, held_from, held_to;
@@ -66,7 +66,7 @@ struct room {
     vector foot[MOST_ROWS], direction[MOST_ROWS], t[MOST_ROWS];
     double weight[MOST_ROWS], off[MOST_ROWS];
     vector rates[MOST_SAMPLES], place[MOST_SAMPLES], outside[MOST_SAMPLES];
-    double share[MOST_SAMPLES];
+    double share[MOST_SAMPLES], hard[MOST_SAMPLES];
     struct bound_weights weights, kept;
 };
 
@@ -301,14 +301,17 @@ INSIDE double cost_of(int64_t n, const struct room *room, const double *p)
     return cost;
 }
 
-/* Shares of the belts' bounds, and what is outside the bed. Return the greatest of the shares, of
- * the accelerations, and of what is outside. */
+/* Shares of the belts' bounds, and what is outside the bed. over: the greatest of the shares, the sum of
+ * what exceeds the belts' limit, as shares of it, and the greatest distance outside. */
 INSIDE void measure_bounds(const struct problem *q, struct room *room, const vector *p,
-                           double most[3])
+                           double over[3])
 {
-    most[0] = most[1] = most[2] = 0.0;
+    over[0] = over[1] = over[2] = 0.0;
     for (int64_t r = 0; r < q->q - 2; r++) {
         double u[2] = {0.0, 0.0}, acceleration = 0.0;
+        room->share[r] = room->hard[r] = 0.0;
+        if (q->bands[2 * r] >= q->bands[2 * (r + 2) + 1])
+            continue; /* other stops, or what follows this one, decide */
         for (int64_t c = q->bands[2 * r]; c < q->bands[2 * (r + 2) + 1]; c++)
             for (int axis = 0; axis < 2; axis++)
                 u[axis] += q->D[r * q->k + c] * p[c][axis];
@@ -318,8 +321,9 @@ INSIDE void measure_bounds(const struct problem *q, struct room *room, const vec
             acceleration = greater(acceleration, fabs(u[0] * q->belts[2 * belt] +
                                                       u[1] * q->belts[2 * belt + 1]));
         room->share[r] = acceleration / q->limit[r];
-        most[0] = greater(most[0], room->share[r]);
-        most[1] = greater(most[1], acceleration);
+        room->hard[r] = acceleration / (q->to.hardest * q->full_limit);
+        over[0] = greater(over[0], room->share[r]);
+        over[1] += greater(room->hard[r] - 1.0, 0.0);
     }
     for (int64_t r = 0; r < q->q; r++)
         for (int axis = 0; axis < 2; axis++) {
@@ -329,17 +333,20 @@ INSIDE void measure_bounds(const struct problem *q, struct room *room, const vec
             double place = q->command[r][axis] + added;
             room->place[r][axis] = place;
             room->outside[r][axis] = fabs(clipped(place, q->low[axis], q->high[axis]) - place);
-            most[2] = greater(most[2], room->outside[r][axis]);
+            over[2] = greater(over[2], room->outside[r][axis]);
         }
 }
 
-INSIDE void raise(const struct problem *q, struct room *room)
+/* Raise the effort where belts are harder than the target, or only where they exceed their limit. */
+INSIDE void raise(const struct problem *q, struct room *room, int only_hard)
 {
     struct bound_weights *w = &room->weights;
     const struct rules *to = &q->to;
     for (int64_t r = 0; r < q->q - 2; r++) {
-        double share = room->share[r];
+        double share = room->share[r], hard = room->hard[r];
         double factor = share < to->easy ? 0.5 : reweighted(share / to->target, to->raised, to->most_raised);
+        if (only_hard)
+            factor = clipped(hard / to->hard_target, 0.5, to->most_raised);
         w->effort[r] = greater(w->effort[r] * factor, 1.0);
     }
     for (int64_t r = 0; r < q->q; r++)
@@ -351,28 +358,35 @@ INSIDE void raise(const struct problem *q, struct room *room)
             }
 }
 
-/* p (k) within the bounds of belts and bed; room->weights become those that this took. */
-INSIDE void bounded(const struct problem *q, struct room *room, vector *p)
+/* p (k) within the bounds of belts and bed; room->weights become those that this took. Return the sum of
+ * what exceeds the belts' limit. */
+INSIDE double bounded(const struct problem *q, struct room *room, vector *p)
 {
     vector tried[MOST_SPLINES];
-    double least_hard = INFINITY, least_cost = INFINITY, most[3];
-    for (int64_t trial = 0; trial < q->trials; trial++) {
+    double least_outside = INFINITY, least_cost = INFINITY, least_hard = INFINITY, over[3];
+    for (int64_t trial = 0; trial < q->trials + q->hard_trials; trial++) {
+        int only_hard = trial >= q->trials;
+        if (only_hard && least_hard == 0.0)
+            break;
+        if (trial == q->trials) /* what was raised for the bounds may have moved all too far */
+            for (int64_t r = 0; r < q->q - 2; r++)
+                room->weights.effort[r] = 1.0;
         add_bounds(q, room);
         solve(2 * q->k, room, tried[0]);
-        measure_bounds(q, room, (const vector *)tried, most);
-        double excess = greater(most[0], 1.0) + most[2];
-        double hard = greater(most[1] / (q->to.hardest * q->full_limit), 1.0) + most[2];
-        double cost = cost_of(2 * q->k, room, tried[0]) + q->to.excess_cost * (excess - 1.0);
-        if (hard < least_hard || (hard == least_hard && cost < least_cost)) {
+        measure_bounds(q, room, (const vector *)tried, over);
+        double excess = greater(over[0], 1.0) + over[2], cost = cost_of(2 * q->k, room, tried[0]);
+        cost += q->to.excess_cost * (excess - 1.0) + q->to.hard_cost * over[1];
+        if (over[2] < least_outside || (over[2] == least_outside && cost < least_cost)) {
             memcpy(p, tried, sizeof(vector) * (size_t)q->k);
             room->kept = room->weights;
-            least_hard = hard, least_cost = cost;
+            least_outside = over[2], least_cost = cost, least_hard = over[1];
         }
         if (excess <= 1.0)
             break;
-        raise(q, room);
+        raise(q, room, only_hard);
     }
     room->weights = room->kept;
+    return least_hard;
 }
 
 /* Feet of the nozzle, and the path's directions there, for rows that extrude or for the others. Their
@@ -450,8 +464,8 @@ WIDE static int search(const struct problem *q, struct room *room, vector *best)
     for (int64_t searched = 1; searched <= q->searches + q->emphases; searched++) {
         jacobian(q, room);
         sum_squares(q, room);
-        bounded(q, room, p);
-        double peak = seek_feet(q, room, (const vector *)p, 1);
+        double hard = bounded(q, room, p), peak = seek_feet(q, room, (const vector *)p, 1);
+        peak += sqrt(to->hard_cost * hard);
         if (searched >= q->searches) {
             if (peak < least) {
                 memcpy(best, p, sizeof(vector) * (size_t)q->k);
@@ -478,12 +492,12 @@ static int64_t least_squares(const double *path, const int64_t *index, int64_t r
                              const double *command, int64_t q,
                              const double *N, const double *D, const int64_t *bands, const double *limit,
                              const double *bounds, int64_t reach, int64_t searches,
-                             int64_t emphases, int64_t trials, const struct rules *rules, double *room,
-                             double *p)
+                             int64_t emphases, int64_t trials, int64_t hard_trials,
+                             const struct rules *rules, double *room, double *p)
 {
     struct problem problem = {
-        *rules, searches, emphases, trials, (const vector *)path, index, r, held_from, held_to, weight,
-        extruding, (const vector *)known,
+        *rules, searches, emphases, trials, hard_trials, (const vector *)path, index, r, held_from,
+        held_to, weight, extruding, (const vector *)known,
         levers, axes, couplings, by_p, first, k, q, (const vector *)command, N, D, bands,
         limit, bounds, bounds + 2, bounds + 6, bounds + 8, bounds[10],
     };
@@ -500,6 +514,6 @@ LOOP(least_squares, FLOATS(0, 2 * PIECES), INDICES(1, FEW(2), NEAREST, ITEMS(0) 
      FLOATS(11, (2 + FEW(10)) * FEW(2) * FEW(13)), INTEGERS(12, FEW(13)), FEW(13), FLOATS(14, 2 * FEW(15)),
      FEW(15), FLOATS(16, FEW(15) * FEW(13)), FLOATS(17, (FEW(15) - 2) * FEW(13)),
      INDICES(18, 2 * FEW(15), 0, FEW(13) + 1), FLOATS(19, FEW(15) - 2), FLOATS(20, 11),
-     WITHIN(21, NEAREST, NEAREST), FEW(22), FEW(23), FEW(24), (const struct rules *)FLOATS(25, RULES),
-     OUT_FLOATS(26, (int64_t)(sizeof(struct room) / sizeof(double) + LINE)),
-     OUT_FLOATS(27, 2 * FEW(13)))
+     WITHIN(21, NEAREST, NEAREST), FEW(22), FEW(23), FEW(24), FEW(25), (const struct rules *)FLOATS(26, RULES),
+     OUT_FLOATS(27, (int64_t)(sizeof(struct room) / sizeof(double) + LINE)),
+     OUT_FLOATS(28, 2 * FEW(13)))

@@ -17,19 +17,22 @@ NEAREST = 24  # samples to either side in which the path's nearest point is soug
 ALONG = 0.01  # times the weight of a squared deviation across the path, for that along it
 FAR = 0.05  # mm off the path beyond which an extruding sample gets more weight
 SEARCHES, EMPHASES, TRIALS = 2, 3, 10  # iterations of steps 1, 3 and 2
+HARD_TRIALS = 40  # more of step 2 while a belt exceeds HARDEST, by Lawson's rule: rows times shares
+HARD_TARGET = 0.95  # share of HARDEST above which a row is raised then
 EMPHASIS, MOST_EMPHASIS = 1.5, 10.0  # factors of weights where the nozzle is FAR
 TARGET = 0.7  # share of its bound from which on a row of E is raised, so that it stays below
 EASY = 0.4  # share of its bound below which a row of E is lowered again
 RAISED, MOST_RAISED = 2.0, 5.0  # factors of E²
 HARDEST = 0.97 / 0.8  # times its bound, an acceleration that is exceeded only if it must be
 EXCESS_COST = 0.2  # mm² for exceeding a bound by as much again, next to the squared deviations
+HARD_COST = 100.0  # mm² for exceeding HARDEST by as much again at one sample
 SHORT2 = 1e-14  # mm², squared length up to which a vector has no direction
 ROOM = 45_000  # numbers that the compiled loop needs to work in; C takes no fewer
 BED = slice(6, 10)  # of a problem's bounds: the bed's edges
 CLEARANCE = 0.02  # mm to the bed's edge for a command that would leave it
 RULES = np.array([
     ALONG, FAR, EMPHASIS, MOST_EMPHASIS, TARGET, EASY, RAISED, MOST_RAISED, HARDEST,
-    EXCESS_COST, SHORT2, CLEARANCE,
+    EXCESS_COST, HARD_TARGET, HARD_COST, SHORT2, CLEARANCE,
 ])  # fmt: skip
 
 
@@ -99,7 +102,7 @@ def least_squares(problem: Problem) -> Array:
         q.path, q.index, len(q.index), q.dwell.start, q.dwell.stop, q.weight, q.extruding, q.known,
         q.levers, q.axes, len(q.axes), splines.by_p, splines.first, k, q.command, len(q.command),
         splines.N, splines.D, splines.bands, splines.limit, q.bounds, NEAREST, SEARCHES,
-        EMPHASES, TRIALS, RULES, np.empty(ROOM), p,
+        EMPHASES, TRIALS, HARD_TRIALS, RULES, np.empty(ROOM), p,
     )  # fmt: skip
     assert fits
     return p
