@@ -22,7 +22,7 @@ from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import settling_samples
 from hframe_post.conversion import files
 from hframe_post.conversion.options import Options, stamp
-from hframe_post.conversion.pipeline import Chain, Trial, prepared
+from hframe_post.conversion.pipeline import Chain, prepared
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.errors import (
@@ -158,7 +158,7 @@ def convert(
         if page is not None:
             options = _pictured(options, given, printer, printer.plant)
         written = files.Target(outputs, output, given.path) if target is not None else None
-        report, printer = _converted(given, written, printer, options, progress)
+        report = _converted(given, written, printer, options, progress)
         if page_file is not None:
             name = title or (given.path.name if given.path else "print")
             release_memory()
@@ -231,23 +231,19 @@ def simulate(
 def _converted(
     given: Input, target: files.Target | None, printer: Printer, options: Options,
     progress: Callable[[int], object] | None,
-) -> tuple[Report, Printer]:  # fmt: skip
-    """Convert at the file's speeds, or as fast as the greatest error allows.
-
-    Return the report, and the printer with whose limits the file was converted.
-    """
-    if options.speed is None:
-        return files.convert(given.lines(progress), target, printer, options), printer
-    from hframe_post.studies.speed_search import find_fastest, with_speed
-
+) -> Report:  # fmt: skip
+    """Convert as the file asks, or as fast as the greatest error allows; return the report."""
     shown = [progress]  # once, if there are several trials
 
-    def converted(printer: Printer, trial: Trial) -> Report:
+    def converted(options: Options) -> Report:
         lines = given.lines(shown.pop() if shown else None)
-        return files.convert(lines, target, printer, options, trial)
+        return files.convert(lines, target, printer, options)
 
-    fastest = find_fastest(given.again, printer, options, converted)
-    return with_speed(fastest), fastest.printer
+    if options.speed is None:
+        return converted(options)
+    from hframe_post.studies.speed import fastest
+
+    return fastest(options, converted)
 
 
 def _write_page(
@@ -281,7 +277,7 @@ def _watch(source: Path, outputs: Outputs) -> None:
 def _pictured(options: Options, source: Input, printer: Printer, plant: Plant) -> Options:
     """Return options that collect a page's picture, with the best input shaper for the print."""
     predicted = dict.fromkeys(("none", *options.strategies))
-    items = Chain(printer, options).parsed(islice(source.again(), SHAPED_LINES))
+    items = Chain(printer, options).read(islice(source.again(), SHAPED_LINES))
     shaping = SlicedFile.from_items(items, printer).shaping(plant)
     return replace(options, predict=tuple(predicted), picture=True, shaping=shaping)
 

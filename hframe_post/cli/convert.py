@@ -46,7 +46,7 @@ OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
 @printer_option
 @conversion_options(
     "strategy", "firmware", "limits", "extrusion", "clamp", "force", "tolerance", "retract",
-    "predict", "max_error", "max_width_error", "speed_up", "jobs",
+    "predict", "max_error", "jobs",
 )  # fmt: skip
 @json_option
 @click.option(

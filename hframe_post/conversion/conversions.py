@@ -24,7 +24,6 @@ from hframe_post.conversion.pipeline import (
     PlannedFile,
     SampleStream,
     Stages,
-    Trial,
     stop_solvers,
 )
 from hframe_post.conversion.report import Report
@@ -49,12 +48,9 @@ if TYPE_CHECKING:
 class GcodeConversion:
     """A print as G-code for the printer's firmware."""
 
-    def __init__(
-        self, lines: Iterable[bytes], printer: Printer, options: Options,
-        trial: Trial | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         lines, printer = with_motors(lines, printer, options.limits)
-        self._chain, self._stamp = Chain(printer, options, trial), first_line(printer, options)
+        self._chain, self._stamp = Chain(printer, options), first_line(printer, options)
         self._source, self._ledger = PlannedFile(lines, self._chain), Ledger()
 
     def __iter__(self) -> Iterator[Output]:
@@ -226,10 +222,7 @@ class StepConversion:
     Raises PrinterError if the profile does not say how the motors step.
     """
 
-    def __init__(
-        self, lines: Iterable[bytes], printer: Printer, options: Options,
-        trial: Trial | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         table, kinematics = printer.steps, printer.kinematics
         if table is None:
             cause = "the table is missing; step timing needs it"
@@ -240,7 +233,7 @@ class StepConversion:
             )
             raise PrinterError(cause, "kinematics.type", printer.name)
         self._table = table
-        self._commands = SampleStream(lines, printer, options, trial=trial)
+        self._commands = SampleStream(lines, printer, options)
         self._stepper = StepGenerator(options.strategy, kinematics, table)
         header = Header(
             __version__, printer.name, options.digest(printer.digest), table.clock_hz,
@@ -275,12 +268,9 @@ class StepConversion:
 class SampleConversion:
     """A print as tables of path, command and predicted motion, one row a millisecond."""
 
-    def __init__(
-        self, lines: Iterable[bytes], printer: Printer, options: Options,
-        trial: Trial | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         self._plant, self._strategy = printer.plant, options.strategy
-        self._commands = SampleStream(lines, printer, options, trial=trial)
+        self._commands = SampleStream(lines, printer, options)
         self._rows = 0
 
     def __iter__(self) -> Iterator[Array]:

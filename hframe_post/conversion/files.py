@@ -12,7 +12,6 @@ from typing import IO, Any, TypeAlias
 
 from hframe_post.conversion.conversions import GcodeConversion, SampleConversion, StepConversion
 from hframe_post.conversion.options import TOLERANCE, Kind, Options, stamp
-from hframe_post.conversion.pipeline import Trial
 from hframe_post.conversion.report import Report
 from hframe_post.errors import OptionError
 from hframe_post.firmware.registry import firmware
@@ -72,17 +71,16 @@ class Format:
 
 @one_blas_thread()
 def convert(
-    lines: Iterable[bytes], target: Target | None, printer: Printer, options: Options,
-    trial: Trial | None = None,
-) -> Report:  # fmt: skip
+    lines: Iterable[bytes], target: Target | None, printer: Printer, options: Options
+) -> Report:
     """Convert lines and write the target, which appears with its outputs.
 
-    target None: nothing is written. trial: at other speeds. Raises HframeError, OSError.
+    target None: nothing is written. Raises HframeError, OSError.
     """
     if target is not None and options.strategy != "none" and not options.force:
         check_identified(printer)
     chosen = FORMATS[options.format or "gcode"]
-    conversion = chosen.convert(lines, printer, options, trial)
+    conversion = chosen.convert(lines, printer, options)
     if target is None:
         for _ in conversion:
             pass

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from hframe_post.gcode.state import ROUNDED_S
 from hframe_post.planner.profiles import ProfileAtRest
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Limits
-from hframe_post.stream.features import Place
 from hframe_post.stream.types import (
     Dwell,
     Item,
@@ -114,7 +113,7 @@ class Ledger:
 
     Of the samples: their number; resting, those added at stops; judged, those whose errors were
     predicted; filament_out; peaks; clamped; advancing, pressure advance; contour and width, errors
-    by strategy; picture, if one was asked for; metered, sums of a trial's meters.
+    by strategy; picture, if one was asked for.
 
     Of the output: written, steps.
     """
@@ -136,7 +135,6 @@ class Ledger:
     contour: dict[str, ContourErrors] = field(default_factory=dict)
     width: dict[str, ErrorStatistics] = field(default_factory=dict)
     picture: Picture | None = field(default=None, compare=False, repr=False)
-    metered: Any = field(default=None, compare=False, repr=False)
     written: GcodeSummary = field(default_factory=GcodeSummary)
     steps: StepTally | None = None
 
@@ -146,22 +144,8 @@ class Ledger:
         return self.samples * TS
 
 
-class Meters(Protocol):
-    """Makes a meter of a study for each span of a print; ``place`` is where the span begins."""
-
-    def begun(self, place: Place) -> Meter: ...
-
-
-class Meter(Protocol):
-    """Measures commands. sums: what it saw, which ``joined`` joins with those of the next span."""
-
-    sums: Any
-
-    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]: ...
-
-
 class FileNotes:
-    """Notes a file: its lines, its items as read and at their pace, and their plans.
+    """Notes a file: its lines, its items and their plans.
 
     label: see ``Dialect``. limits: of the profile.
     """
@@ -244,8 +228,8 @@ class FileNotes:
                 "it moves, as sliced. Is a G92 E0 or M83 missing before it?"
             )  # fmt: skip
 
-    def paced(self, items: Iterable[Item]) -> Iterator[Item]:
-        """Note the path of items at their pace, and what limits it."""
+    def asked(self, items: Iterable[Item]) -> Iterator[Item]:
+        """Note the path of items, and what of it is not compensated."""
         for item in items:
             if isinstance(item, Moves):
                 self._waiting.append(item)

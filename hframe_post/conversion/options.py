@@ -21,7 +21,6 @@ from hframe_post.printer.firmware_tables import TABLES
 from hframe_post.printer.schema import digest_of
 from hframe_post.printer.settings import Printer, Speed
 from hframe_post.process import processor_count
-from hframe_post.stream.features import KINDS
 from hframe_post.version import __version__
 
 if TYPE_CHECKING:
@@ -30,40 +29,23 @@ if TYPE_CHECKING:
 # mm; on Klipper's host, slices on a measured Voron: 0.014 leaves 2.0 and 3.1 µm RMS with the
 # exact model, this 1.1 and 2.3 with 1.3 and 1.5 times the lines, 0.004 another 0.1 and 0.2 less
 TOLERANCE = 0.007
-MAX_SPEED_UP = 20.0  # times the file's feed rates
 UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0}
 
 Kind = Literal["gcode", "steps", "samples"]
 Retract = Literal["standing", "moving"]
 
 
-def error_bounds(text: str) -> dict[str, float]:
-    """Read ``30um`` or ``outer-wall=15um,infill=80um`` as mm by feature; '' is all others."""
-    found: dict[str, float] = {}
-    if text == "off":
-        return found
-    for part in text.split(","):
-        match = re.fullmatch(r"(?:([a-z-]+)=)?(\d+(?:\.\d+)?|\.\d+)\s*(um|µm|mm)", part.strip())
-        if match is None:
-            raise ArgumentError(f"{part!r} is not an error such as 30um or outer-wall=15um")
-        name = match[1] or ""
-        if name and name not in KINDS:
-            raise ArgumentError(f"no feature is called {name!r}; there are {', '.join(KINDS)}")
-        found[name] = float(match[2]) * UNITS[match[3]]
-        if not 1e-4 <= found[name] <= 10.0:
-            raise ArgumentError(f"{part!r} is not between 0.1um and 10mm")
-    return found
-
-
-def width_bound(text: str) -> float:
-    """Read ``5%`` or ``0.05`` as a share; ``off`` is 0."""
+def error_bound(text: str) -> float:
+    """Read ``30um`` or ``0.03mm`` as mm; ``off`` is 0."""
     if text == "off":
         return 0.0
-    match = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)\s*(%?)", text.strip())
-    share = float(match[1]) / (100.0 if match[2] else 1.0) if match else 0.0
-    if not 1e-3 <= share <= 1.0:
-        raise ArgumentError(f"{text!r} must be 'off' or from 0.1% to 100%, such as 5%")
-    return share
+    match = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)\s*(um|µm|mm)", text.strip())
+    if match is None:
+        raise ArgumentError(f"{text!r} is not an error of the whole print such as 30um")
+    found = float(match[1]) * UNITS[match[2]]
+    if not 1e-4 <= found <= 10.0:
+        raise ArgumentError(f"{text!r} is not between 0.1um and 10mm")
+    return found
 
 
 def known_firmware(text: str) -> str:
@@ -73,25 +55,15 @@ def known_firmware(text: str) -> str:
     return text
 
 
-def speed_factor(text: str) -> float:
-    """Read a number from 1, or ``max``."""
-    try:
-        value = MAX_SPEED_UP if text == "max" else float(text)
-    except ValueError:
-        value = 0.0
-    if not 1.0 <= value <= MAX_SPEED_UP:
-        raise ArgumentError(f"{text!r} must be 'max' or from 1 to {MAX_SPEED_UP:g}")
-    return value
-
-
 @dataclass(frozen=True, slots=True)
 class Shown:
     """How a field appears on the command line.
 
     default: of the field. flags: its names, the long one last. choices: its values by word. read:
-    turns a word into a value; raises ArgumentError. rare: shown by --help-all only. least: that a
-    whole number may be. unset: returns the value where the command line does not give it, if that
-    is not the default. decides: whether it is part of what decides the output.
+    turns a word into a value; raises ArgumentError. unit: of a number as a word. rare: shown by
+    --help-all only. least: that a whole number may be. unset: returns the value where the command
+    line does not give it, if that is not the default. decides: whether it is part of what decides
+    the output.
     """
 
     default: Any
@@ -100,6 +72,7 @@ class Shown:
     metavar: str | None = None
     choices: Mapping[str, Any] = field(default_factory=dict)
     read: Callable[[str], Any] | None = None
+    unit: str = ""
     rare: bool = False
     least: int | None = None
     unset: Callable[[], Any] | None = None
@@ -127,11 +100,12 @@ class Options:
     strategy: whose commands are written; empty: the profile's. predict: strategies whose contour
     error is reported; None: ``none`` and the chosen one. clamp: compensate less where a command
     would exceed a limit, instead of raising LimitError. tolerance: how far, in mm, a written
-    segment may be off the samples; None or 0 writes every sample. max_error: in mm by feature, ''
-    for all others; empty: the file's speeds. max_width_error: a share of the lines' width; 0: any.
+    segment may be off the samples; None or 0 writes every sample. max_error: mm; 0: the file's
+    accelerations.
 
-    The last fields are for the stages. speed: set by ``resolved``. picture: collect the path with
-    its predicted errors; shaping: with those of this input shaper, too.
+    The last fields are for the stages. speed: set by ``resolved``. pace: factor on the file's
+    accelerations. picture: collect the path with its predicted errors; shaping: with those of this
+    input shaper, too.
 
     Raises OptionError for values that make no sense.
     """
@@ -186,26 +160,17 @@ class Options:
         False, "--force",
         help="Convert even if the model is of another printer.",
     )  # fmt: skip
-    max_error: dict[str, float] | None = option(
-        None, "--max-error", metavar="ERROR", read=error_bounds,
-        help="Print as fast as this error allows: 30um, or outer-wall=15um,infill=80um.",
-    )  # fmt: skip
-    max_width_error: float | None = option(
-        None, "--max-width-error", rare=True, metavar="PERCENT", read=width_bound,
-        help="Largest error of the printed line's width, such as 5%, or 'off'. Needs --max-error. "
-        "Default: speed.max_width_error of the profile.",
-    )  # fmt: skip
-    speed_up: float | None = option(
-        None, "--speed-up", rare=True, metavar="N|max", read=speed_factor,
-        help="Raise the file's feed rates by this factor at most, within limits.flow and "
-        "limits.min_layer_time of the profile. Needs --max-error. Default: speed.speed_up of the "
-        "profile, or 1.",
+    max_error: float | None = option(
+        None, "--max-error", metavar="ERROR", read=error_bound, unit="mm",
+        help="Print as fast as this error allows, such as 30um, or 'off'. Default: "
+        "speed.max_error of the profile.",
     )  # fmt: skip
     jobs: int = option(
         1, "--jobs", rare=True, metavar="N", least=1, unset=processor_count,
         help="Number of processes. Default: one per processor.",
     )  # fmt: skip
     speed: Speed | None = None
+    pace: float = 1.0
     picture: bool = False
     shaping: Shaping | None = None
 
@@ -238,19 +203,14 @@ class Options:
         Raises OptionError, and HframeError for a strategy that does not exist.
         """
         strategy = strategy_of(self.strategy or printer.compensation.strategy).name
-        reported = (strategy,) if self.predict is None else self.predict
-        reported = ("none", *reported) if reported else ()  # to compare with
-        predict = tuple(dict.fromkeys(strategy_of(name).name for name in reported))
-        speed = printer.known_speed
+        speed = printer.speed
         if self.max_error is not None:
             speed = replace(speed, max_error=self.max_error)
-        if self.speed_up is not None:
-            speed = replace(speed, speed_up=self.speed_up)
-        if self.max_width_error is not None:
-            speed = replace(speed, max_width_error=self.max_width_error)
-        for name in ("speed_up", "max_width_error"):
-            if getattr(self, name) is not None and not speed.max_error:
-                raise OptionError(f"--{name.replace('_', '-')} needs --max-error")
+        reported = (strategy,) if self.predict is None else self.predict
+        if speed.max_error:
+            reported = (strategy, *reported)  # whose error the bound is for
+        reported = ("none", *reported) if reported else ()  # to compare with
+        predict = tuple(dict.fromkeys(strategy_of(name).name for name in reported))
         return replace(
             self, strategy=strategy, predict=predict, speed=speed if speed.max_error else None
         )
@@ -271,7 +231,7 @@ class Options:
             if value is True and not shown.choices:
                 found.append(shown.flags[-1])
             elif value != shown.default or shown.unset:
-                found += [shown.flags[-1], shown.word(value) or str(value)]
+                found += [shown.flags[-1], shown.word(value) or f"{value}{shown.unit}"]
         return found
 
 

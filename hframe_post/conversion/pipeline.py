@@ -1,8 +1,8 @@
 """The whole tool from top to bottom: each stage consumes what the one above it yields.
 
     lines of a file
-      → parsed        read the G-code; set the pace, if a speed was asked for
-      → scheduled     look-ahead: speeds along the path
+      → read          moves, and the lines between them
+      → scheduled     the pace, if an error was asked for; look-ahead: speeds along the path
       → sampled       the path, one sample a millisecond
       → compensated   commands for the motors, which dwell where the machine stops
       → checked       within the model's reach, the bed and the motors' limits (or clamped)
@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,7 @@ from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
-from hframe_post.conversion.ledger import FileNotes, Ledger, Meters, SampleNotes
+from hframe_post.conversion.ledger import FileNotes, Ledger, SampleNotes
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import AdvanceReport, Report
 from hframe_post.conversion.sliced_errors import SlicedFile
@@ -42,7 +42,7 @@ from hframe_post.model.strategies import Compensator
 from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.motors import WithinMotors, with_ramps
-from hframe_post.planner.pacing import Paces, pace
+from hframe_post.planner.pacing import Pace
 from hframe_post.planner.sampling import sample
 from hframe_post.planner.short_moves import ShortMoves
 from hframe_post.prediction.doubts import Doubts
@@ -64,20 +64,20 @@ MOVES_AHEAD = 300_000  # read before the first is planned, of 64 bytes: 20 MB
 # ---------------------------------------------------------------------- the stages
 
 
-@dataclass(frozen=True, slots=True)
-class Trial:
-    """A print at other speeds. paces: of its moves; meters: of its commands, on their way."""
-
-    paces: Paces
-    meters: Meters | None = None
-
-
 class Chain:
-    """The stages of a conversion: each gets what it needs of a printer and of the options."""
+    """The stages of a conversion: each gets what it needs of a printer and of the options.
 
-    def __init__(self, printer: Printer, options: Options, trial: Trial | None = None) -> None:
-        self.printer, self.options, self.trial = printer, options, trial
-        self.firmware = firmware(printer)
+    printer: with limits at the pace that the options ask for; sliced: as the file is sliced for it.
+    caps: limits that no file may raise, at that pace.
+    """
+
+    def __init__(self, printer: Printer, options: Options) -> None:
+        self.options, self._pace = options, Pace(options.pace, *printer.fastest_path)
+        self.sliced = firmware(printer)
+        self.printer = replace(printer, limits=self._pace.limits(printer.limits))
+        self.firmware = firmware(self.printer)
+        caps = self._pace.limits(self.sliced.caps())
+        self.caps = with_ramps(caps, printer.motors.stated)
 
     @cached_property
     def compensator(self) -> Compensator:
@@ -87,41 +87,34 @@ class Chain:
     def read(self, lines: Iterable[bytes], notes: FileNotes | None = None) -> Iterator[Item]:
         """Read G-code. notes: take what is strange in it. Raises HframeError."""
         options = self.options
-        own = ReadOptions.from_printer(self.printer, options.limits, options.extrusion)
+        own = ReadOptions.from_printer(self.sliced.printer, options.limits, options.extrusion)
         if notes is not None:
             own = replace(own, note=notes.note, look=notes.look, clocks=notes.clocks)
         return read(lines, own)
 
-    def paced(self, items: Iterator[Item]) -> Iterator[Item]:
-        """Set the pace of moves, if a speed was asked for."""
-        return items if self.trial is None else pace(items, self.trial.paces)
-
-    def parsed(self, lines: Iterable[bytes]) -> Iterator[Item]:
-        """Read G-code and set the pace of its moves. Raises HframeError."""
-        return self.paced(self.read(lines))
-
     def planned(self, lines: Iterable[bytes]) -> Iterator[Planned]:
         """Read G-code and plan the speeds along its path. Raises HframeError."""
-        return self.scheduled(self.parsed(lines))
+        return self.scheduled(self.read(lines))
 
     def scheduled(
         self, items: Iterable[Item], followed: FollowedAdvance | None = None,
         within: WithinMotors | None = None,
     ) -> Iterator[Planned]:  # fmt: skip
-        """Plan the speeds of moves, so that the motors can follow, and the extruder its advance.
+        """Plan the speeds of moves at the pace asked for.
+
+        Plan them so that the motors can follow, and the extruder its advance.
 
         followed: lowers the accelerations, as ``following`` gives it. within: slows moves down for
         the motors.
         """
-        followed = followed or self.following()
+        items, followed = self._pace.items(items), followed or self.following()
         items = items if followed is None else followed.items(items)
         items = (within or self.within_motors()).items(items)
-        caps = with_ramps(self.firmware.caps(), self.printer.motors.stated)
-        own = self.firmware.limits()
+        own = self.sliced.limits()
         if not own.least:
-            return plan(items, caps)
+            return plan(items, self.caps)
         joined = ShortMoves(own.least, own.step, own.motors).joined_travel(items)
-        return plan(joined, caps, joins=own.joins, step=own.step[0] if own.joins else 0.0)
+        return plan(joined, self.caps, joins=own.joins, step=own.step[0] if own.joins else 0.0)
 
     def within_motors(self) -> WithinMotors:
         """Return what slows moves down so that the motors can follow."""
@@ -136,7 +129,7 @@ class Chain:
         own = self.firmware
         if (limits := own.motion(None).extruder) is None:
             return None
-        return FollowedAdvance(advance or own.advance(), limits, own.caps().acceleration)
+        return FollowedAdvance(advance or own.advance(), limits, self.caps.acceleration)
 
     def sampled(self, items: Iterable[Planned], skip_slow: bool = False) -> Iterator[Samples]:
         """Sample planned motion, with the rest that the strategy needs at stops.
@@ -146,8 +139,7 @@ class Chain:
         options, printer = self.options, self.printer
         rules = self.firmware.motion(options.tolerance, options.retract == "moving")
         rests = stop_rules(printer.compensation.stops, options.strategy, rules.stop_rules)
-        limits = with_ramps(self.firmware.caps(), printer.motors.stated)
-        return sample(items, limits, rests, skip_slow=skip_slow)
+        return sample(items, self.caps, rests, skip_slow=skip_slow)
 
 
 def read_ahead(items: Iterator[Item]) -> Iterator[Item]:
@@ -205,8 +197,6 @@ class Stages:
             whole=None if picture else whole, rules=None if whole is None else rules,
         )  # fmt: skip
         self._notes = SampleNotes()
-        meters = chain.trial.meters if chain.trial else None
-        self._meter = meters.begun(printing) if meters else None
 
     def commands(self, items: Iterable[Planned]) -> Iterator[Samples]:
         """Yield checked commands for planned motion; the first sample is number 0.
@@ -257,8 +247,6 @@ class Stages:
                 commands = shape(commands, {SHAPER: self._options.shaping})
             commands = self._errors.samples(commands)
             commands = prefetch(commands) if threads else commands
-        if self._meter is not None:
-            commands = self._meter.samples(commands)
         return self._notes.samples(commands)
 
     @property
@@ -270,7 +258,6 @@ class Stages:
             filament_out=notes.filament, peaks=self._guard.peaks, clamped=self._clamp.clamped,
             advancing=self._advancing.summary, contour=errors.contour,
             width=errors.width, picture=errors.picture,
-            metered=self._meter.sums if self._meter is not None else None,
         )  # fmt: skip
 
 
@@ -292,10 +279,9 @@ class PlannedFile:
     """A file as spans of planned motion, and a ledger of what it asks for."""
 
     def __init__(self, lines: Iterable[bytes], chain: Chain) -> None:
-        printer = chain.printer
         self._lines, self._chain, self._options = lines, chain, chain.options
-        self._notes = FileNotes(chain.firmware.dialect.label, chain.firmware.caps())
-        self._sliced = SlicedFile(printer, chain.firmware)
+        self._notes = FileNotes(chain.firmware.dialect.label, chain.caps)
+        self._sliced = SlicedFile(chain.sliced.printer, chain.sliced)
         self._following = chain.following()
         self._within = chain.within_motors()
 
@@ -309,7 +295,7 @@ class PlannedFile:
         notes, chain = self._notes, self._chain
         items = notes.items(chain.read(self._lines, notes))
         items = read_ahead(items)
-        items = notes.paced(chain.paced(self._sliced.items(items)))
+        items = notes.asked(self._sliced.items(items))
         plans = chain.scheduled(items, followed=self._following, within=self._within)
         plans = notes.plans(plans)
         return Spans(plans, chain.firmware.advance())
@@ -343,7 +329,7 @@ class PlannedFile:
             shaping=shaping, predicted_sliced=share,
             couples=printer.kinematics.racks and bool(printer.plant.couplings),
             notices=tuple(printer.warnings()) if options.strategy != "none" else (),
-            capped=_binds(self._chain.firmware.caps()),
+            capped=_binds(self._chain.caps),
             other_tools=printer.firmware.other_tools,
         )  # fmt: skip
 
@@ -389,10 +375,9 @@ class SampleStream:
     def __init__(
         self, lines: Iterable[bytes], printer: Printer, options: Options,
         strategies: tuple[str, ...] = (), compensator: Compensator | None = None,
-        trial: Trial | None = None,
     ) -> None:  # fmt: skip
         lines, printer = with_motors(lines, printer, options.limits)
-        chain = Chain(printer, options, trial)
+        chain = Chain(printer, options)
         self._source = PlannedFile(lines, chain)
         self._stages = Stages(chain, compensator or chain.compensator, strategies)
         self.check_filament = self._source.check_filament

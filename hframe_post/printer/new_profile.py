@@ -80,12 +80,10 @@ TITLES = {
     "sweep": "the motion that measures the printer",
     "speed": "of --max-error: largest acceleration of the path",
 }
-# About what prints have without compensation; walls show it, infill does not.
+# about what prints have without compensation
 MAX_ERROR = """\
-# max_error = {outer-wall = 0.05, inner-wall = 0.1, infill = 0.2}
-#   mm: print as fast as that allows; '--max-error 100um --dry-run' shows the time of an error.
-#   The hot end counts as melting 15 mm³/s unless limits.flow says more or less. The limits of the
-#   filament are read from files of OrcaSlicer, Bambu Studio, PrusaSlicer and Cura."""
+# max_error = 0.1
+#   mm: print as fast as that allows; '--max-error 100um --dry-run' shows the time of an error."""
 FIRMWARE = "firmware."  # how the name of a firmware's table begins
 COLUMN = 32
 

@@ -18,7 +18,7 @@ from hframe_post.arrays import Array, Complex
 from hframe_post.errors import PrinterError
 
 T = TypeVar("T")
-Rules: TypeAlias = Mapping[str, Any]  # a field's bounds, choices, ascending, names, count
+Rules: TypeAlias = Mapping[str, Any]  # a field's bounds, choices, ascending, count
 
 MAX_NUMBER = 1e15  # a larger number is a mistake
 MAX_ROOTS = 50  # of a transfer function; the product of 50 roots within ROOTS is finite
@@ -91,8 +91,6 @@ def checked_value(hint: Any, value: Any, rules: Rules, key: str) -> Any:
         return _range(value, rules, key)
     if hint == tuple[tuple[float, float], ...]:
         return _ranges(value, rules, key)
-    if hint == dict[str, float]:
-        return _by_name(value, rules, key)
     if hint in (int, float):
         value = _number(hint, value, rules, key)
     elif hint in (str, bool) and not isinstance(value, hint):
@@ -121,16 +119,6 @@ def _ranges(value: Any, rules: Rules, key: str) -> tuple[tuple[float, float], ..
     return tuple(_range(pair, rules, key) for pair in value)
 
 
-def _by_name(value: Any, rules: Rules, key: str) -> dict[str, float]:
-    """Return numbers by name; a single number gets the name ''."""
-    table = value if isinstance(value, dict) else {"": value}
-    known_keys(table, ("", *rules["names"]), key)
-    return {
-        name: checked_value(float, number, rules, f"{key}.{name}".rstrip("."))
-        for name, number in table.items()
-    }
-
-
 def _number(hint: type[float], value: Any, rules: Rules, key: str) -> float:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not number or not abs(value) < MAX_NUMBER or (hint is int and value != int(value)):
@@ -142,6 +130,7 @@ def _number(hint: type[float], value: Any, rules: Rules, key: str) -> float:
 
 
 STROKES = "Klipper is measured by strokes within [limits] ('hframe-post measure')"
+FEED_RATES = "feed rates, and so the least time of layers, stay those of the slicer"
 
 
 def digest_of(settings: Mapping[str, Any]) -> str:
@@ -156,6 +145,11 @@ def digest_of(settings: Mapping[str, Any]) -> str:
 
 OLD_KEYS = {
     **{f"sweep.{key}": STROKES for key in ("start_hz", "stroke", "sway", "quiet")},
+    **dict.fromkeys(("limits.min_layer_time", "limits.min_print_speed"), FEED_RATES),
+    "speed.speed_up": FEED_RATES,
+    "speed.filament_acceleration": "limits.extruder_acceleration holds for any print",
+    "speed.model_error": "max_error is compared with the range of the measured model",
+    "speed.max_width_error": "the summary shows the error of the lines' width",
     "speed.avoid": "in the slicer, give outer walls a speed at which the motors shake less",
 }
 

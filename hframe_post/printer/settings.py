@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import date
 
 from hframe_post.errors import ArgumentError
@@ -14,7 +14,6 @@ from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.printer.firmware_tables import FirmwareSettings
 from hframe_post.printer.schema import not_negative, positive, within
-from hframe_post.stream.features import KINDS
 
 PLACES = {"least": -1e4, "most": 1e4, "ascending": True}  # mm of travel
 SHARE = {"least": 0.0, "most": 0.99}
@@ -59,9 +58,8 @@ class Limits:
 
     velocity, acceleration, square_corner_velocity and junction_deviation bind what a file asks only
     where they differ from the firmware's own, in its table (`Firmware.caps`).
-    deceleration limits braking more than acceleration does. flow (mm³/s) and min_layer_time limit
-    only what is printed faster than in the file; no layer is slowed below min_print_speed for that.
-    filament_density (g/cm³) makes a moving bed heavier.
+    deceleration limits braking more than acceleration does. flow (mm³/s) limits what
+    ``calibrate-print`` prints. filament_density (g/cm³) makes a moving bed heavier.
     travel_velocity and travel_acceleration, unless 0, replace those of the file for travel.
     Raises ArgumentError if reaching full speed would take more than MAX_RAMP_S.
     """
@@ -80,15 +78,8 @@ class Limits:
     flow: float = within(0.1, 1e3, default=15.0)
     filament_diameter: float = within(0.5, 5.0, default=1.75)
     filament_density: float = within(0.1, 25.0, default=1.24)
-    min_layer_time: float = not_negative(5.0, most=600.0)
-    min_print_speed: float = within(0.1, 1e3, default=10.0)
     travel_velocity: float = not_negative(0.0, most=1e4)
     travel_acceleration: float = not_negative(0.0, most=1e6)
-
-    @property
-    def filament_velocity(self) -> float:
-        """Return how fast the hot end can melt filament, mm/s."""
-        return self.flow / self._filament_area
 
     @property
     def filament_mass(self) -> float:
@@ -270,23 +261,13 @@ class Extruder:
 class Speed:
     """Trading accuracy for speed, unless options say otherwise.
 
-    max_error: largest error (mm) by feature, '' for all others; empty: the file's speeds.
-    max_width_error: largest error of the lines' width, as a share; 0: any. error_measure: statistic
-    compared with them. speed_up: largest factor on the file's feed rates.
-    model_error: share by which the printer may differ from its model. filament_acceleration:
-    largest mm/s² of filament, to which pressure advance drives the extruder in proportion, for
-    moves that accelerate harder than in the file; 0: no limit. acceleration: largest mm/s² of the
-    path, with corners no faster than limits.square_corner_velocity; 0: what the motors allow.
+    max_error: largest error (mm); 0: the file's accelerations. error_measure: statistic compared
+    with it. acceleration: largest mm/s² of the path, with corners no faster than
+    limits.square_corner_velocity; 0: what the motors allow.
     """
 
-    max_error: dict[str, float] = field(
-        default_factory=dict, metadata={"names": KINDS, "least": 1e-4, "most": 10.0}
-    )
-    max_width_error: float = not_negative(0.0, most=1.0)
+    max_error: float = not_negative(0.0, most=10.0)
     error_measure: str = field(default="p95", metadata={"choices": ("p95", "rms", "peak")})
-    speed_up: float = within(1.0, 20.0, default=1.0)
-    model_error: float = within(0.0, 0.99, default=0.05)
-    filament_acceleration: float = not_negative(0.0, most=1e6)
     acceleration: float = not_negative(0.0, most=1e6)
 
 
@@ -358,9 +339,3 @@ class Printer:
         most = self.speed.acceleration
         corner = self.limits.square_corner_velocity if most else math.inf
         return min(0.5 * belts, most or math.inf), corner
-
-    @property
-    def known_speed(self) -> Speed:
-        """Return ``speed`` with a model error of at least the plant's uncertainty."""
-        known = max(self.speed.model_error, self.uncertainty or 0.0)
-        return replace(self.speed, model_error=known)

@@ -87,12 +87,12 @@ def compare_shapers(
     they are made for the printer's. Raises HframeError.
     """
     stages = Chain(printer, options)
-    pieces = SlicedFile.from_items(stages.parsed(lines()), printer).paths
+    pieces = SlicedFile.from_items(stages.read(lines()), printer).paths
     shapings = {found.x.name: found for found in search(printer.plant, pieces)}
     firmware, meter = stages.firmware, ErrorMeter(plant)
     sliced, rules = AsSliced(firmware.limits()), firmware.motion(options.tolerance)
     by_firmware: dict[str, Shapes] = {**shapings, **by_itself(printer, LIVE)}
-    today = shape(sliced.samples(stages.parsed(lines())), by_firmware)
+    today = shape(sliced.samples(stages.read(lines())), by_firmware)
     if firmware.steps is not None:
         today = quantise(today, printer.kinematics, firmware.steps)
     ours = SampleStream(lines(), printer, options, tuple(STRATEGIES)[1:])

@@ -252,7 +252,7 @@ def simulate(
     shapings = {} if options.shaping is None else {SHAPER: options.shaping}
     chain = Chain(printer, options)
     sliced = AsSliced(chain.firmware.limits())
-    motion = sliced.samples(chain.parsed(lines()))
+    motion = sliced.samples(chain.read(lines()))
     steps = study.steps or (None if study.exact else chain.firmware.steps)
     today = _Judged(shape(motion, shapings), printer, study, steps)
     strategies = tuple(name for name in options.strategies if name != "none")

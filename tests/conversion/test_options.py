@@ -8,7 +8,7 @@ import click
 import pytest
 
 from hframe_post.cli.parameters import conversion_options
-from hframe_post.conversion.options import SHOWN, Options, error_bounds, speed_factor
+from hframe_post.conversion.options import SHOWN, Options, error_bound
 from hframe_post.errors import ArgumentError, HframeError, OptionError
 from hframe_post.printer.settings import Printer
 
@@ -36,8 +36,8 @@ def test_without_words_the_command_line_has_the_defaults_of_the_library() -> Non
         Options(),
         Options("fbs", limits="printer", clamp=False, force=True, jobs=3),
         Options("none", ("none", "fbs", "racking"), extrusion="relative", retract="moving"),
-        Options(predict=(), format="steps", firmware="marlin", tolerance=0.05, speed_up=2.5),
-        Options(max_width_error=0.055),
+        Options(predict=(), format="steps", firmware="marlin", tolerance=0.05),
+        Options(max_error=0.055),
     ],
 )
 def test_words_are_read_back_as_the_same_options(options: Options) -> None:
@@ -49,19 +49,19 @@ def test_every_option_is_read() -> None:
     words = (
         "--compensation racking --firmware klipper --limits file-all --extrusion absolute "
         "--on-limit error --force --tolerance 0 --retract moving --predict off --jobs 2 "
-        "--format samples --max-error outer-wall=15um,80um --max-width-error 5% --speed-up max"
+        "--format samples --max-error 15um"
     )
     assert read(*words.split()) == Options(
         "racking", (), limits="file-all", clamp=False, tolerance=None, extrusion="absolute",
         retract="moving", format="samples", firmware="klipper", force=True,
-        max_error={"outer-wall": 0.015, "": 0.08}, max_width_error=0.05, speed_up=20.0, jobs=2,
+        max_error=0.015, jobs=2,
     )  # fmt: skip
 
 
 def test_what_does_not_go_together_is_wrong_usage() -> None:
     with pytest.raises(click.UsageError, match="--tolerance must be 0, or from"):
         read("--tolerance", "5")
-    with pytest.raises(click.UsageError, match="'30' is not an error such as"):
+    with pytest.raises(click.UsageError, match="'30' is not an error of the whole print"):
         read("--max-error", "30")
 
 
@@ -78,33 +78,18 @@ def test_the_profile_decides_where_nothing_is_asked(paper: Printer) -> None:
     found = Options().resolved(paper)
     assert (found.strategy, found.predict) == ("racking", ("none", "racking"))
     assert found.speed is None
-    fast = replace(paper, speed=replace(paper.speed, max_error={"": 0.1}))
-    assert Options().resolved(fast).speed == fast.known_speed
-    assert Options(max_error={}).resolved(fast).speed is None
-    faster = Options(speed_up=3.0).resolved(fast).speed
-    assert faster is not None
-    assert (faster.speed_up, faster.max_error) == (3.0, {"": 0.1})
-    even = Options(max_width_error=0.05).resolved(fast).speed
-    assert even is not None
-    assert even.max_width_error == 0.05
-
-
-def test_speed_needs_an_error(paper: Printer) -> None:
-    with pytest.raises(OptionError, match="--speed-up needs --max-error"):
-        Options(speed_up=2.0).resolved(paper)
-    with pytest.raises(OptionError, match="--max-width-error needs --max-error"):
-        Options(max_width_error=0.05).resolved(paper)
+    fast = replace(paper, speed=replace(paper.speed, max_error=0.1))
+    assert Options().resolved(fast).speed == fast.speed
+    assert Options(max_error=0.0).resolved(fast).speed is None
+    assert Options(predict=(), max_error=0.1).resolved(paper).predict == ("none", "racking")
     with pytest.raises(HframeError, match="unknown strategy 'raking'"):
         Options("raking").resolved(paper)
 
 
-def test_errors_and_speeds_are_read() -> None:
-    assert error_bounds("off") == {}
-    assert error_bounds("0.03mm, infill=80um") == {"": 0.03, "infill": pytest.approx(0.08)}
-    assert (speed_factor("max"), speed_factor("1.5")) == (20.0, 1.5)
-    for text in ("wall=3um", "0um", "30", "20mm"):
+def test_errors_are_read() -> None:
+    assert error_bound("off") == 0.0
+    assert error_bound("0.03mm") == 0.03
+    assert error_bound("80um") == pytest.approx(0.08)
+    for text in ("infill=3um", "0um", "30", "20mm"):
         with pytest.raises(ArgumentError):
-            error_bounds(text)
-    for text in ("0.5", "21", "nan", "fast"):
-        with pytest.raises(ArgumentError):
-            speed_factor(text)
+            error_bound(text)

@@ -26,7 +26,7 @@ def vase(layers: int) -> list[bytes]:
 
 
 def today(lines: Iterable[bytes], printer: Printer) -> Today:
-    return SlicedFile.from_items(Chain(printer, Options("none")).parsed(lines), printer).today()
+    return SlicedFile.from_items(Chain(printer, Options("none")).read(lines), printer).today()
 
 
 def test_a_share_stands_for_a_vase(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,5 +59,5 @@ def test_a_move_of_days_takes_no_memory(paper: Printer) -> None:
         b"G1 X270 E1 F12\n",
         b"G1 X10 E1 F600\n",
     ]
-    found = SlicedFile.from_items(Chain(paper, Options("none")).parsed(lines * 3), paper)
+    found = SlicedFile.from_items(Chain(paper, Options("none")).read(lines * 3), paper)
     assert sum(len(path) for path, _ in found.paths) < 200_000, "samples"

@@ -89,7 +89,7 @@ def test_memory_is_bounded(name: str) -> None:
 @pytest.mark.slow
 def test_memory_is_bounded_when_the_quickest_print_is_sought() -> None:
     source = str(SAMPLES / "cube.gcode")
-    status, most, said = peak(iter(()), source, "--max-error", "0.2mm", "--speed-up", "max")
+    status, most, said = peak(iter(()), source, "--max-error", "0.2mm")
     assert (status, said) == (0, "")
     assert most < MOST
 

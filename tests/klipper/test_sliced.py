@@ -33,7 +33,7 @@ def test_errors_as_sliced_are_those_of_klippers_motion(paper: Printer, tmp_path:
     path = np.ascontiguousarray(host.position(t)[:, :2])
     fed = np.diff(host.extruded(t), prepend=0.0) > 0.0
     moving = np.abs(np.diff(path, axis=0, prepend=path[:1])).max(axis=1) > 0.0
-    sliced = SlicedFile.from_items(Chain(paper, Options("none")).parsed(lines), paper)
+    sliced = SlicedFile.from_items(Chain(paper, Options("none")).read(lines), paper)
     today = sliced.today()
     assert today.shaping is not None
     near(sliced.own.seconds, host.duration, 0.01 * host.duration, "print time, s")

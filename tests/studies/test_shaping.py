@@ -28,7 +28,7 @@ from tests.conftest import SAMPLES
 
 def paths(lines: Iterable[bytes], printer: Printer) -> Paths:
     """Pieces of the firmware's own motion."""
-    return SlicedFile.from_items(Chain(printer, Options("none")).parsed(lines), printer).paths
+    return SlicedFile.from_items(Chain(printer, Options("none")).read(lines), printer).paths
 
 
 @pytest.fixture(scope="module")
