@@ -16,7 +16,7 @@ from hframe_post.cli.parameters import coloured, quoted
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware, source_of
-from hframe_post.printer.choice import PROFILE, VARIABLE, Choice, choose, config_file, presets
+from hframe_post.printer.choice import PROFILE, VARIABLE, Choice, choose, config_file
 from hframe_post.printer.firmware_tables import MACROS
 from hframe_post.printer.profile import load, shipped
 from hframe_post.printer.settings import Printer
@@ -77,7 +77,7 @@ def doctor(
     requested: str | None,
     config: Path | None,
 ) -> None:
-    """Check the installation, the profile, printer.cfg, and what the slicers use.
+    """Check the installation, the profile, printer.cfg, and which profile is the default.
 
     Exit status: 0 if there are no problems, 1 if there are. Please add the output to bug reports.
 
@@ -152,7 +152,7 @@ def _check_profile(findings: _Findings, choice: Choice, config: Path | None) -> 
         )
         return
     _check_age(findings, Path(printer), profile)
-    _check_hooks(findings, printer)
+    _check_default(findings, printer)
     if stopped := own.code().when_stopped:
         findings.note(f"after a print that was stopped midway, send {stopped}")
     if config is None:
@@ -220,37 +220,22 @@ def _remedies(config: Path, name: str) -> tuple[str, str]:
     return remedy, again
 
 
-def _check_hooks(findings: _Findings, printer: str) -> None:
-    """Report which profile the slicers use, where it is another than the one that is checked."""
-    found, line = list(presets()), f"{VARIABLE}={Path(printer).absolute()}"
-    named = [preset for preset in found if _same(preset.profile, printer)]
-    for preset in found:
-        if not preset.profile or preset in named:
-            findings.ok(f"{preset.place}: this preset of a slicer runs hframe-post")
-            continue
-        text = f"{preset.place}: this preset of a slicer takes {preset.profile}, not {printer}"
-        if named:
-            findings.note(f"{text}: is it of another printer?")
-        else:
-            findings.problem(
-                f"{text}: change it. If it is of another printer, write {line} into the notes of "
-                "this one"
-            )
+def _check_default(findings: _Findings, printer: str) -> None:
+    """Report which profile a slicer's line without -p takes, where it is not the checked one."""
     try:
         default = choose(None, os.environ)
     except HframeError as error:
-        needed = config_file().exists() or any(not preset.profile for preset in found)
-        tell = findings.problem if needed else findings.note
+        tell = findings.problem if config_file().exists() else findings.note
         tell(f"a command without -p, such as the one in a slicer, fails: {error}")
         return
-    if not named and not _same(default.profile, printer):
+    if not _same(default.profile, printer):
         command = f"hframe-post setup {quoted(printer)}"
         if os.environ.get(VARIABLE):  # counts more than the default
             command = f"unset {VARIABLE}"
         findings.problem(
             f"a command without -p, such as the one in a slicer, takes {default.profile} "
-            f"({default.why}), not {printer}: run '{command}', or write {line} into the notes of "
-            "the slicer's printer"
+            f"({default.why}), not {printer}: run '{command}', or write "
+            f"{VARIABLE}={Path(printer).absolute()} into the notes of the slicer's printer"
         )
 
 

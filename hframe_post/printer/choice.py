@@ -11,7 +11,7 @@ import json
 import os
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,13 +26,7 @@ PROFILE = "printer.toml"  # as `setup` calls it
 CHOICE = "hframe_post.choice"  # in the meta of a command's context
 DEMONSTRATIONS = ("paper", "paper-marlin", "paper-strong")
 OPTION = "option -p"
-PROGRAMS = ("PrusaSlicer", "SuperSlicer", "OrcaSlicer")
-PRESETS = ("*/*.ini", "user/*/*/*.json")  # of PrusaSlicer and SuperSlicer; of OrcaSlicer
 AGAIN = "run 'hframe-post setup PROFILE.TOML' again"
-MAX_PRESET_BYTES = 1 << 20  # bytes
-QUOTED = r'(?:\\*"(?P<quoted>[^"]+?)\\*"|(?P<plain>[^\s"\\;]+))'
-NOTE = re.compile(rf'{VARIABLE}\s*=\s*(?:\\+")?(?P<plain>(?:[^"\\\n]|\\+(?![nr"]))+)')
-HOOK = re.compile(rf"hframe-post.*?\s(?:-p|--printer)[ =]{QUOTED}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,38 +122,3 @@ def verification_as_text(printer: Printer) -> list[str]:
         return [] if printer.invented else [f"next             {how}"]
     less = f"{100.0 * mark.reduction:.0f} % less contour error on the printer as measured"
     return [f"verified         {less}, {one_line(mark.date)}, {one_line(mark.firmware)}"]
-
-
-# ---------------------------------------------------------------------- presets of slicers
-
-
-@dataclass(frozen=True, slots=True)
-class Preset:
-    """A line of a slicer's preset that runs hframe-post. profile: empty if it names none."""
-
-    place: str
-    profile: str
-
-
-def presets() -> Iterator[Preset]:
-    """Yield the presets of slicers that run hframe-post or name its profile."""
-    from platformdirs import user_config_path
-
-    for folder in (user_config_path(name, appauthor=False, roaming=True) for name in PROGRAMS):
-        for path in sorted(path for pattern in PRESETS for path in folder.glob(pattern)):
-            yield from _in_file(path)
-
-
-def _in_file(path: Path) -> Iterator[Preset]:
-    try:
-        if path.stat().st_size > MAX_PRESET_BYTES:
-            return
-        lines = path.read_text("utf-8", "replace").splitlines()
-    except OSError:  # another user's, or gone meanwhile
-        return
-    for number, line in enumerate(lines, start=1):
-        found = NOTE.search(line) or HOOK.search(line)
-        if found or "hframe-post" in line:
-            groups = found.groupdict() if found else {}
-            profile = (groups.get("quoted") or groups.get("plain") or "").strip()
-            yield Preset(f"{path}:{number}", profile.replace("\\\\", "\\"))
