@@ -46,19 +46,6 @@ def test_racking_moves_y_only_under_fbs_and_with_the_lever(compensator: Compensa
     assert off_y(220.0, "racking") < 0.05 * off_y(220.0, "fbs")
 
 
-@pytest.mark.parametrize("cut", [1, 7, 100, 10_000])
-def test_equal_bits_however_the_stream_is_cut(compensator: Compensator, cut: int) -> None:
-    samples = block(100 + stroke(30, 100, 700), 20 + stroke(30, 100, 700))
-    whole = join(list(compensate([samples], compensator, ("racking",))))
-    pieces = [
-        Samples(k, samples.xyze[k : k + cut], samples.line[k : k + cut])
-        for k in range(0, len(samples), cut)
-    ]
-    done = list(compensate(pieces, compensator, ("racking",)))
-    assert [b.first for b in done] == list(np.cumsum([0] + [len(b) for b in done[:-1]]))
-    np.testing.assert_array_equal(join(done).commands["racking"], whole.commands["racking"])
-
-
 def test_settling_covers_the_fastest_stop(compensator: Compensator) -> None:
     limits = replace(load("paper").limits, velocity=150.0, acceleration=5000.0)
     reached = Travel((140.0, 280.0), (0.0, 280.0))  # x_c is 140: a lever arm of 140 mm

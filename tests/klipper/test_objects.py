@@ -186,31 +186,6 @@ def belts_acceleration(played: Playback) -> float:
 
 
 @pytest.mark.klipper
-def test_a_print_that_stops_anywhere_brakes_as_hard_as_the_motors_hold(tmp_path: Path) -> None:
-    """A pause, a cancelled print: Klipper plays what it has been sent to its end, and stands.
-
-    So does it at M400, of which there are twenty, at random. With limits that are only there to
-    be out of the way it would ask the motors for more than they have.
-    """
-    lines = [line.encode() + b"\n" for line in strokes(40)]
-    text, _ = converted(lines, load("paper"))
-    rows = text.splitlines(keepends=True)
-    begun = next(k for k, row in enumerate(rows) if row.startswith(b"SET_VELOCITY_LIMIT VEL"))
-    moves = [k for k in range(begun, len(rows)) if rows[k].startswith(b"G1 X")]
-    for k in sorted(np.random.default_rng(3).choice(moves, 20, replace=False).tolist())[::-1]:
-        rows.insert(k, b"M400\n")
-    asked = {}
-    for name, stopped in (
-        ("as written", b"".join(rows)),
-        ("without bounds", b"".join(rows).replace(b" ACCEL=35355", b" ACCEL=250000")),
-    ):
-        (tmp_path / "stopped.gcode").write_bytes(stopped)
-        asked[name] = belts_acceleration(play(tmp_path / "stopped.gcode", workdir=tmp_path / name))
-    assert asked["as written"] <= MOTORS
-    assert asked["without bounds"] > MOTORS
-
-
-@pytest.mark.klipper
 def test_firmware_retraction_is_written_as_klipper_makes_it(tmp_path: Path) -> None:
     """As much filament, in hardly more time."""
     lines = strokes(12)

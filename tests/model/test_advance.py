@@ -72,15 +72,6 @@ def test_a_line_shorter_than_the_average_has_some_of_it(samples: int) -> None:
     assert not A[40 + samples :].any()
 
 
-def test_the_bits_do_not_depend_on_where_the_samples_begin() -> None:
-    path = lines(3)
-    whole = ours(path)
-    for first in (1, 500, 777):
-        part = ours(path[first : first + 1500])
-        inner = slice(AROUND, 1500 - AROUND)
-        np.testing.assert_array_equal(part[inner], whole[first : first + 1500][inner])
-
-
 def test_klippers_rule_is_a_mean_of_place_and_speed() -> None:
     """With weights that fall in both directions, of filament that retractions do not move."""
     path = lines(5)

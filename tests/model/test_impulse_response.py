@@ -23,17 +23,6 @@ def test_a_long_response_is_the_transfer_function_that_it_was_made_from() -> Non
     assert q.deviation == pytest.approx(expected, abs=1e-9)  # µm
 
 
-def test_the_impulse_begins_as_early_as_the_response() -> None:
-    rng = np.random.default_rng(1)
-    G = ImpulseResponse(rng.normal(size=20), 7)
-
-    h, late = G.impulse(40), np.arange(40) - G.ahead
-    of_impulse = np.exp(-1j * OMEGA[:, None] * late) @ h
-    assert np.abs(of_impulse - G.response(OMEGA)).max() < 1e-10  # of 1
-    assert h.sum() == pytest.approx(1.0, abs=1e-12)
-    assert len(G.impulse(3)) == 3
-
-
 @pytest.mark.parametrize("factor", [1.05, 0.9, 1.3])
 def test_a_stretched_response_has_lower_frequencies(factor: float) -> None:
     stretched = ImpulseResponse(deviation_of_mode(40.0, 0.06, 900), 0).stretched(factor)

@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from hframe_post.arrays import Array
-from hframe_post.model.lpfbs import Lpfbs, Window, bsplines, uniform_basis
+from hframe_post.model.lpfbs import Lpfbs, Window, bsplines
 from hframe_post.printer import profile
 from tests.plants import Filter
 
@@ -19,11 +19,6 @@ def test_eq_6_basis_functions(degree: int) -> None:
     t = np.linspace(0, 1, 101)
     expected = BSpline.design_matrix(t, knots, degree).toarray()
     np.testing.assert_allclose(bsplines(knots, degree, t), expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(("L", "degree"), [(5, 5), (8, 3), (20, 5)])
-def test_uniform_basis_sums_to_one(L: int, degree: int) -> None:
-    np.testing.assert_allclose(uniform_basis(L, degree).sum(axis=1), 1.0, atol=1e-12)
 
 
 @pytest.mark.parametrize(  # windows whose recursion was seen to settle within a few steps
@@ -55,18 +50,6 @@ def test_radius_tells_how_fast_the_past_is_forgotten() -> None:
     x_dm, _ = solver.run(x_d, disturbed)
     by_window = np.abs(x_dm.reshape(-1, solver.window.stride)).max(axis=1)
     assert by_window[6] < 1e-12 < by_window[0]
-
-
-def test_run_does_not_depend_on_how_many_windows_come_at_once() -> None:
-    solver = Lpfbs(PLANT.Gyy, Window(5, 88, 44, 100.0))
-    T, preview = solver.window.stride, solver.window.L_C - solver.window.stride
-    x_d = np.cumsum(np.random.default_rng(0).normal(size=9 * T + preview)) * 0.01
-    whole, _ = solver.run(x_d, solver.rest)
-    s, pieces = solver.rest, []
-    for w in range(9):
-        piece, s = solver.run(x_d[w * T : (w + 1) * T + preview], s)
-        pieces.append(piece)
-    np.testing.assert_allclose(np.concatenate(pieces), whole, atol=1e-10)
 
 
 @pytest.mark.parametrize("n", [1, 219, 220, 441, 2000])

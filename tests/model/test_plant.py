@@ -53,14 +53,6 @@ def test_frequency_response(G: TransferFunction) -> None:
     np.testing.assert_allclose(G.response(omega), expected, rtol=1e-9)
 
 
-def test_odd_orders_and_lone_zeros_become_real_sections() -> None:
-    G = TransferFunction(
-        np.array([0.2 + 0.3j, 0.2 - 0.3j, -0.4]), np.array([0.9, 0.5, 0.3, 0.1, -0.2]), 2.0
-    )
-    u = np.random.default_rng(4).normal(size=100)
-    np.testing.assert_allclose(Filter(G).run(u), by_scipy(G, u), atol=1e-10)
-
-
 @given(st.integers(0, 2**32 - 1))
 def test_any_real_roots_and_pairs_make_sections(seed: int) -> None:
     """However many of either, and wherever they lie: the state space has the same response."""

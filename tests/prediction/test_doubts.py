@@ -145,27 +145,6 @@ def test_nine_of_ten_printers_are_in_the_range(drift: float) -> None:
     assert 0.8 * count <= inside < count, f"printers in {known} mm, of {count}"
 
 
-def test_the_range_does_not_depend_on_chunks() -> None:
-    printer = as_measured(0.02)
-    plant = replace(printer.plant, Gyy=mode(39.0, 0.02, (0.5, 0.2)))
-    doubts = Doubts.from_plant(plant)
-    _, chunk = predicted(printer)
-
-    def summed(chunks: Sequence[Samples]) -> Array:
-        errors = ContourErrors()
-        for judgement in judge(chunks, plant, 2, doubts):
-            extruding = judgement.extruding[judgement.doubtful]
-            if "fbs" in judgement.products:
-                errors.doubt(judgement.products["fbs"], extruding)
-        return errors.all.doubts
-
-    whole = summed([chunk])
-    assert whole[0] > 100  # samples
-    assert (whole[[1, 4, 6, 7]] > 0.0).all()
-    for size in (1000, 77):
-        assert summed(list(smaller([chunk], size))) == pytest.approx(whole, rel=1e-12)
-
-
 def test_what_a_picture_collects_adds_up_wherever_a_print_is_cut() -> None:
     printer = as_measured(0.02)
     _, chunk = predicted(printer)

@@ -20,45 +20,36 @@ def test_comments_hold_from_their_sample_on() -> None:
     assert features == [BEFORE, BEFORE, "SKIRT", "SKIRT", "SKIRT", "FILL"]
 
 
-@pytest.mark.parametrize(
-    ("text", "layer"),
-    [
-        (b";LAYER:12", "12"),
-        (b";LAYER:-3\r\n", "-3"),
-        (b"; LAYER: 7\n", "7"),
-        (b"  ;LAYER:7\n", "7"),
-        (b";LAYER_CHANGE\r\n", "0"),
-        (b"; CHANGE_LAYER\n", "0"),
-    ],
-)
-def test_layers_as_slicers_write_them(text: bytes, layer: str) -> None:
-    assert names([block(printing(1), (0, text))])[0] == [layer]
+LAYERS = {
+    b";LAYER:12": "12", b";LAYER:-3\r\n": "-3", b"; LAYER: 7\n": "7", b"  ;LAYER:7\n": "7",
+    b";LAYER_CHANGE\r\n": "0", b"; CHANGE_LAYER\n": "0",
+    b"; layer num/total_layer_count: 3/200": "2",  # Bambu Studio counts from 1
+    b"; layer 3, Z = 0.600": "3",  # Simplify3D
+    b"; BEGIN_LAYER_OBJECT z=0.350 z_thickness=0.200": "0",  # KISSlicer
+    b";; --- layer 4 (0.200 @ 1.000) ---": "4",  # Kiri:Moto
+    b";layer:0.30": "0",  # FlashPrint
+    b"(Slice 6, 1 Extruder)": "6", b"; Slice 6, 1 Extruder": "6",  # MakerBot
+}  # fmt: skip
+FEATURES = {
+    b";TYPE:WALL-OUTER\n": "WALL-OUTER", b";TYPE:External perimeter\r\n": "External perimeter",
+    b"; FEATURE: Outer wall \n": "Outer wall", b";TYPE:Au\xc3\x9fen\n": "Außen",
+    b";TYPE:\xff\n": "\ufffd",
+    b"; feature outer perimeter": "outer perimeter",  # Simplify3D
+    b"; 'Perimeter Path', 0.6 [feed mm/s], 35.0 [head mm/s]": "Perimeter Path",  # KISSlicer
+    b";structure:shell-outer": "shell-outer",  # FlashPrint
+}  # fmt: skip
+OTHERS = [
+    b";LAYER_COUNT:40", b";LAYER:", b";LAYER:first", b";LAYERS:3", b";LAYER_CHANGED", b";Z:0.2",
+    b";HEIGHT:0.2", b";TYPE:", b";TYPE: \n", b"LAYER:3", b"M117 ;LAYER:3", b";type:FILL", b";", b"",
+    b"; layer_height = 0.2", b";Layer height: 0.2", b"; layer count: 7",
+    b"; total layer number: 92", b";AFTER_LAYER_CHANGE",
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("text", "feature"),
-    [
-        (b";TYPE:WALL-OUTER\n", "WALL-OUTER"),
-        (b";TYPE:External perimeter\r\n", "External perimeter"),
-        (b"; FEATURE: Outer wall \n", "Outer wall"),
-        (b";TYPE:Au\xc3\x9fen\n", "Außen"),
-        (b";TYPE:\xff\n", "\ufffd"),
-    ],
-)
-def test_features_as_slicers_write_them(text: bytes, feature: str) -> None:
-    assert names([block(printing(1), (0, text))])[1] == [feature]
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        b";LAYER_COUNT:40", b";LAYER:", b";LAYER:first", b";LAYERS:3", b";LAYER_CHANGED", b";Z:0.2",
-        b";HEIGHT:0.2", b";TYPE:", b";TYPE: \n", b"LAYER:3", b"M117 ;LAYER:3", b";type:FILL",
-        b";", b"",
-    ],
-)  # fmt: skip
-def test_other_lines_name_nothing(text: bytes) -> None:
-    assert names([block(printing(1), (0, text))]) == ([BEFORE], [BEFORE])
+@pytest.mark.parametrize("text", [*LAYERS, *FEATURES, *OTHERS])
+def test_layers_and_features_as_slicers_write_them(text: bytes) -> None:
+    expected = [LAYERS.get(text, BEFORE)], [FEATURES.get(text, BEFORE)]
+    assert names([block(printing(1), (0, text))]) == expected
 
 
 def test_layers_without_a_number_are_counted() -> None:
@@ -121,40 +112,6 @@ def test_cuts_change_no_label(
     whole = block(np.cumsum(steps), *known, first=7)
     edges = [0, *sorted(c for c in cuts if c <= n), n]
     assert names([part(whole, *edge) for edge in pairwise(edges)]) == names([whole])
-
-
-@pytest.mark.parametrize(
-    ("text", "layer"),
-    [
-        (b"; layer num/total_layer_count: 3/200", "2"),  # Bambu Studio counts from 1
-        (b"; layer 3, Z = 0.600", "3"),  # Simplify3D
-        (b";LAYER:5", "5"),  # ideaMaker
-        (b"; BEGIN_LAYER_OBJECT z=0.350 z_thickness=0.200", "0"),  # KISSlicer
-        (b";; --- layer 4 (0.200 @ 1.000) ---", "4"),  # Kiri:Moto
-        (b";layer:0.30", "0"),  # FlashPrint
-        (b"(Slice 6, 1 Extruder)", "6"),  # MakerBot
-        (b"; Slice 6, 1 Extruder", "6"),
-        (b"; layer_height = 0.2", BEFORE),
-        (b";Layer height: 0.2", BEFORE),
-        (b"; layer count: 7", BEFORE),
-        (b"; total layer number: 92", BEFORE),
-        (b";AFTER_LAYER_CHANGE", BEFORE),
-    ],
-)
-def test_layers_of_other_slicers(text: bytes, layer: str) -> None:
-    assert names([block(printing(1), (0, text))])[0] == [layer]
-
-
-@pytest.mark.parametrize(
-    ("text", "feature"),
-    [
-        (b"; feature outer perimeter", "outer perimeter"),  # Simplify3D
-        (b"; 'Perimeter Path', 0.6 [feed mm/s], 35.0 [head mm/s]", "Perimeter Path"),  # KISSlicer
-        (b";structure:shell-outer", "shell-outer"),  # FlashPrint
-    ],
-)
-def test_features_of_other_slicers(text: bytes, feature: str) -> None:
-    assert names([block(printing(1), (0, text))])[1] == [feature]
 
 
 def test_both_marks_of_bambu_studio_are_one_layer() -> None:

@@ -39,16 +39,11 @@ def test_a_nozzle_on_the_path_draws_the_line_that_was_sliced() -> None:
     np.testing.assert_array_less(drawn(path, path[:, :Z] + [5.0, 7.0]), 1e-9)  # wherever it is
 
 
-def test_more_way_makes_a_thinner_line() -> None:
-    path = straight()
+@pytest.mark.parametrize("flow", [0.001, 0.03, 0.3])
+def test_more_way_makes_a_thinner_line_whatever_the_flow(flow: float) -> None:
+    path = straight(flow=flow)
     np.testing.assert_allclose(drawn(path, 1.25 * path[:, :Z]), 0.2)  # 1/1.25 − 1
     np.testing.assert_allclose(drawn(path, 0.8 * path[:, :Z]), 0.25)
-
-
-@pytest.mark.parametrize("flow", [0.001, 0.3])
-def test_the_flow_does_not_matter(flow: float) -> None:
-    path = straight(flow=flow)
-    np.testing.assert_allclose(drawn(path, 1.25 * path[:, :Z]), 0.2)
 
 
 def test_ringing_along_the_line() -> None:

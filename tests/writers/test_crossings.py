@@ -40,15 +40,6 @@ def test_cubic_is_on_the_level_where_a_step_is_made(values: list[float]) -> None
     assert at == np.floor(u[-2])
 
 
-@settings(max_examples=80)
-@given(SAMPLES)
-def test_between_samples_the_command_never_turns(values: list[float]) -> None:
-    u = np.array(values)
-    fine = np.linspace(0.0, len(u) - 3.0, 50 * (len(u) - 3) + 1)
-    change = np.diff(spline(u)(fine)).reshape(len(u) - 3, 50)
-    assert (change * np.sign(np.diff(u[1:-1]))[:, None] >= -1e-9).all()
-
-
 def test_smooth_motion_is_followed_to_a_thousandth_of_a_step() -> None:
     """A sine's own crossings, between samples 1 ms apart."""
     t = np.arange(400)
