@@ -89,9 +89,6 @@ def _received(connection: socket.socket, count: int) -> bytes:
     return text
 
 
-# ---------------------------------------------------------------------- the process that forks
-
-
 def prepare() -> None:
     """Import all modules of the package."""
     import hframe_post

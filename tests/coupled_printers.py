@@ -75,9 +75,6 @@ def _mode(s: Complex, hz: float, zeta: float) -> Complex:
     return np.asarray(w * w / (s * s + 2.0 * zeta * w * s + w * w))
 
 
-# ---------------------------------------------------------------------- in motion
-
-
 @dataclass(frozen=True)
 class SharedMode:
     """A resonance: what it takes of the commands in x and y, and how it moves the nozzle."""

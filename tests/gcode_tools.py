@@ -96,6 +96,13 @@ def layers(name: str, last: int) -> list[bytes]:
     return lines[: lines.index(b";LAYER:%d\n" % last)]
 
 
+def sliced(count: int) -> list[bytes]:
+    """Return the cube's first layers and the end of its file, for a bed of 200 mm."""
+    lines, end = sample("cube.gcode"), b"M140 S0\n"  # begins what CuraEngine writes last
+    whole = [*lines[: lines.index(b";LAYER:%d\n" % count)], *lines[lines.index(end) :]]
+    return [line.replace(b"G1 X0 Y220", b"G1 X0 Y190") for line in whole]
+
+
 def small_rectangle() -> list[bytes]:
     """Return the paper's rectangle at a tenth of its size: it has a tenth of the samples."""
     small = {b"X140": b"X20", b"X260": b"X32", b"Y100": b"Y10", b"Y120": b"Y12",
@@ -135,6 +142,21 @@ def strokes(seed: int, count: int, lift: float = 0.0, away: float = 40.0) -> lis
         lines += ["G1 Z0.3 F1200"] if lift else []
         lines += ["G1 E1.6 F2400"]
     return lines
+
+
+def hops(seed: int, count: int) -> list[bytes]:
+    """Return lines in any direction; between them retraction, lift, travel, drop, priming."""
+    rng, at = np.random.default_rng(seed), np.array([100.0, 100.0])
+    lines = ["G28", "M83", "G1 Z0.3 F600", "G0 X100 Y100 F9000"]
+    for _ in range(count):
+        angle, length = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(10.0, 30.0)
+        there = np.clip(at + length * np.array([np.cos(angle), np.sin(angle)]), 20.0, 250.0)
+        at = np.clip(there + rng.uniform(-40.0, 40.0, 2), 20.0, 250.0)
+        lift = rng.choice([0.05, 0.2, 0.4, 1.0])
+        lines += [f"G1 X{there[0]:.3f} Y{there[1]:.3f} E{0.04 * length:.4f} F6000"]
+        lines += ["G1 E-1.6 F2400", f"G1 Z{0.3 + lift} F1200", "M106 S99"]
+        lines += [f"G0 X{at[0]:.3f} Y{at[1]:.3f} F12000", "G1 Z0.3 F1200", "G1 E1.6 F2400"]
+    return [line.encode() + b"\n" for line in lines]
 
 
 def one_by_one(*arguments: Any) -> int:

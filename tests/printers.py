@@ -1,10 +1,23 @@
 """What firmware says of itself: a printer.cfg and answers of Marlin, and profiles of them."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import from_klipper, kinematics_in
+from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.lpfbs import Window
+from hframe_post.model.plant import Plant
+from hframe_post.printer import model_file
+from hframe_post.printer.model_file import model_path, texts, with_windows
 from hframe_post.printer.new_profile import Known, profile_text
-from hframe_post.printer.profile import parse
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.profile import load, parse
+from hframe_post.printer.settings import Printer, Verified
 from tests.conftest import ROOT
 
 REAL = ROOT / "tests" / "klipper" / "printer.cfg"  # which Klipper itself runs with in other tests
@@ -16,3 +29,54 @@ def profile_of(config: KlipperConfig, kinematics: str = "") -> Printer:
     kind = kinematics or kinematics_in(config)[0]
     tables = {"kinematics": {"type": Known(kind, "test")}, **from_klipper(config)}
     return parse(profile_text(tables, "own"), "own")
+
+
+Windows = tuple[Window, Window]
+
+
+def in_one(
+    printer: Printer, source: str, notes: Sequence[str] | None = None, text: str | None = None
+) -> str:
+    """Return a profile that contains its model."""
+    made = texts(printer, source, "mine.toml", notes, text)
+    document: Any = tomlkit.parse(made.profile)
+    del document["model"]
+    for name, table in tomlkit.parse(made.model).items():
+        if name in document:
+            document[name].update(table)
+        else:
+            document.append(name, table)
+    if printer.verified is not None:
+        document["verified"]["model"] = parse(document.as_string(), "mine").model
+    return str(document.as_string())
+
+
+def in_two(path: Path, printer: Printer, source: str, notes: Sequence[str] | None = None) -> None:
+    """Write a profile that names its model, and that model."""
+    made = texts(printer, source, path, notes)
+    path.write_text(made.profile)
+    model_path(path).write_text(made.model)
+
+
+def with_plant(
+    source: str, plant: Plant, windows: Windows, notes: Sequence[str],
+    uncertainty: float | None = None, text: str | None = None, measured: date | None = None,
+) -> str:  # fmt: skip
+    printer = load(source) if text is None else parse(text, "mine", source)
+    found = model_file.measured(printer, plant, uncertainty, measured)
+    return in_one(with_windows(found, windows), source, notes, text)
+
+
+def with_check(
+    source: str, moved: Mapping[str, ImpulseResponse], uncertainty: float, measured: date | None
+) -> str:
+    printer = load(source)
+    changed: dict[str, Any] = dict(moved)
+    plant, day = replace(printer.plant, **changed), measured or printer.measured
+    return in_one(replace(printer, plant=plant, uncertainty=uncertainty, measured=day), source)
+
+
+def with_verification(source: str, day: str, reduction: float) -> str:
+    printer = load(source)
+    mark = Verified(day, reduction, printer.firmware.dialect, printer.model)
+    return in_one(replace(printer, verified=mark), source)

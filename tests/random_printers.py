@@ -95,8 +95,6 @@ def with_plant(profile: Printer, plant: Plant) -> Printer:
     return replace(profile, plant=plant)
 
 
-# ---------------------------------------------------------------------- random printers
-
 FAULTS = ("friction", "play", "second", "third", "along")
 
 

@@ -31,8 +31,6 @@ def prose(page: Path) -> str:
     return FENCED.sub("", page.read_text("utf-8"))
 
 
-# ---------------------------------------------------------------------- snippets
-
 SNIPPETS = {
     page: [code for kind, code in FENCED.findall(page.read_text("utf-8")) if kind == "python"]
     for page in PAGES
@@ -81,8 +79,6 @@ def test_snippets_are_there_and_can_fail(files: Path) -> None:
         exec("import hframe_post as hp\nhp.compensat", {})
 
 
-# ---------------------------------------------------------------------- links
-
 LINK = re.compile(r"\]\((?!https?:)([^)\s#]*)(?:#([^)\s]+))?\)")
 
 
@@ -129,8 +125,6 @@ def test_pages_can_be_reached(page: Path) -> None:
         } - reached
     assert page.resolve() in {one.resolve() for one in reached}
 
-
-# ---------------------------------------------------------------------- names
 
 CODE_PATH = re.compile(r"`((?:[\w.-]+/)*[\w.-]+\.(?:py|toml|gcode|md|cfg)|[\w./-]+/)`")
 MEMBER = re.compile(r"`(\w+)\.(?!py|toml|md|csv|gcode|npz)(\w+)[`(\[]")

@@ -37,9 +37,6 @@ def stroke(start: tuple[float, float], by: tuple[float, float], n: int) -> Array
     return moved
 
 
-# ---------------------------------------------------------------------- the package itself
-
-
 def test_import_costs_nothing_until_a_name_is_used() -> None:
     program = (
         "import sys, hframe_post as hp; heavy = {'numpy', 'scipy', 'click', 'ruckig'};"
@@ -56,9 +53,6 @@ def test_every_name_offered_is_there_and_says_what_it_is(name: str) -> None:
     if name != "__version__":
         assert offered.__doc__, f"{name} has no docstring"
         assert not offered.__doc__.startswith(f"{name}("), f"{name} has only a generated docstring"
-
-
-# ---------------------------------------------------------------------- arrays
 
 
 @pytest.mark.paper
@@ -130,9 +124,6 @@ def test_mistakes_in_arguments_are_value_errors_of_the_tool(paper: Printer) -> N
         with pytest.raises(hp.HframeError) as raised:
             mistake()
         assert isinstance(raised.value, ValueError)
-
-
-# ---------------------------------------------------------------------- files
 
 
 def test_convert_is_what_the_command_line_does(tmp_path: Path) -> None:

@@ -17,8 +17,7 @@ from hframe_post.process import program
 from tests.command_line import RECTANGLE, run
 from tests.command_server import call
 from tests.conftest import ROOT
-from tests.printers import M503, REAL
-from tests.profiles import with_plant
+from tests.printers import M503, REAL, with_plant
 
 
 @pytest.fixture

@@ -23,9 +23,6 @@ def printed(done: CompletedProcess[bytes]) -> Any:
     return json.loads(done.stdout)
 
 
-# ---------------------------------------------------------------------- simulate
-
-
 @pytest.fixture(scope="module")
 def simulation() -> Any:
     return printed(run("simulate", RECTANGLE, "--json", "-", "-q"))
@@ -72,9 +69,6 @@ def test_simulate_under_model_error_on_steps_and_another_plant(tmp_path: Path) -
             assert set(error[name]) == {"median_um", "worst_um", "better_than_none"}
             assert error[name]["median_um"] <= error[name]["worst_um"]
     assert b"median of 3 printers" in first.stderr  # standard output is the JSON's
-
-
-# ---------------------------------------------------------------------- what goes wrong
 
 
 USAGE = [

@@ -67,9 +67,6 @@ def errors(blocks: list[Samples], printer: Printer, name: str = "racking") -> Ar
     return np.concatenate([j.contour[name][j.extruding] for j in judged])
 
 
-# ---------------------------------------------------------------------- the command stands
-
-
 @pytest.mark.parametrize("kind", ["fast", "exact"])
 @pytest.mark.parametrize("lift", [0.0, 0.4])
 def test_the_command_stands_while_the_machine_waits(paper: Printer, kind: str, lift: float) -> None:
@@ -128,9 +125,6 @@ def test_a_long_wait_is_made_on_the_path(paper: Printer) -> None:
         np.testing.assert_array_equal(block.commands["racking"][a:b], block.xyze[a:b, :2])
 
 
-# ---------------------------------------------------------------------- accuracy and time
-
-
 def test_stops_cost_little_and_the_print_is_exact(paper: Printer) -> None:
     """Retractions of 67 ms every half second, at 10 000 mm/s² in any direction."""
     blocks = compensated(planned(strokes(1, 40), paper), paper)
@@ -167,9 +161,6 @@ def test_no_peak_next_to_a_short_travel_or_at_a_corner_just_after_a_stop(paper: 
         blocks = compensated(planned(lines, printer), printer)
         assert errors(blocks, printer).max() < 0.130
         assert max(hardest(b.commands["racking"], printer) for b in blocks if len(b) > 2) <= 50_000
-
-
-# ---------------------------------------------------------------------- the stream
 
 
 def cut(chunks: list[Samples], n: int) -> list[Samples]:

@@ -56,9 +56,6 @@ def slinger(fixed: Printer, monkeypatch: pytest.MonkeyPatch) -> Printer:
     return replace(fixed, plant=replace(fixed.plant, bed=Bed(1.0, 0.3 / (LAPS * LAP))))
 
 
-# ---------------------------------------------------------------------- the model
-
-
 def bed(M: float) -> tuple[Array, Array]:
     """Return the step of M·ÿ + c·ẏ + k·(y − w) = 0 behind a lag, for a held command.
 
@@ -111,9 +108,6 @@ def test_lags_and_delays_stay() -> None:
         assert new.lag == pytest.approx(G.lag, rel=0.01)
 
 
-# ---------------------------------------------------------------------- prints
-
-
 def errors(printer: Printer, filament: float) -> tuple[float, float]:
     """Return the RMS contour error, mm, on the bed itself: of the first and of the last quarter."""
     chunks = [c for c in SampleStream(iter(laps()), printer, FBS).computed() if len(c)]
@@ -155,9 +149,6 @@ def test_commands_stand_still_where_the_model_changes(slinger: Printer) -> None:
             last, ended = command[-1], False
         ended |= chunk.ends_stretch
     assert changes >= LAPS - 1
-
-
-# ---------------------------------------------------------------------- windows and profiles
 
 
 def test_windows_are_certified_for_every_mass(fixed: Printer) -> None:

@@ -56,9 +56,6 @@ def test_events_stand_in_order_of_time_among_the_steps(paper: Printer) -> None:
     assert lines[yields[0]].endswith(b"G28")
 
 
-# ---------------------------------------------------------------------- what it says
-
-
 def test_report_counts_what_is_in_the_file(paper: Printer) -> None:
     pieces = StepConversion(iter(layers("cube.gcode", 1)), paper, Options("racking"))
     rows = b"".join(piece for piece in pieces if isinstance(piece, bytes)).splitlines()
@@ -74,9 +71,6 @@ def test_report_counts_what_is_in_the_file(paper: Printer) -> None:
     assert "steps " in report.as_text()
     assert report.as_json()["steps"]["motors"] == report.steps.motors
     assert report.filament_after == pytest.approx(report.read.filament, abs=0.0025)
-
-
-# ---------------------------------------------------------------------- the command line
 
 
 def files(folder: Path) -> dict[str, bytes]:

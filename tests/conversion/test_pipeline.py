@@ -87,8 +87,6 @@ def test_golden_rectangle(paper: Printer, golden: Callable[[str, bytes], bytes])
     assert_same_stream(now, golden("rectangle.gcode", now))
 
 
-# ---------------------------------------------------------------------- faults
-
 TO_THE_EDGE = [  # the command leads the motion away from the edge by moving beyond it
     b"G1 X50 Y50 Z1 F6000\n", b"G1 X0 Y50 F9000\n", b"G1 Y150\n", b"G1 X150\n",
 ]  # fmt: skip

@@ -14,12 +14,12 @@ from hframe_post.conversion.report import Report
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.command_line import run
-from tests.matrix.files import sliced
+from tests.gcode_tools import sliced
 from tests.quantities import below
 from tests.simulator import Axis, Machine, Mode
 
 OWNERS = Path(__file__).parent.parent / "matrix" / "owners"
-LAYER = sliced(1).splitlines(keepends=True)  # of a cube
+LAYER = sliced(1)  # of a cube
 
 
 def set_up(folder: Path, kind: str, acceleration: int) -> Printer:

@@ -144,9 +144,6 @@ def test_two_processes_write_one_file(folder: Path) -> None:
     assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml", "one", "other", "out"}
 
 
-# ---------------------------------------------------------------------- disks, without being root
-
-
 ON_A_DISK = """
 mount -t tmpfs -o size=200k none disk || exit 99
 cp in.gcode disk && cd disk && mount -o "remount,$OPTIONS" "$PWD" || exit 99

@@ -69,8 +69,6 @@ def test_what_a_kill_leaves_is_removed_by_the_next_run(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["part.gcode"]
 
 
-# ---------------------------------------------------------------------- at random times
-
 PARTS = {"part": RECTANGLE, "spans": SPANS}
 WAYS = {  # arguments, and what they make of which part
     "in place": (["part.gcode", "--jobs", "1"], {"part.gcode": "part"}),

@@ -116,48 +116,35 @@ def test_the_stream_may_do_what_the_motors_hold_in_any_direction_and_no_more() -
 
 def test_stream_begins_unshaped_with_its_own_limits_and_modes() -> None:
     assert KlipperCode(RESTORE, STREAM).begin((0.0, 0.0, 0.0), AT) == [
-        b"G4 P0",
-        b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0 SHAPER_FREQ_Z=0",
+        b"G4 P0", b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0 SHAPER_FREQ_Z=0",
         b"SET_VELOCITY_LIMIT VELOCITY=770 ACCEL=35355 SQUARE_CORNER_VELOCITY=20 "
-        b"MINIMUM_CRUISE_RATIO=0",
-        b"G90",
-        b"M83",
-    ]
+        b"MINIMUM_CRUISE_RATIO=0", b"G90", b"M83",
+    ]  # fmt: skip
+
+
+USERS = (
+    b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=3000 SQUARE_CORNER_VELOCITY=5 MINIMUM_CRUISE_RATIO=0.5"
+)
 
 
 def test_stream_ends_with_the_users_limits_and_the_files_feed() -> None:
-    assert end() == [
-        b"G4 P0",
-        b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=3000 SQUARE_CORNER_VELOCITY=5 "
-        b"MINIMUM_CRUISE_RATIO=0.5",
-        b"G1 F6000",
-    ]
+    assert end() == [b"G4 P0", USERS, b"G1 F6000"]
 
 
-def test_shaper_is_restored_where_the_user_has_one() -> None:
-    lines = end(restore=replace(RESTORE, shaper_freq_x=52.5, shaper_freq_y=38.0))
-    assert lines[2] == b"SET_INPUT_SHAPER SHAPER_FREQ_X=52.5 SHAPER_FREQ_Y=38 SHAPER_FREQ_Z=0"
-    one_axis = end(restore=replace(RESTORE, shaper_freq_y=38.0))
-    assert one_axis[2] == b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=38 SHAPER_FREQ_Z=0"
-    z_only = end(restore=replace(RESTORE, shaper_freq_z=22.0))
-    assert z_only[2] == b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0 SHAPER_FREQ_Z=22"
+@pytest.mark.parametrize(("x", "y", "z"), [(52.5, 38.0, 0.0), (0.0, 38.0, 0.0), (0.0, 0.0, 22.0)])
+def test_shaper_is_restored_where_the_user_has_one(x: float, y: float, z: float) -> None:
+    lines = end(restore=replace(RESTORE, shaper_freq_x=x, shaper_freq_y=y, shaper_freq_z=z))
+    words = f"SHAPER_FREQ_X={x:g} SHAPER_FREQ_Y={y:g} SHAPER_FREQ_Z={z:g}"
+    assert lines[2] == f"SET_INPUT_SHAPER {words}".encode()
 
 
 def test_a_macro_replaces_the_stream_s_limits_and_another_follows_the_restored_ones() -> None:
     firmware = replace(RESTORE, begin_macro="_HFRAME_BEGIN", end_macro="_HFRAME_END A=1")
-    assert KlipperCode(firmware, STREAM).begin((0.0, 0.0, 0.0), AT) == [
-        b"G4 P0",
-        b"_HFRAME_BEGIN",
-        b"G90",
-        b"M83",
-    ]
-    assert KlipperCode(firmware, STREAM).end(STATE, AT) == [
-        b"G4 P0",
-        b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=3000 SQUARE_CORNER_VELOCITY=5 "
-        b"MINIMUM_CRUISE_RATIO=0.5",  # holds where printer.cfg has no such macro
-        b"_HFRAME_END A=1",
-        b"G1 F6000",
-    ]
+    begun = KlipperCode(firmware, STREAM).begin((0.0, 0.0, 0.0), AT)
+    assert begun == [b"G4 P0", b"_HFRAME_BEGIN", b"G90", b"M83"]
+    # the user's limits hold where printer.cfg has no such macro
+    ended = KlipperCode(firmware, STREAM).end(STATE, AT)
+    assert ended == [b"G4 P0", USERS, b"_HFRAME_END A=1", b"G1 F6000"]
 
 
 def test_the_stream_averages_pressure_advance_over_a_time_of_its_own() -> None:

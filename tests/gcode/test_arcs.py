@@ -108,9 +108,6 @@ def test_arcs_from_an_unknown_position_pass_through() -> None:
     assert block.points[0].tolist() == [10, 10, 0.8, 0]
 
 
-# ---------------------------------------------------------------------- splines
-
-
 def bezier(p: Array, t: Array) -> Array:
     u = 1.0 - t[:, None]
     v = t[:, None]

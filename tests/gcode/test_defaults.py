@@ -1,12 +1,13 @@
 """What commands mean without their words, where firmwares differ."""
 
 import importlib
+import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from hframe_post.errors import GcodeError
@@ -15,9 +16,11 @@ from hframe_post.firmware.dialect import Dialect
 from hframe_post.firmware.klipper.firmware import Klipper
 from hframe_post.firmware.marlin.firmware import Marlin
 from hframe_post.gcode.commands import Effect, Vocabulary
+from hframe_post.gcode.limits import SlicerSettings, slicer_settings, with_motors
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.profile import load
+from hframe_post.printer.settings import Motors
 from hframe_post.stream.types import Moves, Passthrough
 from tests.klipper.head import head, parsed, speed
 
@@ -90,15 +93,6 @@ def test_what_is_fed(name: str) -> None:
     assert head([START[0], START[2], *lines])[0][-1, 3] == pytest.approx(expected[0])
 
 
-def test_an_arc_goes_as_far_as_klipper_goes() -> None:
-    """P, which Marlin's usual build ignores as well, adds no turn."""
-    for line in ("G2 X20 I5 P3", "G2 I5", "G2 I5 P2", "G3 X15 Y5 I5 J0 P1"):
-        ours = moves([line], Klipper.dialect)[-1].points[:, :2]
-        theirs = np.vstack([[10.0, 10.0], head([*START, line])[0][1:, :2]])
-        length = [np.hypot(*np.diff(each, axis=0).T).sum() for each in (ours, theirs)]
-        assert length[0] == pytest.approx(length[1], rel=0.02)
-
-
 @pytest.mark.parametrize("line", ACCELERATIONS)
 def test_accelerations(line: str) -> None:
     start = FirmwareLimits(load("paper").limits, 1000.0, 1000.0, 5.0)
@@ -160,3 +154,49 @@ def test_klippers_own_commands_are_no_macros() -> None:
     macros = {n for n in unknown if Klipper.dialect.may_set_modes(n) and not n.startswith(OF_TOOLS)}
     assert macros <= ANY_MODE
     assert len(names) > 100
+
+
+ASKS = (b"M204 S12000\n", b"SET_VELOCITY_LIMIT ACCEL=12000 SQUARE_CORNER_VELOCITY=4\n")
+
+
+@pytest.mark.parametrize("line", ASKS)
+def test_the_guess_follows_the_file(line: bytes) -> None:
+    own = load("example-corexy")
+    text = [b"G28\n", b"M204 S99\n", line]
+    lines, printer = with_motors(iter(text), own, "file")
+    assert list(lines) == text
+    assert own.motors.belt_acceleration == round(math.sqrt(2.0) * 12_500)
+    assert printer.motors.belt_acceleration == round(math.sqrt(2.0) * 24_000)
+    assert with_motors(text, own, "printer")[1].motors == own.motors
+
+
+def test_what_the_owner_states_stays() -> None:
+    guessed = load("example-corexy")
+    stated = replace(guessed, motors=Motors(500.0, 9000.0))
+    assert with_motors([ASKS[0]], stated, "file")[1] is stated
+    weaker = replace(guessed, motors=replace(guessed.motors, belt_acceleration=9000.0))
+    assert with_motors([ASKS[0]], weaker, "file")[1].motors.belt_acceleration == 9000.0
+
+
+ORCA = b"""G1 X1
+; filament_max_volumetric_speed = 23,12
+; max_volumetric_extrusion_rate_slope = 0
+; slow_down_layer_time = 6,8
+; slow_down_min_speed = 10,20
+"""
+PRUSA = b"; filament_max_volumetric_speed = 0\n; max_volumetric_speed = 0\n" \
+    b"; slowdown_below_layer_time = 5\n"  # fmt: skip
+CURA = (  # cut within a name
+    b';SETTING_3 {"extruder_quality": ["[values]\\\\ncool_min_lay\n'
+    b';SETTING_3 er_time = 3\\\\nspeed_print = 60.0\\\\n"]}\n'
+)
+
+
+@pytest.mark.parametrize(("text", "found"), [
+    (ORCA, SlicerSettings(12.0, 8.0, 20.0)),
+    (PRUSA, SlicerSettings(None, 5.0)),
+    (CURA, SlicerSettings(None, 3.0)),
+    (b"; slow_down_layer_time = x\nG1 X1 ; slow_down_layer_time = 3\n", SlicerSettings()),
+])  # fmt: skip
+def test_the_most_careful_value_counts(text: bytes, found: SlicerSettings) -> None:
+    assert slicer_settings(text.splitlines(keepends=True)) == found

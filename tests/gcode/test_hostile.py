@@ -84,9 +84,6 @@ def test_marlin_ignores_a_feed_rate_of_zero() -> None:
     assert block.speed.tolist() == [10, 10]
 
 
-# ---------------------------------------------------------------------- memory
-
-
 def many(line: bytes, count: int) -> Iterator[bytes]:
     yield from (b"M83", b"G1 X1 Y1 Z1 F6000", b"G1 X5 E1", b"G1 X6 E1")
     yield from repeat(line, count)
@@ -116,9 +113,6 @@ def test_lines_longer_than_any_slicer_writes_are_refused() -> None:
         items(*HOME, ";" + "x" * lines.MAX_LINE_BYTES)
 
 
-# ---------------------------------------------------------------------- the bed
-
-
 @pytest.mark.parametrize(
     ("text", "key"),
     [
@@ -138,9 +132,6 @@ def test_paths_beyond_the_bed_name_move_distance_and_key(text: tuple[str, ...], 
     assert text[-1] in str(caught.value)
 
 
-# ---------------------------------------------------------------------- line ends
-
-
 def test_a_carriage_return_ends_a_line_for_marlin_only() -> None:
     """Marlin obeys a command that follows it in a comment."""
     text = [b"G92 X0 Y0 Z0", b"G1 X5 ; was\rG91\r\n", b"G1 X5"]
@@ -150,9 +141,6 @@ def test_a_carriage_return_ends_a_line_for_marlin_only() -> None:
         ends[name] = [m.points[-1, 0] for m in found if isinstance(m, Moves)][-1]
     assert ends == {"klipper": 5, "marlin": 10}
     assert carried(found)[-1] == b"G91"
-
-
-# ---------------------------------------------------------------------- hidden E
 
 
 def filament(*text: str, extrusion: Extrusion | None = None) -> float:

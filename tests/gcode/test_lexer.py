@@ -1,14 +1,21 @@
 """Lines as words: read as firmwares do, in linear time, without numbers that are too large."""
 
+import io
+import os
 import re
+import threading
 import time
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hframe_post.errors import GcodeError
+from hframe_post.errors import ArgumentError, GcodeError
 from hframe_post.gcode.commands import LIMIT_PARAMETERS, Line, command, parameters, uncommented
+from hframe_post.gcode.lines import Input
+from tests.command_line import RECTANGLE, run
+from tests.conftest import MEASURED
 
 
 def stripped(text: bytes) -> bytes:
@@ -70,3 +77,35 @@ def test_parameters_are_read_as_klipper_reads_them(text: str, acceleration: floa
 def test_parameters_that_klipper_refuses_are_refused(text: str) -> None:
     with pytest.raises(GcodeError):
         parameters(Line(1, b"SET_VELOCITY_LIMIT " + text.encode()), LIMIT_PARAMETERS)
+
+
+LINES = [b"G28\n", b"G1 X10\n"]
+
+
+def test_a_file_and_a_list_can_be_read_again(tmp_path: Path) -> None:
+    path = tmp_path / "in.gcode"
+    path.write_bytes(b"".join(LINES))
+    for source in (Input(path), Input(str(path)), Input(LINES)):
+        counted = list[int]()
+        assert list(source.lines(counted.append)) == list(source.again()) == LINES
+        assert sum(counted) == 11
+        assert not source.once
+
+
+def test_a_stream_cannot() -> None:
+    for source in (Input(io.BytesIO(b"".join(LINES))), Input(iter(LINES))):
+        assert source.once
+        assert list(source.lines()) == LINES
+        with pytest.raises(ArgumentError, match="a path or a list of lines"):
+            source.again()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no named pipes")
+def test_a_named_pipe_is_opened_once(tmp_path: Path) -> None:
+    pipe, out = tmp_path / "pipe", tmp_path / "out.gcode"
+    os.mkfifo(pipe)
+    writing = threading.Thread(target=pipe.write_bytes, args=(RECTANGLE.read_bytes(),))
+    writing.start()
+    assert run(pipe, "-o", out, "-q", "-p", MEASURED).returncode == 0
+    writing.join()
+    assert out.stat().st_size

@@ -27,36 +27,25 @@ QUIRKS = Path(__file__).parent.parent / "quirks"
 # ---------------------------------------------------------------------- modal state
 
 
-def test_relative_and_absolute_positions() -> None:
-    assert ends("G1 X10 Y5", "G91", "G1 X1 Y-2", "G90", "G1 X3") == [
-        [10, 5, 0, 0], [11, 3, 0, 0], [3, 3, 0, 0],
-    ]  # fmt: skip
-
-
-def test_g90_makes_e_absolute_in_marlin_and_leaves_it_in_klipper() -> None:
-    lines = ("M83", "G91", "G90", "G1 X10 E5", "G1 X20 E5")
-    assert [row[3] for row in ends(*lines, firmware="klipper")] == [5, 10]
-    assert [row[3] for row in ends(*lines, firmware="marlin")] == [5, 5]
-
-
-def test_g91_makes_e_relative_everywhere() -> None:
-    for firmware in ("klipper", "marlin"):
-        lines = ("M82", "G92 E0", "G1 X10 E5", "G91", "G1 X10 E5")
-        assert [row[3] for row in ends(*lines, firmware=firmware)] == [5, 10]
-
-
-def test_filament_counts_on_through_g92() -> None:
-    assert [row[3] for row in ends("M82", "G92 E0", "G1 X1 E2", "G92 E0", "G1 X2 E2")] == [2, 4]
-
-
-def test_g92_renames_a_position() -> None:
-    assert ends("G1 X10", "G92 X0", "G1 X5")[-1][0] == 15
-
-
-def test_g92_alone_is_klippers_for_all_coordinates() -> None:
-    lines = ("M82", "G1 X10 E5", "G92", "G1 X10 E5")
-    assert ends(*lines)[-1] == [20.0, 0.0, 0.0, 10.0]
-    assert ends(*lines, firmware="marlin")[-1] == [10.0, 0.0, 0.0, 5.0]
+@pytest.mark.parametrize(
+    ("firmware", "text", "places"),
+    [
+        ("klipper", "G1 X10 Y5|G91|G1 X1 Y-2", [[10, 5, 0, 0], [11, 3, 0, 0]]),
+        ("klipper", "G1 X10 Y5|G91|G90|G1 X3", [[10, 5, 0, 0], [3, 5, 0, 0]]),
+        ("klipper", "M83|G91|G90|G1 X10 E5|G1 X20 E5", [[10, 0, 0, 5], [20, 0, 0, 10]]),
+        ("marlin", "M83|G91|G90|G1 X10 E5|G1 X20 E5", [[10, 0, 0, 5], [20, 0, 0, 5]]),
+        ("klipper", "M82|G92 E0|G1 X10 E5|G91|G1 X10 E5", [[10, 0, 0, 5], [20, 0, 0, 10]]),
+        ("marlin", "M82|G92 E0|G1 X10 E5|G91|G1 X10 E5", [[10, 0, 0, 5], [20, 0, 0, 10]]),
+        ("klipper", "M82|G92 E0|G1 X1 E2|G92 E0|G1 X2 E2", [[1, 0, 0, 2], [2, 0, 0, 4]]),
+        ("klipper", "G1 X10|G92 X0|G1 X5", [[10, 0, 0, 0], [15, 0, 0, 0]]),
+        ("klipper", "M82|G1 X10 E5|G92|G1 X10 E5", [[10, 0, 0, 5], [20, 0, 0, 10]]),
+        ("marlin", "M82|G1 X10 E5|G92|G1 X10 E5", [[10, 0, 0, 5]]),
+    ],
+)  # fmt: skip
+def test_positions_are_those_of_the_modes(
+    firmware: str, text: str, places: list[list[float]]
+) -> None:
+    assert ends(*text.split("|"), firmware=firmware) == places
 
 
 def test_feed_is_modal_and_scaled_by_m220() -> None:

@@ -2,9 +2,7 @@
 
 The printer plays what the host has planned, along the moves in its motion queue. It is described in
 the file that the option ``machine`` names, as JSON, and read for each recording: {"kinematics":
-"hbot", "x": [Hz, damping], "y": [Hz, damping], "racking": rad per mm/s²}. Of a cartesian printer,
-whose bed moves, "sensor" is "x" on the head and "y" on the bed. Without the file the sensor does
-not answer.
+"corexy", "x": [Hz, damping], "y": [Hz, damping]}. Without the file the sensor does not answer.
 """
 
 from __future__ import annotations
@@ -29,13 +27,7 @@ def machine_of(path: Path) -> Machine:
     """Return the printer that a file describes."""
     found = json.loads(path.read_text())
     x, y = (Axis((Mode(*found[axis]),)) for axis in "xy")
-    return Machine(x, y, found.get("racking", 0.0), kinematics=found["kinematics"])
-
-
-def sensor_of(path: Path) -> str:
-    """Return the axes that the sensor moves along."""
-    sensor: str = json.loads(path.read_text()).get("sensor", "xy")
-    return sensor
+    return Machine(x, y, 0.0, kinematics=found["kinematics"])
 
 
 def answer_with_a_machine(module: Any, moves: array[float]) -> None:
@@ -48,8 +40,7 @@ def answer_with_a_machine(module: Any, moves: array[float]) -> None:
             super().finish_measurements()
             first, last = self.request_start_time, self.request_end_time
             if self.machine.exists():
-                machine, sensor = machine_of(self.machine), sensor_of(self.machine)
-                data = recorded(machine, sensor, moves, first, last)
+                data = recorded(machine_of(self.machine), moves, first, last)
                 self.msgs = [{"data": data.tolist()}]
 
     class SimulatedChip:
@@ -67,9 +58,7 @@ def answer_with_a_machine(module: Any, moves: array[float]) -> None:
     module.ADXL345 = SimulatedChip
 
 
-def recorded(
-    machine: Machine, sensor: str, moves: array[float], first: float, last: float
-) -> Array:
+def recorded(machine: Machine, moves: array[float], first: float, last: float) -> Array:
     """Return time and acceleration (n, 4) between two print times, s and mm/s²."""
     begin = first - SETTLE
     t = begin + TS * np.arange(int((last - first + 2.0 * SETTLE) / TS))
@@ -79,8 +68,7 @@ def recorded(
     rng = np.random.default_rng(len(moves))
     times = begin + np.arange(0.0, len(motion) / RATE, 1.0 / chip.rate)
     grid = begin + np.arange(len(motion)) / RATE
-    felt = [motion[:, 2 + k] * (axis in sensor) for k, axis in enumerate("xy")]
-    a = np.column_stack([np.interp(times, grid, one) for one in felt] + [0.0 * times])
+    a = np.column_stack([np.interp(times, grid, motion[:, k]) for k in (2, 3)] + [0.0 * times])
     a += rng.normal(0.0, chip.noise * np.sqrt(chip.rate / 2.0), a.shape)
     a[:, 2] += 9806.65
     return np.column_stack([times, np.round(a / chip.step) * chip.step])

@@ -44,51 +44,37 @@ class Server:
     def __init__(self, port: int, headers: Mapping[str, str]) -> None:
         self.port, self._headers = port, headers
 
-    def request(
-        self, method: str, path: str, body: bytes = b"", kind: str = "", decoded: bool = True
-    ) -> Any:
+    def request(self, method: str, path: str, body: bytes = b"", kind: str = "") -> Any:
         with closing(HTTPConnection("127.0.0.1", self.port, timeout=600.0)) as connection:
             headers = {**self._headers, **({"Content-Type": kind} if kind else {})}
             connection.request(method, path, body, headers)
             response = connection.getresponse()
             answer = response.read()
         assert response.status < 300, answer
-        return json.loads(answer) if decoded else answer
+        return json.loads(answer)
 
-    def upload(
-        self, name: str, content: bytes, path: str = "/server/files/upload", **form: str
-    ) -> Any:
-        """Upload a file as slicers do: a form with the file and, maybe, print=true."""
+    def upload(self, name: str, content: bytes, path: str) -> Any:
+        """Upload a file as slicers do: a form with the file."""
         boundary = secrets.token_hex(16)
-        parts = [
-            f'--{boundary}\r\nContent-Disposition: form-data; name="{key}"\r\n\r\n{value}\r\n'
-            for key, value in form.items()
-        ]
         head = (
             f'--{boundary}\r\nContent-Disposition: form-data; name="file"; filename="{name}"\r\n'
             "Content-Type: application/octet-stream\r\n\r\n"
         )
-        body = "".join(parts).encode() + head.encode() + content
-        end = f"\r\n--{boundary}--\r\n".encode()
-        return self.request("POST", path, body + end, f"multipart/form-data; boundary={boundary}")
+        body = head.encode() + content + f"\r\n--{boundary}--\r\n".encode()
+        return self.request("POST", path, body, f"multipart/form-data; boundary={boundary}")
 
 
 class Printer(Server):
-    """Klipper's host and Moonraker with hframe-post, set up as its owner does.
+    """Klipper's host and Moonraker with hframe-post, set up as the owner of a sensor does.
 
     python: one that has Moonraker, whose code is copied, so that the component is linked there.
-    options: lines of the component's section. sensor: of printer.cfg; a printer that has one is not
-    measured yet. kinematics: as setup has it.
+    options: lines of the component's section. sensor: of printer.cfg.
     """
 
-    def __init__(
-        self, python: Path, folder: Path, options: str = "", sensor: str = "",
-        kinematics: str = "corexy",
-    ) -> None:  # fmt: skip
+    def __init__(self, python: Path, folder: Path, options: str, sensor: str) -> None:
         super().__init__(free_port(), {})
         self.data, self.home, self._python = folder / "printer_data", folder, python
-        self.gcodes = self.data / "gcodes"
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._processes: list[subprocess.Popen[bytes]] = []
         for name in ("config", "gcodes", "logs", "comms"):
             (self.data / name).mkdir(parents=True)
         where = [str(python), "-c", "import moonraker; print(moonraker.__path__[0])"]
@@ -98,35 +84,29 @@ class Printer(Server):
         self.config = self.data / "config/moonraker.conf"
         self.config.write_text(CONFIG.format(port=self.port, data=self.data))
         (self.data / "config/printer.cfg").write_text(
-            f"{_template(kinematics)}\n[virtual_sdcard]\npath: {self.gcodes}\n[pause_resume]\n"
+            f"{TEMPLATE.read_text()}\n[virtual_sdcard]\npath: {self.data}/gcodes\n[pause_resume]\n"
             f"[display_status]\n{sensor}\n[include hframe.cfg]\n"
         )
         (self.data / "config/hframe.cfg").touch()
         self.profile = self.data / "config/printer.toml"
-        if sensor:
-            self.set_up()
-        else:
-            shutil.copy(ROOT / "tests/measured.toml", self.profile)
-            self.set_up()
+        self.set_up()
         as_set_up = self.config.read_text()
         self.config.write_text(as_set_up.replace("command: ", f"{options}command: ", 1))
 
-    def set_up(self) -> str:
+    def set_up(self) -> None:
         config = self.data / "config/printer.cfg"
         done = run(
             "connect", "moonraker", "--printer-cfg", config,
             HOME=str(self.home), XDG_CONFIG_HOME=str(self.home / ".config"),
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
-        return done.stdout.decode()
 
     def start_klipper(self) -> None:
         messages = self.data / "messages.json"
         messages.write_text(json.dumps(dictionary()))
         (self.data / "input").touch()
         self._start(
-            "klipper",
-            [sys.executable, "-P", "-m", "tests.hosts.klipper_server"],
+            "klipper", [sys.executable, "-P", "-m", "tests.hosts.klipper_server"],
             self.data / "config/printer.cfg", "-i", self.data / "input", "-o", os.devnull,
             "-d", messages, "-l", self.data / "logs/klippy.log", "-a", self.data / "klippy.sock",
             PYTHONPATH=str(ROOT), TMPDIR=str(self.data),
@@ -142,32 +122,24 @@ class Printer(Server):
 
     def _start(self, name: str, command: list[Any], *arguments: Any, **environment: str) -> None:
         with (self.data / f"{name}.out").open("wb") as output:
-            self._processes[name] = subprocess.Popen(
+            process = subprocess.Popen(
                 [str(word) for word in (*command, *arguments)], cwd=self.data, stdout=output,
                 stderr=output, env={**os.environ, **environment}, start_new_session=True,
             )  # fmt: skip
-
-    def kill(self, name: str) -> None:
-        """Kill a program with all that it started, as systemd does."""
-        process = self._processes.pop(name)
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+        self._processes.append(process)
 
     def stop(self) -> None:
-        for name in list(self._processes):
-            self.kill(name)
+        """Kill each program with all that it started, as systemd does."""
+        for process in self._processes:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
         # Moonraker's reader of metadata has a session of its own and outlives it
         for left in processes(str(self.components)):
             with suppress(ProcessLookupError):
                 os.kill(left, signal.SIGKILL)
 
-    # ------------------------------------------------------------------ requests
-
     def get(self, path: str) -> Any:
         return self.request("GET", path)["result"]
-
-    def post(self, path: str) -> Any:
-        return self.request("POST", path)["result"]
 
     def console(self) -> list[str]:
         return [
@@ -175,17 +147,7 @@ class Printer(Server):
         ]
 
     def type(self, command: str) -> None:
-        self.post(f"/printer/gcode/script?script={quote(command)}")
-
-    def print_stats(self) -> Mapping[str, Any]:
-        status = self.get("/printer/objects/query?print_stats&virtual_sdcard")["status"]
-        return {**status["virtual_sdcard"], **status["print_stats"]}
-
-
-def _template(kinematics: str) -> str:
-    """Return a printer.cfg whose motors move the nozzle in this way."""
-    in_klipper = {"hbot": "corexy"}.get(kinematics, kinematics)
-    return TEMPLATE.read_text().replace("kinematics: corexy", f"kinematics: {in_klipper}")
+        self.request("POST", f"/printer/gcode/script?script={quote(command)}")
 
 
 def waiting_for(gate: Path) -> list[str]:

@@ -34,7 +34,7 @@ def printer(tmp_path: Path) -> Iterator[Printer]:
     data = tmp_path / "printer_data"
     options = f"uploads: convert\nrecordings: {data}\n"
     sensor = f"[adxl345]\nmachine: {data}/machine.json"
-    built = Printer(Path(PYTHON), tmp_path, options, sensor, "corexy")
+    built = Printer(Path(PYTHON), tmp_path, options, sensor)
     try:
         built.start_klipper()
         built.start_moonraker()

@@ -72,9 +72,6 @@ def test_no_shift_is_found_for_modes_that_stay(seed: int) -> None:
     assert shift(0.0, seed) is None
 
 
-# ---------------------------------------------------------------------- responses of all places
-
-
 OMEGA = 2.0 * np.pi * HZ * TS
 
 

@@ -22,7 +22,7 @@ from hframe_post.printer.model_file import model_path
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.identification.drifting import STEP, checked, drifted, moved
-from tests.profiles import with_plant, with_verification
+from tests.printers import with_plant, with_verification
 from tests.random_printers import BEGUN, drawn, judged, printer
 from tests.recordings import write_klipper
 from tests.simulator import Axis, Chip, Machine, Mode

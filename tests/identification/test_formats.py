@@ -118,8 +118,6 @@ def test_columns_say_what_they_are(tmp_path: Path, rows: Array, head: bytes, sca
     assert not found.started
 
 
-# ---------------------------------------------------------------------- files that unpack to more
-
 ZEROS = bytes(1 << 24)  # 16 MB
 TIMES = 17  # 272 MB, more than MAX_SIZE
 

@@ -20,7 +20,7 @@ from hframe_post.identification.estimation.uncalibrated import uncalibrated_resp
 from hframe_post.identification.gather import from_folders
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
-from tests.profiles import with_plant
+from tests.printers import with_plant
 from tests.recordings import SV08_CONFIG, write_klipper
 from tests.resonance_recordings import LIS2DW, drawn_sensor, klipper, linear_printer
 

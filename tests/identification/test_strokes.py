@@ -139,9 +139,6 @@ def test_other_firmware_is_an_error() -> None:
         runs(load("paper-marlin"))
 
 
-# ---------------------------------------------------------------------- the command line
-
-
 def test_writes_gcode_and_the_command(tmp_path: Path) -> None:
     out = tmp_path / "m.gcode"
     done = run("measure", "-p", "paper", "-o", out, "--position", "80,100", "--chip", "hotend")

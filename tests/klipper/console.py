@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from .batch import compile_helper, dictionary, klippy_main, klippy_module
-from .host import TEMPLATE, run_klippy
+from tests.klipper.batch import compile_helper, dictionary, klippy_main, klippy_module
+from tests.klipper.host import TEMPLATE, run_klippy
 
 PATIENCE_S = 30.0
 LIMITS = ("max_velocity", "max_accel", "square_corner_velocity", "minimum_cruise_ratio")
@@ -46,9 +46,6 @@ def typed(
     run_klippy(__name__, workdir, [str(argument) for argument in klippy], log)
     rows: list[dict[str, Any]] = json.loads((workdir / "seen.json").read_text())
     return rows
-
-
-# ---------------------------------------------------------------------- in klippy's process
 
 
 def seen(printer: Any) -> dict[str, Any]:

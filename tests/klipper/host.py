@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tests.command_server import call
-
-from .batch import CLOCK_FREQ, COMMANDS, KLIPPER, dictionary
+from tests.klipper.batch import CLOCK_FREQ, COMMANDS, KLIPPER, dictionary
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

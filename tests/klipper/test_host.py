@@ -1,13 +1,14 @@
 """The harness itself: what Klipper is known to do comes out of ``play``."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from .host import KlippyError, Playback, play
-
-pytestmark = pytest.mark.klipper
+from tests.klipper.host import KlippyError, Playback, play
 
 LIMITS = {
     "max_velocity": 500.0,
@@ -15,6 +16,16 @@ LIMITS = {
     "square_corner_velocity": 5.0,
     "minimum_cruise_ratio": 0.0,
 }
+
+
+ORDINARY = (
+    "M104 S200 | M140 S60 | G28 | M109 S200 | M190 S60 | M106 S128 | "
+    "EXCLUDE_OBJECT_DEFINE NAME=part | EXCLUDE_OBJECT_START NAME=part | G1 X20 Y20 F6000 | G10 | "
+    "G2 X40 Y20 I10 J0 | G11 | SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0 | "
+    "SET_VELOCITY_LIMIT ACCEL=50000 SQUARE_CORNER_VELOCITY=100 MINIMUM_CRUISE_RATIO=0 | "
+    "SET_PRESSURE_ADVANCE ADVANCE=0.03 | EXCLUDE_OBJECT_END NAME=part | M118 done | M400 | "
+    "M204 S2000 | G92 E0 | G28 | M84 | "
+)  # separated by bars
 
 
 def play_text(folder: Path, text: str, **limits: float) -> Playback:
@@ -28,6 +39,7 @@ def trapezoid_time(distance: float, speed: float, accel: float) -> float:
     return distance / speed + speed / accel
 
 
+@pytest.mark.klipper
 def test_two_collinear_lines_take_the_time_of_one_trapezoid(tmp_path: Path) -> None:
     text, speed, max_accel = "G28\nG1 X60 Y45 F6000\nG1 X120 Y90\n", 80.0, 2500.0
     playback = play_text(tmp_path, text, max_velocity=speed, max_accel=max_accel)
@@ -41,36 +53,14 @@ def test_two_collinear_lines_take_the_time_of_one_trapezoid(tmp_path: Path) -> N
     np.testing.assert_allclose(playback.position(times), expected, atol=1e-9)
 
 
+@pytest.mark.klipper
 def test_commands_of_ordinary_files_are_known(tmp_path: Path) -> None:
-    text = """\
-M104 S200
-M140 S60
-G28
-M109 S200
-M190 S60
-M106 S128
-EXCLUDE_OBJECT_DEFINE NAME=part
-EXCLUDE_OBJECT_START NAME=part
-G1 X20 Y20 F6000
-G10
-G2 X40 Y20 I10 J0
-G11
-SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0
-SET_VELOCITY_LIMIT ACCEL=50000 SQUARE_CORNER_VELOCITY=100 MINIMUM_CRUISE_RATIO=0
-SET_PRESSURE_ADVANCE ADVANCE=0.03
-EXCLUDE_OBJECT_END NAME=part
-M118 done
-M400
-M204 S2000
-G92 E0
-G28
-M84
-"""
-    playback = play_text(tmp_path, text)
+    playback = play_text(tmp_path, ORDINARY.replace(" | ", "\n"))
     assert playback.warnings == ()
     np.testing.assert_allclose(playback.position([playback.end]), [[0.0, 0.0, 0.0]], atol=1e-9)
 
 
+@pytest.mark.klipper
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -82,3 +72,28 @@ M84
 def test_a_failure_shows_the_log(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(KlippyError, match=message):
         play_text(tmp_path, text)
+
+
+MAINLINE = os.environ.get("MAINLINE_KLIPPER", "")
+SET = ("test_host.py", "test_playback.py")
+LIVE = ("../live/test_host.py::test_the_hosts_steps_are_the_kernels",)
+
+
+@pytest.mark.klipper
+@pytest.mark.slow
+@pytest.mark.skipif(not MAINLINE, reason="no source of mainline Klipper here: make programs")
+@pytest.mark.parametrize(("names", "marked"), [(SET, "not slow"), (LIVE, "slow")])
+def test_mainline_plays_the_set_as_well(names: tuple[str, ...], marked: str) -> None:
+    files = [str(Path(__file__).parent / name) for name in names]
+    command = [sys.executable, "-m", "pytest", "-q", "-m", marked, "-p", "no:cacheprovider", *files]
+    environment = {name: text for name, text in os.environ.items() if "PYTEST" not in name}
+    result = subprocess.run(
+        command,
+        cwd=Path(__file__).parents[2],
+        env=environment | {"KLIPPER": MAINLINE},
+        capture_output=True,
+        text=True,
+        timeout=900,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout[-4000:] + result.stderr[-1000:]

@@ -9,12 +9,10 @@ from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
 from tests.conftest import few
-from tests.gcode_tools import converted
+from tests.gcode_tools import converted, strokes
+from tests.klipper.console import typed
+from tests.klipper.host import TEMPLATE
 from tests.printers import profile_of
-
-from .console import typed
-from .host import TEMPLATE
-from .test_objects import strokes
 
 OWN = {"limits": [250.0, 3000.0, 7.0, 0.25], "shapers": [51.5, 38.0], "averaged": 0.04}
 STREAM = {  # of `setup`'s profile
@@ -93,7 +91,7 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Printer:
 @pytest.fixture(scope="module")
 def files(machine: Printer) -> dict[str, bytes]:
     """Return a converted print, and the same with an error in mid-stream."""
-    lines = [line.encode() + b"\n" for line in ["M104 S200", *strokes(25)]]
+    lines = [line.encode() + b"\n" for line in ["M104 S200", *strokes(7, 25)]]
     text, _ = converted(lines, machine)
     rows = text.splitlines(keepends=True)
     half = len(rows) // 2
@@ -125,7 +123,7 @@ def test_a_shaper_that_the_profile_lacks_comes_back(machine: Printer, tmp_path: 
     unaware = profile_of(config)
     assert unaware.firmware.klipper is not None
     assert unaware.firmware.klipper.shaper_freq_x == 0.0
-    lines = [line.encode() + b"\n" for line in ["M104 S200", *strokes(25)]]
+    lines = [line.encode() + b"\n" for line in ["M104 S200", *strokes(7, 25)]]
     text, _ = converted(lines, unaware)
     assert text.count(b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 ") == text.count(b"SET_INPUT_SHAPER")
     script = [PRINT, ("in mid-print", ""), ("stopped", "")]

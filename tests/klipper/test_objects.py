@@ -11,9 +11,8 @@ from hframe_post.firmware.klipper.macros import macros
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Retraction
 from tests.conftest import few
-from tests.gcode_tools import converted
-
-from .host import Playback, play
+from tests.gcode_tools import converted, strokes
+from tests.klipper.host import Playback, play
 
 SECTIONS = """
 [exclude_object]
@@ -164,20 +163,6 @@ MOTORS = 50_000.0  # mm/s², of the profile
 WINDOW = 2e-3  # s; what a belt does within is not the motors' but the teeth's business
 
 
-def strokes(n: int) -> list[str]:
-    """Return lines in any direction, with a retraction and a travel between them."""
-    rng = np.random.default_rng(7)
-    lines, at = [*HEAD, "G1 Z.3 F600", "G1 X120 Y120 F9000"], np.array([120.0, 120.0])
-    for _ in range(n):
-        for length, filament in ((rng.uniform(10, 30), 0.04), (rng.uniform(5, 40), 0.0)):
-            angle = rng.uniform(0.0, 2.0 * np.pi)
-            at = np.clip(at + length * np.array([np.cos(angle), np.sin(angle)]), 60.0, 200.0)
-            e = f" E{filament * length:.4f}" if filament else ""
-            lines.append(f"G1 X{at[0]:.3f} Y{at[1]:.3f}{e} F{6000 if filament else 12000}")
-            lines.append(f"G1 E{-1.6 if filament else 1.6} F2400")
-    return lines
-
-
 def belts_acceleration(played: Playback) -> float:
     t = np.arange(played.start, played.end, 0.5e-3)
     h = round(WINDOW / 0.5e-3)
@@ -188,7 +173,7 @@ def belts_acceleration(played: Playback) -> float:
 @pytest.mark.klipper
 def test_firmware_retraction_is_written_as_klipper_makes_it(tmp_path: Path) -> None:
     """As much filament, in hardly more time."""
-    lines = strokes(12)
+    lines = strokes(7, 12)
     taken = [k for k, line in enumerate(lines) if line in ("G1 E-1.6 F2400", "G1 E1.6 F2400")]
     for k in taken:
         lines[k] = "G10" if "-" in lines[k] else "G11"

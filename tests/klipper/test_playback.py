@@ -17,30 +17,14 @@ from hframe_post.prediction.predict import contour_error
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Extruder, Printer
 from tests.conftest import SAMPLES
-from tests.gcode_tools import converted
+from tests.gcode_tools import converted, hops
+from tests.klipper.host import BEFORE_2024, Playback, play
 from tests.quantities import below, near
-
-from .host import BEFORE_2024, Playback, play
 
 MINUTE = 60_000  # samples
 FIFTH = 200  # samples
 MOVING = 2e-4  # mm a millisecond
 ARC = np.arange(0.0, 12.0, 0.04).tolist()  # rad
-
-
-def hops(seed: int, count: int) -> list[bytes]:
-    """Return lines in any direction; between them retraction, lift, travel, drop, priming."""
-    rng, at = np.random.default_rng(seed), np.array([100.0, 100.0])
-    lines = ["G28", "M83", "G1 Z0.3 F600", "G0 X100 Y100 F9000"]
-    for _ in range(count):
-        angle, length = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(10.0, 30.0)
-        there = np.clip(at + length * np.array([np.cos(angle), np.sin(angle)]), 20.0, 250.0)
-        at = np.clip(there + rng.uniform(-40.0, 40.0, 2), 20.0, 250.0)
-        lift = rng.choice([0.05, 0.2, 0.4, 1.0])
-        lines += [f"G1 X{there[0]:.3f} Y{there[1]:.3f} E{0.04 * length:.4f} F6000"]
-        lines += ["G1 E-1.6 F2400", f"G1 Z{0.3 + lift} F1200", "M106 S99"]
-        lines += [f"G0 X{at[0]:.3f} Y{at[1]:.3f} F12000", "G1 Z0.3 F1200", "G1 E1.6 F2400"]
-    return [line.encode() + b"\n" for line in lines]
 
 
 @dataclass

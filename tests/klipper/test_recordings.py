@@ -16,9 +16,8 @@ from hframe_post.identification.recordings.strokes import runs
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.print_time import Deferred
+from tests.klipper.host import Playback, play
 from tests.quantities import below
-
-from .host import Playback, play
 
 pytestmark = pytest.mark.klipper
 SENSORS = "\n[adxl345]\nrate: 3200\n[adxl345 bed]\nrate: 394\n"

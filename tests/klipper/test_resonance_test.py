@@ -10,9 +10,8 @@ import pytest
 from hframe_post.arrays import TS
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
+from tests.klipper.host import TEMPLATE, Playback, play
 from tests.quantities import below
-
-from .host import TEMPLATE, Playback, play
 
 pytestmark = pytest.mark.klipper
 SECTION = """

@@ -10,9 +10,13 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.firmware.klipper.code import table_of
+from hframe_post.firmware.registry import firmware
+from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.best_shaper import error
+from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.conftest import SAMPLES
+from tests.gcode_tools import hops
 from tests.klipper.host import play
 from tests.quantities import near
 
@@ -39,3 +43,28 @@ def test_errors_as_sliced_are_those_of_klippers_motion(paper: Printer, tmp_path:
     near(sliced.own.seconds, host.duration, 0.01 * host.duration, "print time, s")
     theirs = error(paper.plant, today.shaping, [(path, fed & moving)]).rms
     near(today.contour["shaper"].rms, theirs, 0.05 * theirs, "error with the shaper, mm")
+
+
+def turns(seed: int, count: int) -> list[bytes]:
+    """Return lines of all lengths and accelerations, at which a cruise ratio slows the head."""
+    rng, at = np.random.default_rng(seed), np.array([140.0, 140.0])
+    lines = ["G28", "M83", "G1 Z0.3 F600", "G0 X140 Y140 F9000"]
+    for k in range(count):
+        if k % 20 == 0:
+            lines.append(f"M204 S{rng.choice([500, 3000, 5000, 12_000])}")
+        at = np.clip(at + rng.normal(0.0, rng.choice([0.3, 3.0, 30.0]), 2), 20.0, 250.0)
+        lines.append(f"G1 X{at[0]:.3f} Y{at[1]:.3f} E0.01 F{rng.choice([3000, 9000, 18_000])}")
+    return [line.encode() + b"\n" for line in lines]
+
+
+@pytest.mark.klipper
+@pytest.mark.parametrize("lines", [turns(0, 400), hops(0, 40)], ids=["turns", "lifts"])
+def test_it_has_klippers_cruise_ratio_and_lifts(lines: list[bytes], tmp_path: Path) -> None:
+    printer, lines = load("paper"), [*lines[:1], b"G92 X0 Y0 Z0\n", *lines[1:]]
+    own = AsSliced(firmware(printer).limits())
+    for item in [*Chain(printer, Options("racking").resolved(printer)).parsed(lines), None]:
+        list(own.planned(item))
+    path = tmp_path / "sliced.gcode"
+    path.write_bytes(b"".join(lines))
+    played = play(path, workdir=tmp_path / "host")
+    near(own.seconds, played.duration, 0.004 * played.duration, "print time, s")

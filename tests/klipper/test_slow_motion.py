@@ -12,8 +12,7 @@ from hframe_post.planner import sampling
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer import profile
 from tests.gcode_tools import converted
-
-from .host import Playback, play
+from tests.klipper.host import Playback, play
 
 LATE = 12  # ms
 

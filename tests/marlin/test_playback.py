@@ -19,8 +19,7 @@ from hframe_post.printer.settings import Extruder, Printer
 from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
 from tests.conftest import few
-from tests.gcode_tools import converted, sample
-from tests.matrix.files import sliced
+from tests.gcode_tools import converted, sample, sliced
 from tests.quantities import below, near
 
 from .planner import Build, FixedTimeRun, Machine, Run, xy
@@ -313,7 +312,7 @@ def contour(block: Samples, printer: Printer, name: str) -> float:
 @pytest.mark.parametrize(
     "lines",
     [pytest.param(laps(5), id="rectangle"),
-     pytest.param(sliced(1).splitlines(keepends=True), id="cube", marks=pytest.mark.slow)],
+     pytest.param(sliced(1), id="cube", marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_the_predicted_error_includes_whole_steps(marlin: Printer, lines: list[bytes]) -> None:
     options = Options("racking", ("none", "racking"))

@@ -1,4 +1,4 @@
-"""A cell of the matrix: one command on one printer with one file, run as its owner would."""
+"""A cell of the matrix: one command on one printer, run as its owner would."""
 
 import hashlib
 import os
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.command_line import run
-from tests.matrix.material import put_config, put_form, put_print, put_recordings, put_run
+from tests.matrix.material import put_form, put_print, put_recordings, put_run
 from tests.matrix.owners import OWNERS, PROFILE
 
 NO_PROFILE = ("setup",)  # commands without -p
@@ -16,14 +16,13 @@ NO_PROFILE = ("setup",)  # commands without -p
 
 @dataclass(frozen=True)
 class Cell:
-    """words: of the command, with places such as {print}; kind: good, hard, foreign or none."""
+    """words: of the command, with places such as {print}."""
 
     words: str
-    kind: str
     printer: str
 
     def __str__(self) -> str:
-        return f"{self.words} | {self.kind} | {self.printer}"
+        return f"{self.words} | {self.printer}"
 
 
 @dataclass(frozen=True)
@@ -75,20 +74,19 @@ def listing(folder: Path) -> dict[str, str]:
 
 def _expanded(word: str, cell: Cell, home: Path) -> list[str]:
     """Return what stands for a word such as {print}; the files that it names are made."""
-    kind, printer = cell.kind, cell.printer
-    command = cell.words.split()[0]
+    printer = cell.printer
     if not word.startswith("{"):
         return [word]
     if word == "{print}":
-        return put_print(kind, printer)
+        return put_print()
     if word == "{recordings}":
-        return put_recordings(kind, home / "recordings")
+        return put_recordings(home / "recordings")
     if word == "{checked}":
-        return put_run(kind, printer)
+        return put_run(printer)
     if word == "{form}":
-        return put_form(kind, printer)
+        return put_form()
     if word == "{config}":
-        return put_config(kind, printer, command == "setup")
+        return list(OWNERS[printer].configuration)
     assert word == "{folder}", word
     Path("there").mkdir()
     return ["there"]

@@ -19,7 +19,7 @@ from hframe_post.identification.recordings.accelerometer import GRAVITY
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
 from hframe_post.printer.profile import load
 from tests.command_line import run
-from tests.profiles import with_plant
+from tests.printers import with_plant
 from tests.recordings import write_klipper
 from tests.resonance_recordings import SENSORS, X, Y, recorded
 from tests.simulator import Axis, Chip, Machine, Mode

@@ -1,9 +1,6 @@
-"""Commands, printers, files, and what each must answer: matrix.txt shows it at one look.
+"""Commands, printers, and what each must answer: matrix.txt shows it at one look.
 
-Each command has a cell that does its work, and one for each of its refusals that others lack.
-Files are good, hard or foreign: a print of a cube, one that the motors cannot follow, and one that
-is no G-code. Where a command reads recordings, a form or a configuration, they are one that is
-right, one that is cut off or impossible, and one of another format.
+Each command has a cell that does its work; what it refuses is tested where it is refused.
 """
 
 import re
@@ -15,19 +12,10 @@ from tests.matrix.cells import Cell
 # name: exit status, and the last line
 OUTCOMES = {
     "unmeas": (1, r"Error: .*: this printer is not measured yet"),
-    "travel": (1, r"Error: line \d+: x of the path .* would be .*; 'G1 X\d+ F3000' leads 20 mm"),
-    "nomove": (1, r"Error: line 9: there is not a single move in this file"),
-    "failed": (1, r"0 converted, 0 skipped, 1 failed; --resume tries only those again"),
     "marlin": (1, r"Error: .* firmware\.dialect: marlin "),
     "baud": (1, r"Error: .* firmware\.marlin\.baud: OctoPrint prints over a serial line"),
     "klippr": (1, r"Error: .* firmware\.dialect: this profile is for klipper; only boards that"),
-    "cut": (1, r"Error: .*(was cut|shows no resonance test|not two of each)"),
     "norec": (1, r"Error: .*not a Klipper accelerometer file"),
-    "waves": (1, r"Error: x, right wall: these waves mean \d+ Hz, but printers ring at"),
-    "noform": (1, r"Error: t\.form\.toml is not a form of 'hframe-post calibrate-print'"),
-    "value": (1, r"Error: .* is not possible"),
-    "nocfg": (1, r"Error: .* is neither a \[section\] nor an option of one: is .* a printer\.cfg"),
-    "wrong": (1, r"\d problems?"),
 }  # fmt: skip
 
 TABLE = Path(__file__).with_name("matrix.txt")
@@ -88,8 +76,8 @@ def cells(fast: bool) -> list[tuple[Cell, str]]:
     """Return the cells of the fast or of the slow suite, each with the name of its outcome."""
     rows = [line.split(" | ") for line in TABLE.read_text("utf-8").splitlines()[1:]]
     return [
-        (Cell(words, kind, printer), outcome.lower())
-        for words, kind, printer, outcome in rows
+        (Cell(words, printer), outcome.lower())
+        for words, printer, outcome in rows
         if outcome[0].isupper() == fast
     ]
 

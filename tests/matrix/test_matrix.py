@@ -1,4 +1,4 @@
-"""Every command of --help, as owners run it: with default options, on good and bad files."""
+"""Every command of --help, as owners run it: with default options."""
 
 import fcntl
 import re

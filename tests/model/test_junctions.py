@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.native.planning import junction_deviation, junction_speeds
 
 SQUARE = 100.0  # mm/s
@@ -42,3 +43,41 @@ def test_any_corner_is_klippers(angle: float, one: float, other: float) -> None:
     v2 = min(r * SQUARE**2 * (math.sqrt(2.0) - 1.0), 0.5 * min(one, other) * A * math.tan(half))
     found = junction((one, 0, 0, 0), (other * math.cos(turn), other * math.sin(turn), 0, 0))
     assert found == pytest.approx(math.sqrt(v2), rel=1e-6)
+
+
+LENGTHS = st.floats(0.01, 100.0)
+SHARES = st.floats(0.0, 1.0)
+
+
+@st.composite
+def trapezoids(draw: st.DrawFn) -> Trapezoid:
+    """Return feasible ones: both end speeds are reached within half of the length."""
+    length, cruise, a = draw(LENGTHS), draw(st.floats(1.0, 100.0)), draw(st.floats(10.0, 5000.0))
+    most = min(cruise, math.sqrt(length * a / 2.0))
+    return Trapezoid(length, cruise, a, draw(SHARES) * most, draw(SHARES) * most)
+
+
+@given(trapezoids(), st.floats(1.0, 3.0))
+def test_a_motion_is_complete_and_within_its_limits(motion: Trapezoid, longer: float) -> None:
+    for one in (motion, motion.slowed_to(longer * motion.seconds)):
+        t = np.linspace(0.0, one.seconds, 4001)
+        s = one.distance(t)
+        assert s[0] == 0.0
+        assert s[-1] == pytest.approx(one.length, rel=1e-9)
+        v = np.diff(s) / np.diff(t)
+        assert v.max() <= one.cruise * (1.0 + 1e-6)
+        assert np.abs(np.diff(v) / np.diff(t)[1:]).max() <= one.acceleration * 1.01
+        assert v[0] == pytest.approx(one.v_s, abs=2.0 * one.acceleration * t[1])
+        assert v[-1] == pytest.approx(one.v_e, abs=2.0 * one.acceleration * t[1])
+
+
+@given(trapezoids(), st.floats(1.0, 1.5))
+def test_a_slowed_motion_takes_the_time_asked(motion: Trapezoid, longer: float) -> None:
+    slower = motion.slowed_to(longer * motion.seconds)
+    assume(slower.cruise > max(motion.v_s, motion.v_e))
+    assert slower.seconds == pytest.approx(longer * motion.seconds, rel=1e-9)
+
+
+def test_a_motion_is_never_sped_up() -> None:
+    motion = Trapezoid(1.0, 20.0, 500.0, 2.0, 0.0)
+    assert motion.slowed_to(0.5 * motion.seconds) is motion

@@ -1,11 +1,23 @@
 """Compiled loops give what plain numpy does."""
 
+import importlib
+import sys
+import threading
+from types import ModuleType
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from hframe_post import native
 from hframe_post.firmware.klipper.code import StreamLimits
+from hframe_post.firmware.marlin.planner import SteppedPlanner, make_planner
 from hframe_post.native import judging, planning, ramps
+from hframe_post.native.block_times import Timer, block_times, step_times
+from hframe_post.native.linear import product, pseudo_inverse, recursion
 from hframe_post.native.planning import find_runs
+from hframe_post.native.whole_steps import Blocks
 from hframe_post.printer.settings import Printer
 from tests.native import oracles
 from tests.paths import walk
@@ -69,3 +81,136 @@ def test_phases_reach_the_ends_of_runs_at_their_speeds(seed: int) -> None:
     _, _, steps = oracles.integrate(t, j, speed[:-1])
     straight = planning.misses(t, j, speed[:-1], length)
     assert np.abs(steps.sum(axis=1) - length)[~straight].max(initial=0.0) < 1e-6
+
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@settings(deadline=None)
+@given(st.integers(1, 12), st.integers(0, 30), st.integers(1, 20), seeds)
+def test_products_take_their_terms_in_order(m: int, k: int, n: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, B = rng.normal(size=(m, k)), rng.normal(size=(k, n))
+    expected = np.zeros((m, n))
+    for r in range(k):
+        expected += np.outer(A[:, r], B[r])
+    np.testing.assert_array_equal(product(A, B), expected)
+    np.testing.assert_array_equal(product(A[0], B), expected[0])
+
+
+@settings(deadline=None)
+@given(st.integers(0, 40), st.integers(1, 5), st.integers(1, 5), seeds)
+def test_recursion_takes_the_steps_one_by_one(m: int, d: int, n: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, W, s = rng.normal(size=(n, d)) / (2 * d), rng.normal(size=(m, n)), rng.normal(size=d)
+    expected = s
+    for row in W:
+        expected = np.concatenate([expected, A @ expected[-d:] + row])
+    np.testing.assert_allclose(recursion(A, W, s), expected, atol=1e-12)
+
+
+def test_pseudo_inverse_of_columns_that_are_almost_the_same() -> None:
+    rng = np.random.default_rng(1)
+    A = rng.normal(size=(60, 12))
+    A[:, 7] = A[:, 3] + 1e-8 * rng.normal(size=60)
+    inverse = pseudo_inverse(A, 1e12)
+    assert inverse is not None
+    np.testing.assert_allclose(inverse @ A, np.eye(12), atol=1e-7)
+    np.testing.assert_allclose(A @ inverse, (A @ inverse).T, atol=1e-7)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-14])
+def test_dependent_columns_have_no_inverse(gap: float) -> None:
+    A = np.random.default_rng(2).normal(size=(20, 3))
+    A[:, 2] = A[:, 1] * (1.0 + gap)
+    assert pseudo_inverse(A, 1e12) is None
+    assert pseudo_inverse(0.0 * A, 1e12) is None
+
+
+@pytest.mark.parametrize("build", ["2.0", "2.1", "2.1 curved", "2.1-dev"])
+def test_the_last_step_of_a_block_is_its_end(build: str) -> None:
+    """With each kind of timer, on blocks too short for their ramps, and at their own rate.
+
+    The times of blocks are compiled, those of steps are not. No step comes before the one that
+    precedes it.
+    """
+    rng = np.random.default_rng(0)
+    for _ in range(15):
+        k, hz = int(rng.integers(1, 41)), float(rng.choice([2e6, 1e15]))
+        n = np.ceil(10.0 ** rng.uniform(0.0, 2.5, k))
+        rate = np.ceil(10.0 ** rng.uniform(1.0, 4.5, k))
+        begin, end = rate * np.minimum(rng.uniform(0.0, 1.5, (2, k)), 1.0)
+        blocks = Blocks(n, n * 0.0025, 10.0 ** rng.uniform(4.0, 7.0, k))
+        timer = Timer(hz, bool(rng.random() < 0.5), float(rng.choice([0.0, 4e4])))
+        generation, *curved = build.split()
+        planner = make_planner(generation, timer, False, bool(curved))
+        assert isinstance(planner, SteppedPlanner)
+        drawn = blocks, begin, rate, end, planner.stepper
+        steps = step_times(*drawn)
+        ends = steps[np.cumsum(n).astype(int) - 1]
+        np.testing.assert_allclose(ends, np.cumsum(block_times(*drawn)), 1e-10)
+        assert (np.diff(steps) > 0.0).all()
+
+
+@pytest.mark.slow
+def test_an_argument_of_another_kind_layout_or_length_is_an_error(library: ModuleType) -> None:
+    s, points, room = np.arange(3.0), np.zeros((3, 4)), (np.empty((2, 4)), np.empty(2, np.int64))
+    right = [s, points, 2, s[:2], 2, *room]
+    frozen = room[0].copy()
+    frozen.flags.writeable = False
+    of_another_kind = {
+        0: (s[::2], s.astype(np.float32), s.tolist(), 1.0, None, b"0"),
+        2: (2.0, s),
+        5: (frozen, room[1]),
+    }
+    of_another_length = {0: (s[:2],), 2: (0, -1, 1 << 40, 1 << 70, -(1 << 70)), 5: (room[0][:1],)}
+    assert library.follow(*right) == 2
+    for error, wrong in ((TypeError, of_another_kind), (ValueError, of_another_length)):
+        for k, values in wrong.items():
+            for value in values:
+                with pytest.raises(error, match=f"argument {k} of follow"):
+                    library.follow(*right[:k], value, *right[k + 1 :])
+    for count in (0, len(right) - 1):
+        with pytest.raises(TypeError, match="must be given"):
+            library.follow(*right[:count])
+    for more in (1, 100):
+        with pytest.raises(TypeError, match="argument"):
+            library.follow(*right, *[1] * more)
+
+
+@pytest.mark.slow
+def test_another_thread_runs_during_a_loop(library: ModuleType) -> None:
+    """Python itself would not switch threads for an hour."""
+    n, before = 10_000, sys.getswitchinterval()
+    arguments = np.arange(3.0), np.zeros((3, 4)), 2, np.zeros(n), n, np.empty((n, 4))
+    moves, begin, ran = np.empty(n, np.int64), threading.Event(), threading.Event()
+
+    def other() -> None:
+        begin.wait()
+        ran.set()
+
+    thread = threading.Thread(target=other)
+    sys.setswitchinterval(3600.0)
+    try:
+        thread.start()
+        begin.set()
+        for _ in range(10_000):
+            library.follow(*arguments, moves)
+            if ran.is_set():
+                break
+        assert ran.is_set()
+    finally:
+        sys.setswitchinterval(before)
+        thread.join()
+
+
+@pytest.mark.parametrize("name", ["missing", "another version"])
+def test_missing_loops_say_what_to_do(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = None if name == "missing" else ModuleType("_kernels")
+    if found:
+        found.BUILT_FOR = native.BUILT_FOR - 1  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "hframe_post.native._kernels", found)
+    with pytest.raises(ImportError, match="pip install -e"):
+        importlib.reload(native)
+    monkeypatch.undo()
+    importlib.reload(native)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hframe_post.arrays import Array
 from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.native.planning import greatest_speeds
-from hframe_post.planner.lookahead import Z_SHARE, plan
+from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.marks import Mark, Marks
@@ -46,11 +46,6 @@ from tests.planner.planning import (
     seeds,
 )
 
-# ---------------------------------------------------------------------- reach
-
-
-# ---------------------------------------------------------------------- junctions
-
 
 def corner_speed(points: Array, limits: Limits = LIMITS, corner: float = INF) -> float:
     """Return the speed at the only corner of two moves."""
@@ -62,12 +57,26 @@ def corner_speed(points: Array, limits: Limits = LIMITS, corner: float = INF) ->
 SQUARE = line((100, 0, 0, 0), (0, 100, 0, 0))
 
 
-def test_square_corner_is_passed_at_the_square_corner_velocity() -> None:
-    assert corner_speed(SQUARE) == pytest.approx(5.0, rel=1e-12)
+DEVIATION = math.sqrt(0.5) / (1.0 - math.sqrt(0.5)) * 5e-4  # mm of radius, for 0.5 µm
+STEEP, FLAT = (1, 0, 1.1, 0), (50, 0, 0, 0)
+CORNERS: list[tuple[Array, dict[str, float], float, float]] = [
+    (SQUARE, {}, INF, 5.0),
+    (SQUARE, {}, 2.0, 2.0),  # the file lowers it and never raises it
+    (SQUARE, {}, 20.0, 5.0),
+    (SQUARE, {"junction_deviation": 5e-4}, INF, math.sqrt(DEVIATION * 1e4)),
+    (SQUARE, {"junction_deviation": 0.1}, INF, 5.0),
+    (line((100, 0, 0, 0), (-100, 0, 0, 0)), {}, INF, 0.0),
+    (line((0.05, 0, 0, 0), (0, 0.05, 0, 0)), {"square_corner_velocity": 100.0}, INF,
+     math.sqrt(0.5 * 0.05 * 1e4)),  # its arc must fit
+    (line((100, 0, 0, 5), (100, 0, 0, 0)), {}, INF, 1.0 / 0.05),  # of the extruder
+    (line(STEEP, FLAT), {}, INF, 0.0), (line(FLAT, STEEP), {}, INF, 0.0),
+]  # fmt: skip
 
 
-def test_reversal_is_a_stop() -> None:
-    assert corner_speed(line((100, 0, 0, 0), (-100, 0, 0, 0))) == 0.0
+@pytest.mark.parametrize(("points", "own", "of_file", "speed"), CORNERS)
+def test_corners(points: Array, own: dict[str, float], of_file: float, speed: float) -> None:
+    limits = replace(LIMITS, **own)
+    assert corner_speed(points, limits, of_file) == pytest.approx(speed)
 
 
 def test_straight_on_at_another_feed_is_passed_at_the_lower_one() -> None:
@@ -76,66 +85,11 @@ def test_straight_on_at_another_feed_is_passed_at_the_lower_one() -> None:
     assert one(straight).speed[1] <= 40.0
 
 
-def test_arc_of_a_corner_must_fit_short_moves() -> None:
-    short = line((0.05, 0, 0, 0), (0, 0.05, 0, 0))
-    quick = replace(LIMITS, square_corner_velocity=100.0)
-    assert corner_speed(short, quick) == pytest.approx(math.sqrt(0.5 * 0.05 * 1e4))
-
-
-def test_sudden_change_of_extrusion_is_limited() -> None:
-    assert corner_speed(line((100, 0, 0, 5), (100, 0, 0, 0))) == pytest.approx(1.0 / 0.05)
-
-
-def test_junction_deviation_lowers_the_corner_and_never_raises_it() -> None:
-    r = math.sqrt(0.5) / (1.0 - math.sqrt(0.5))
-    low = corner_speed(SQUARE, replace(LIMITS, junction_deviation=5e-4))
-    assert low == pytest.approx(math.sqrt(r * 5e-4 * 1e4))
-    assert corner_speed(SQUARE, replace(LIMITS, junction_deviation=0.1)) == pytest.approx(5.0)
-
-
-def test_file_lowers_the_corner_and_never_raises_it() -> None:
-    assert corner_speed(SQUARE, corner=2.0) == pytest.approx(2.0)
-    assert corner_speed(SQUARE, corner=20.0) == pytest.approx(5.0)
-
-
-@pytest.mark.parametrize("first", [True, False])
-def test_steep_move_starts_and_ends_at_rest(first: bool) -> None:
-    steep, flat = (1, 0, 1.1, 0), (50, 0, 0, 0)
-    assert corner_speed(line(steep, flat) if first else line(flat, steep)) == 0.0
-
-
-# ---------------------------------------------------------------------- limits of moves
-
-
-def limited(
-    step: tuple[float, float, float, float], speed: float = 100.0, acceleration: float = INF
-) -> tuple[float, float]:
-    """Return cruise speed and acceleration of one move."""
-    planned = one(moves(line(step), speed, acceleration))
-    return float(planned.cruise[0]), float(planned.acceleration[0])
-
-
-def test_file_never_raises_the_printers_limits() -> None:
-    assert limited((50, 0, 0, 2), speed=1e5, acceleration=1e9) == (300.0, 1e4)
-
-
-def test_rise_limits_speed_and_a_share_of_acceleration() -> None:
-    cruise, acceleration = limited((10, 0, 1, 0), speed=300.0)
-    assert cruise == pytest.approx(20.0 * math.sqrt(101.0))
-    assert acceleration == pytest.approx(Z_SHARE * 500.0 * math.sqrt(101.0))
-    assert limited((10, 0, -1, 0), speed=300.0) == (cruise, acceleration)
-
-
-def test_retraction_while_moving_is_limited() -> None:
-    cruise, acceleration = limited((10, 0, 0, -5), speed=300.0)
-    assert cruise == pytest.approx(60.0 * 2.0)
-    assert acceleration == pytest.approx(Z_SHARE * 2000.0 * 2.0)
-
-
 def test_extrusion_while_moving_is_limited_only_by_what_melts() -> None:
-    assert limited((10, 0, 0, 1.6), speed=300.0) == (300.0, 1e4)
-    cruise, _ = limited((10, 0, 0, 5), speed=300.0)
-    assert cruise == pytest.approx(100.0)
+    for e, speed in ((1.6, 300.0), (5.0, 100.0)):
+        planned = one(moves(line((10, 0, 0, e)), 300.0))
+        assert planned.cruise[0] == pytest.approx(speed)
+        assert planned.acceleration[0] == 1e4
 
 
 @pytest.mark.parametrize(

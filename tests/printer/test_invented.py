@@ -9,7 +9,7 @@ import hframe_post as hp
 from hframe_post.errors import PrinterError
 from hframe_post.printer.profile import load, parse, shipped
 from tests.command_line import RECTANGLE, run
-from tests.profiles import with_plant
+from tests.printers import with_plant
 
 STARTS = ("example-voron", "example-ender", "example-hbot")
 

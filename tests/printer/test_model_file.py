@@ -14,7 +14,7 @@ from hframe_post.printer.model_file import measured, model_path, texts, with_win
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer, Verified
 from tests.coupled import coupled_plant
-from tests.profiles import in_two
+from tests.printers import in_two
 
 WINDOWS = Window(8, 55, 27, 30.0), Window(8, 55, 27, 58.75)
 

@@ -31,9 +31,6 @@ def extending(text: str) -> str:
     return 'extends = "paper"\n' + text
 
 
-# ---------------------------------------------------------------------- good profiles
-
-
 @pytest.mark.parametrize("name", shipped())
 def test_shipped_profile_loads_and_can_be_compensated(name: str) -> None:
     profile = load(name)
@@ -68,9 +65,6 @@ def test_extension_takes_the_rest_from_its_base() -> None:
     assert mine.description == paper.description
 
 
-# ---------------------------------------------------------------------- digest
-
-
 def digest(text: str) -> str:
     return parse(text, "mine").digest
 
@@ -85,9 +79,6 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         '[compensation]\nstops = "exact"',
     )
     assert len({digest(PAPER), *(digest(extending(change)) for change in changes)}) == 5
-
-
-# ---------------------------------------------------------------------- bad values
 
 
 @pytest.mark.parametrize(
@@ -195,9 +186,6 @@ def test_bad_couplings_are_errors(pattern: str, replacement: str, key: str, caus
     assert cause in found.cause
 
 
-# ---------------------------------------------------------------------- missing things
-
-
 @pytest.mark.parametrize(
     ("pattern", "key"),
     [
@@ -210,9 +198,6 @@ def test_bad_couplings_are_errors(pattern: str, replacement: str, key: str, caus
 def test_missing_key_or_table_is_an_error(pattern: str, key: str) -> None:
     found = error(edited(pattern, ""))
     assert (found.key, "missing" in found.cause) == (key, True)
-
-
-# ---------------------------------------------------------------------- bad files
 
 
 @pytest.mark.parametrize("text", ["[limits", "a = ", "a = 1\na = 2", "velocity 3", "\x00"])

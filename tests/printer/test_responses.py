@@ -14,7 +14,7 @@ from hframe_post.model.impulse_response import Elsewhere, ImpulseResponse
 from hframe_post.model.plant import Coupling, Plant
 from hframe_post.printer.profile import load, parse
 from tests.modes import deviation_of_mode
-from tests.profiles import with_check, with_plant, with_verification
+from tests.printers import with_check, with_plant, with_verification
 
 PAPER = load("paper")
 WINDOWS = PAPER.compensation.windows

@@ -121,9 +121,6 @@ def test_neighbours_are_given_as_soon_as_they_are_known(after: int, read: int) -
     assert len(taken) == read
 
 
-# ---------------------------------------------------------------------- stretches
-
-
 def yielding(block: Samples, handling: Handling = Handling.RELEASE) -> Samples:
     action = Passthrough(1, b"G28", handling, STATE)
     events: tuple[Event, ...] = (*block.events, Dwell(block.end, 0, action))
@@ -143,9 +140,6 @@ def test_stretches_end_where_the_machine_is_yielded(yields: list[bool]) -> None:
     for stretch in found[:-1]:
         assert stretch[-1].ends_stretch
     assert len(found) == sum(yields) + (len(yields) > 0 and not yields[-1])
-
-
-# ---------------------------------------------------------------------- branches
 
 
 @given(st.integers(0, 6), st.integers(1, 4), st.data())

@@ -1,19 +1,23 @@
 """Simulated prints: strategies in their order, parts that add up to the whole, any cut."""
 
 from operator import attrgetter
+from pathlib import Path
 from statistics import median
 
 import numpy as np
 import pytest
 
+from hframe_post import library
 from hframe_post.conversion.options import Options
 from hframe_post.gcode import batching
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner import sampling
 from hframe_post.prediction.statistics import BEFORE, TRAVEL
 from hframe_post.printer import profile
+from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.simulation import Group, SimulationReport, Study, simulate
+from hframe_post.studies.tuning import tune
 from hframe_post.studies.uncertainty import draws
 from tests.conftest import SAMPLES, few
 
@@ -140,3 +144,16 @@ def test_text_shows_the_worst_layers() -> None:
     lines = simulated(layered(6)).as_text().splitlines()
     heading = next(k for k, line in enumerate(lines) if line.startswith("worst of 8 layers"))
     assert lines[heading + 1].split()[0] == "6"
+
+
+def test_tune_simulate_and_convert_agree(paper: Printer, tmp_path: Path) -> None:
+    lines = rectangle(paper)
+    (trial,) = tune(list(lines), paper, [paper.compensation.windows], [])
+    simulated = library.simulate(lines, paper).parts.whole["racking"]
+    assert trial.contour.rms == pytest.approx(simulated.contour.rms, rel=1e-6)
+    assert trial.contour.all.count == simulated.contour.all.count
+    converted = library.convert(lines, tmp_path / "out.gcode", paper).peaks
+    assert converted.belt_acceleration > 1000.0
+    assert simulated.acceleration == pytest.approx(converted.belt_acceleration, rel=1e-6)
+    assert trial.acceleration == pytest.approx(converted.belt_acceleration, rel=1e-6)
+    assert trial.velocity == pytest.approx(converted.belt_velocity, rel=1e-6)

@@ -8,12 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hframe_post.conversion.options import Options
 from hframe_post.model.lpfbs import Window
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Motors, Printer
 from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.simulation import Study, simulate
 from hframe_post.studies.tuning import (
     EFFORTS,
     KNOTS,
@@ -41,9 +39,6 @@ def trials(profiled: Printer) -> list[Trial]:
     return tune(rectangle(profiled), profiled, grid, draws(profiled.plant, 0.05, 2, 0))
 
 
-# ---------------------------------------------------------------------- candidates
-
-
 def test_candidates_keep_the_preview_and_the_ratio_of_the_efforts(profiled: Printer) -> None:
     grid = candidates(profiled.compensation)
     assert [(x.L, x.effort) for x, _ in grid] == [(L, e) for L in KNOTS for e in EFFORTS]
@@ -51,9 +46,6 @@ def test_candidates_keep_the_preview_and_the_ratio_of_the_efforts(profiled: Prin
         assert PREVIEW <= x.L_C < PREVIEW + x.L
         assert (x.L, x.n_C, x.n_up, x.degree) == (y.L, y.n_C, y.n_up, y.degree)
         assert y.effort / x.effort == pytest.approx(188.0 / 96.0, rel=1e-3)
-
-
-# ---------------------------------------------------------------------- trials
 
 
 def test_more_effort_is_more_error_and_less_acceleration(trials: list[Trial]) -> None:
@@ -68,19 +60,6 @@ def test_more_effort_is_more_error_and_less_acceleration(trials: list[Trial]) ->
         assert gentlest.acceleration < 0.9 * hardest.acceleration
 
 
-def test_a_trial_is_what_a_simulation_tells(profiled: Printer) -> None:
-    (trial,) = tune(rectangle(profiled), profiled, [profiled.compensation.windows], [])
-    report = simulate(
-        lambda: rectangle(profiled), profiled, Options("racking"), Study(profiled.plant, exact=True)
-    )
-    figures = report.parts.whole["racking"]
-    assert trial.contour.rms == pytest.approx(figures.contour.rms, rel=1e-9)
-    assert trial.contour.all.count == figures.contour.all.count
-    assert trial.robust == trial.contour.rms
-    assert trial.velocity == figures.velocity
-    assert trial.acceleration == figures.acceleration
-
-
 def test_a_window_that_diverges_is_refused_and_the_others_are_tried(profiled: Printer) -> None:
     bad = Window(20, 11, 5, 0.0)
     good = profiled.compensation.windows
@@ -90,9 +69,6 @@ def test_a_window_that_diverges_is_refused_and_the_others_are_tried(profiled: Pr
     assert not tried.refused
     assert tried.contour.all.count > 0
     assert recommended([refused, tried], profiled.motors) is tried
-
-
-# ---------------------------------------------------------------------- recommendation
 
 
 def test_recommendation_is_within_its_limits(profiled: Printer, trials: list[Trial]) -> None:

@@ -35,9 +35,6 @@ def nothing_is_left(tmp_path: Path) -> Iterator[None]:
     assert not outputs._unfinished
 
 
-# ---------------------------------------------------------------------- whole or not there
-
-
 def test_failure_leaves_what_was_there(target: Path) -> None:
     with pytest.raises(RuntimeError), Outputs() as outputs:  # noqa: PT012
         outputs.open(target).write(b"new")
@@ -62,9 +59,6 @@ def test_a_full_device_keeps_the_files_from_appearing(target: Path) -> None:
         outputs.open(Path("/dev/full")).write(b"new")
     assert target.read_bytes() == b"old"
     assert stat.S_ISCHR(os.stat("/dev/full").st_mode)
-
-
-# ---------------------------------------------------------------------- as it was
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o600, 0o777])
@@ -100,9 +94,6 @@ def test_a_link_stays_a_link(tmp_path: Path) -> None:
         write(tmp_path / name)
         assert (tmp_path / name).is_symlink()
         assert (tmp_path / real).read_bytes() == b"new"
-
-
-# ---------------------------------------------------------------------- refused
 
 
 def test_one_of_several_names_is_not_replaced(target: Path) -> None:
@@ -159,9 +150,6 @@ def test_a_source_that_changes_meanwhile_is_noticed(target: Path) -> None:
         assert target.read_bytes().startswith(b"old")
 
 
-# ---------------------------------------------------------------------- written through
-
-
 def test_devices_stay_devices() -> None:
     before = os.stat(os.devnull)
     write(Path(os.devnull))
@@ -190,9 +178,6 @@ def test_an_open_file_goes_on_where_it_is(tmp_path: Path) -> None:
         write(link, b"and this ")
         shared.write(b"after")
     assert (tmp_path / "shared").read_bytes() == b"before this and this after"
-
-
-# ---------------------------------------------------------------------- temporary files
 
 
 def test_a_stale_file_is_removed_and_one_in_use_is_not(tmp_path: Path) -> None:

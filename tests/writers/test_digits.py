@@ -76,9 +76,6 @@ def test_number_too_long_is_an_error(value: int) -> None:
         extruded([value], 3)
 
 
-# ---------------------------------------------------------------------- columns of numbers
-
-
 @given(st.lists(st.integers(0, 10**17), min_size=1, max_size=20), st.integers(1, 17))
 def test_whole_numbers_equal_those_of_python(values: list[int], width: int) -> None:
     values = [value % 10**width for value in values]
