@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import hframe_post as hp
-from examples.paper.results import path
 from hframe_post.arrays import TS, Array
 from hframe_post.printer.settings import Printer
 from tests.command_line import run
@@ -53,19 +52,6 @@ def test_every_name_offered_is_there_and_says_what_it_is(name: str) -> None:
     if name != "__version__":
         assert offered.__doc__, f"{name} has no docstring"
         assert not offered.__doc__.startswith(f"{name}("), f"{name} has only a generated docstring"
-
-
-@pytest.mark.paper
-def test_fig_9_through_arrays(paper: Printer) -> None:
-    """The figures that the whole tool predicts for its G-code."""
-    xy = path(paper)
-    off = {
-        name: rms(hp.contour_error(hp.predict(hp.compensate(xy, paper, name), paper), xy)) * 1e3
-        for name in ("none", "fbs", "racking")
-    }
-    assert off["none"] == pytest.approx(242, abs=8)
-    assert off["fbs"] == pytest.approx(117, abs=5)
-    assert off["racking"] < 9.5
 
 
 @pytest.mark.parametrize("name", ["paper", "example-corexy", "example-cartesian"])

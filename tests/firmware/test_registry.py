@@ -6,8 +6,6 @@ import pytest
 
 from hframe_post.conversion.options import known_firmware
 from hframe_post.errors import ArgumentError, HframeError, PrinterError
-from hframe_post.firmware.klipper.motion import KlipperMotion
-from hframe_post.firmware.marlin.motion import MarlinMotion
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.firmware.registry import FIRMWARES, firmware
 from hframe_post.printer.firmware_tables import TABLES
@@ -31,11 +29,6 @@ def test_command_line_takes_what_is_registered() -> None:
 
 def motion(printer: Printer, tolerance: float | None, retract_moving: bool = False) -> MotionRules:
     return firmware(printer).motion(tolerance, retract_moving)
-
-
-def test_motion_is_that_of_the_profiles_firmware() -> None:
-    assert isinstance(motion(load("paper"), None), KlipperMotion)
-    assert isinstance(motion(load("paper-marlin"), None), MarlinMotion)
 
 
 def test_lifts_pass_into_motion_only_on_klipper_and_no_faster_than_a_corner() -> None:

@@ -30,9 +30,11 @@ def declare(ffi: Any) -> None:
 
 
 class Stepper:
-    """A motor of x, or of y, behind our kinematics."""
+    """A motor of x, or of y, behind our kinematics; travel: of the bed, mm to each side."""
 
-    def __init__(self, data: bytes, axis: str, travel: float = 1e4) -> None:
+    def __init__(self, axis: str, name: str = "example-corexy", travel: float = 1e4) -> None:
+        data = kernel_file(replace(load(name), invented=False))
+        assert data is not None
         chelper = importlib.import_module("klippy.chelper")
         (self.ffi, self.lib), (_, self.main_lib) = library(chelper), chelper.get_ffi()
         declare(self.ffi)
@@ -103,11 +105,8 @@ def spline(t: Any, c: Any, at: Any) -> Any:
 
 @pytest.mark.parametrize(("name", "order"), [("paper", "any"), ("example-corexy", "forward")])
 def test_the_c_is_the_kernel_at_all_times(name: str, order: str) -> None:
-    printer = replace(load(name), invented=False)
-    data = kernel_file(printer)
-    assert data is not None
-    made, _ = live_kernel(printer)
-    steppers = [Stepper(data, axis) for axis in "xy"]
+    made, _ = live_kernel(replace(load(name), invented=False))
+    steppers = [Stepper(axis, name) for axis in "xy"]
     t, path = drawn(1, steppers)
     wanted = made.command(path)
     at = np.random.default_rng(2).uniform(9.0, t[-1] - 0.3, 300)
@@ -118,10 +117,7 @@ def test_the_c_is_the_kernel_at_all_times(name: str, order: str) -> None:
 
 
 def test_travel_limits_the_command_but_not_the_path() -> None:
-    printer = replace(load("example-corexy"), invented=False)
-    data = kernel_file(printer)
-    assert data is not None
-    stepper = Stepper(data, "x", travel=150.0)
+    stepper = Stepper("x", travel=150.0)
     way = (1.0, 0.0)
     stepper.append(BEGIN, (0.05, 0.15, 0.05), (120.0, 50.0), way, (0.0, 150.0, 3000.0))  # to 150
     at = np.arange(BEGIN, BEGIN + 1.0, 2e-4)
@@ -132,10 +128,7 @@ def test_travel_limits_the_command_but_not_the_path() -> None:
 
 def test_before_the_begin_nothing_moves() -> None:
     """After a change in mid-print, what came before does not reach into the command."""
-    printer = replace(load("example-corexy"), invented=False)
-    data = kernel_file(printer)
-    assert data is not None
-    stepper = Stepper(data, "x")
+    stepper = Stepper("x")
     for k, start in enumerate((10.0, 40.0)):
         time = BEGIN + 0.5 * k
         stepper.append(time, (0.05, 0.15, 0.05), (start, 50.0), (1.0, 0.0), (0.0, 150.0, 3000.0))
@@ -147,9 +140,6 @@ def test_before_the_begin_nothing_moves() -> None:
 
 
 def test_a_command_at_a_coordinate_is_klippers() -> None:
-    printer = replace(load("example-corexy"), invented=False)
-    data = kernel_file(printer)
-    assert data is not None
-    stepper = Stepper(data, "y")
+    stepper = Stepper("y")
     ours = stepper.pointer
     assert stepper.main_lib.itersolve_calc_position_from_coord(ours, 3.0, 4.0, 5.0) == 4.0

@@ -56,6 +56,16 @@ def test_steps_are_the_variation_of_the_rounded_path(path: Array) -> None:
     assert done.counts.ticks == PER_SAMPLE * len(path)
 
 
+def spline(u: Array) -> CubicHermiteSpline:
+    """The monotone cubic, with tangents written out one by one."""
+    m = []
+    for before, here, after in zip(u, u[1:], u[2:], strict=False):
+        left, right = here - before, after - here
+        mean, most = (left + right) / 2.0, 3.0 * min(abs(left), abs(right))
+        m.append(float(np.clip(mean, -most, most)) if left * right > 0.0 else 0.0)
+    return CubicHermiteSpline(np.arange(len(m)), u[1:-1], m)
+
+
 def position_after_each_tick(done: Stepping, motor: int, ticks: int) -> Array:
     moved = np.zeros(ticks + 1)
     when, ways = done.of(motor)
@@ -68,18 +78,10 @@ def position_after_each_tick(done: Stepping, motor: int, ticks: int) -> Array:
 def test_position_is_within_half_a_step_and_a_tick_of_the_command(path: Array) -> None:
     done, ticks = stepped([block(path)], TABLE), PER_SAMPLE * len(path)
     for motor, length in enumerate(LENGTHS):
-        u = np.concatenate([path[:1], path])[:, motor] / length
-        slope = np.diff(u, append=u[-1])
-        tangent = np.zeros(len(u))
-        for k in range(1, len(u)):
-            a, b = slope[k - 1], slope[k]
-            if a * b > 0:
-                most = 3 * min(abs(a), abs(b))
-                tangent[k] = np.clip((a + b) / 2, -most, most)
-        spline = CubicHermiteSpline(np.arange(len(u)) * PER_SAMPLE, u, tangent / PER_SAMPLE)
+        command = spline(np.pad(np.concatenate([path[:1], path])[:, motor] / length, 1, "edge"))
         tick = np.arange(ticks + 1)
-        off = np.abs(position_after_each_tick(done, motor, ticks) - spline(tick))
-        fine = np.abs(spline(np.arange(ticks * 4 + 1) / 4, 1))
+        off = np.abs(position_after_each_tick(done, motor, ticks) - command(tick / PER_SAMPLE))
+        fine = np.abs(command(np.arange(ticks * 4 + 1) / (4 * PER_SAMPLE), 1)) / PER_SAMPLE
         motion = np.array([fine[max(4 * k - 4, 0) : 4 * k + 1].max() for k in tick])
         # where the command wants more than a step a tick, steps wait for one another
         queued = 2.0 if fine.max() > 0.9 else 0.0
@@ -96,9 +98,6 @@ def test_any_clock_keeps_every_step(clock: float, path: Array) -> None:
     at = np.floor(np.round(path, 9) / slow + 0.5)
     assert done.counts.steps.tolist() == np.abs(np.diff(at, axis=0)).sum(axis=0).tolist()
     assert done.counts.ticks == math.ceil(len(path) * clock * TS)
-
-
-# ---------------------------------------------------------------------- limits
 
 
 @pytest.mark.parametrize("motor", range(4))
@@ -138,9 +137,6 @@ def test_noise_on_a_half_step_does_not_make_a_motor_tremble() -> None:
     path = np.zeros((1000, 4))
     path[:, 0] = 10.01 + rng.normal(size=1000) * 1e-13  # between steps 500 and 501
     assert stepped([block(path)], TABLE).counts.steps[0] == 0
-
-
-# ---------------------------------------------------------------------- lines without motion
 
 
 def moving(start: float, stop: float, n: int) -> Array:
@@ -216,16 +212,6 @@ SAMPLES = st.lists(
 )
 
 
-def spline(u: Array) -> CubicHermiteSpline:
-    """The monotone cubic, with tangents written out one by one."""
-    m = []
-    for before, here, after in zip(u, u[1:], u[2:], strict=False):
-        left, right = here - before, after - here
-        mean, most = (left + right) / 2.0, 3.0 * min(abs(left), abs(right))
-        m.append(float(np.clip(mean, -most, most)) if left * right > 0.0 else 0.0)
-    return CubicHermiteSpline(np.arange(len(m)), u[1:-1], m)
-
-
 @settings(max_examples=100)
 @given(SAMPLES)
 def test_cubic_is_on_the_level_where_a_step_is_made(values: list[float]) -> None:
@@ -250,9 +236,6 @@ def test_smooth_motion_is_followed_to_a_thousandth_of_a_step() -> None:
     time = 1.0 + interval + share
     off = 300.25 * np.sin(time / 60.0)
     assert np.abs(off - np.rint(off)).max() < 1e-3
-
-
-# ---------------------------------------------------------------------- on ticks
 
 
 @st.composite
