@@ -4,7 +4,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -135,13 +134,8 @@ def test_convert_does_all_that_the_command_line_can(paper: Printer, tmp_path: Pa
     run(RECTANGLE, "-q", "--tolerance", "0", "--retract", "moving", "-o", by_tool)
     by_both = [body(path.read_bytes()) for path in (out, by_tool)]
     assert by_both[0] == by_both[1]
-    assert set(report.contour) == {
-        "none",
-        "fbs",
-        "racking",
-        "shaper",
-        "live",
-    }  # the page shows both
+    both = {"shaper", "live"}  # which the page shows
+    assert set(report.contour) == {"none", "fbs", "racking", *both}
     assert sum(read) == RECTANGLE.stat().st_size
     assert b"A rectangle" in page.read_bytes()
     assert b"printed on the big one" in page.read_bytes()
@@ -151,13 +145,8 @@ def test_convert_that_fails_leaves_the_target(paper: Printer, tmp_path: Path) ->
     target = tmp_path / "part.gcode"
     target.write_bytes(b"G1 X10 Y10 Z1 F6000\nG1 X1000\n")
     before = target.read_bytes()
-    wrongs: list[dict[str, Any]] = [
-        {},
-        {"strategy": "raking"},
-        {"predict": ("raking",)},
-        {"format": "rtf"},
-    ]
-    for wrong in wrongs:
+    wrongs = {"strategy": "raking"}, {"predict": ("raking",)}, {"format": "rtf"}
+    for wrong in ({}, *wrongs):
         with pytest.raises(hp.HframeError):
             hp.convert(target, target, paper, hp.Options(**wrong))
         assert target.read_bytes() == before

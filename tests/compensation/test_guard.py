@@ -300,20 +300,14 @@ def test_neither_depends_on_how_the_stream_was_cut(cut: int, seed: int) -> None:
     for _ in range(3):
         at, width = int(rng.integers(50, 550)), int(rng.integers(10, 120))
         command[:, int(rng.integers(2))] += bump(600, at, rng.normal(), width)
-    whole, clamp = clamped(chunk(path, command), LIMITS)
+    one = chunk(path, command)
+    whole, clamp = clamped(one, LIMITS)
     pieces = Clamp(*LIMITS)
-    cuts = batches([chunk(path, command)], cut)
-    assert (
-        join(list(pieces.limit(cuts, "racking"))).commands["racking"].tobytes() == whole.tobytes()
-    )
+    cut_up = join(list(pieces.limit(batches([one], cut), "racking"))).commands["racking"]
+    assert cut_up.tobytes() == whole.tobytes()
     assert pieces.clamped == clamp.clamped
-    peaks = checked(
-        batches([chunk(path, command)], cut), (Travel((-9.0, 200.0), (0.0, 150.0)), *FAR[1:])
-    ).peaks
-    assert (
-        peaks
-        == checked([chunk(path, command)], (Travel((-9.0, 200.0), (0.0, 150.0)), *FAR[1:])).peaks
-    )
+    wide = (Travel((-9.0, 200.0), (0.0, 150.0)), *FAR[1:])
+    assert checked(batches([one], cut), wide).peaks == checked([one], wide).peaks
 
 
 def test_motors_of_which_nobody_stated_a_limit_cancel_racking_in_short_strokes() -> None:

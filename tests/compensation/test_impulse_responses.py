@@ -138,11 +138,9 @@ def test_a_preview_shorter_than_the_lead_still_ends_with_the_path() -> None:
 
 
 def test_a_response_that_cannot_be_inverted_is_refused() -> None:
+    noise = ImpulseResponse(1e6 * np.random.default_rng(0).normal(size=400), 200)
     with pytest.raises(ArgumentError, match=r"rank deficient|diverges"):
-        Lpfbs(
-            ImpulseResponse(1e6 * np.random.default_rng(0).normal(size=400), 200),
-            Window(5, 12, 11, 0.0),
-        )
+        Lpfbs(noise, Window(5, 12, 11, 0.0))
 
 
 # ---------------------------------------------------------------------- what is not known
@@ -264,17 +262,10 @@ def retracting(printer: Printer) -> list[Samples]:
 
 
 def held(chunks: Sequence[Samples], printer: Printer) -> Samples:
-    compensator = prepared(printer)
-    names = ("fbs", "racking")
+    compensator, names = prepared(printer), ("fbs", "racking")
     commands = compensate(chunks, compensator, names)
-    return join(
-        list(
-            dwell_at_stops(
-                commands,
-                StopSolvers(compensator, names, printer.travel, printer.motors, printer.kinematics),
-            )
-        )
-    )
+    bounds = printer.travel, printer.motors, printer.kinematics
+    return join(list(dwell_at_stops(commands, StopSolvers(compensator, names, *bounds))))
 
 
 @pytest.mark.parametrize("n", [13, 700])

@@ -31,15 +31,14 @@ def paper() -> Printer:
     return load("paper")
 
 
+def solvers(printer: Printer, names: tuple[str, ...] = NAMES) -> StopSolvers:
+    bounds = printer.travel, printer.motors, printer.kinematics
+    return StopSolvers(prepared(printer), names, *bounds)
+
+
 def compensated(chunks: Iterable[Samples], printer: Printer) -> list[Samples]:
-    compensator = prepared(printer)
-    commands = compensate(chunks, compensator, NAMES)
-    return list(
-        dwell_at_stops(
-            commands,
-            StopSolvers(compensator, NAMES, printer.travel, printer.motors, printer.kinematics),
-        )
-    )
+    commands = compensate(chunks, prepared(printer), NAMES)
+    return list(dwell_at_stops(commands, solvers(printer)))
 
 
 def whole_stretches(chunks: Iterable[Samples]) -> list[Samples]:
@@ -170,11 +169,9 @@ def cut(chunks: list[Samples], n: int) -> list[Samples]:
 @pytest.mark.parametrize("n", [1, 97, 1000])
 def test_equal_bits_however_the_stream_is_cut(paper: Printer, n: int) -> None:
     lines = [*strokes(2, 3, 0.4), "G4 P1200", *strokes(3, 2)[2:], "M600", *strokes(4, 2)[2:]]
-    compensator = prepared(paper)
-    commanded = list(compensate(planned(lines, paper), compensator, NAMES))
-    at_stops = StopSolvers(compensator, NAMES, paper.travel, paper.motors, paper.kinematics)
-    whole = whole_stretches(dwell_at_stops(commanded, at_stops))
-    pieces = list(dwell_at_stops(cut(commanded, n), at_stops))
+    commanded = list(compensate(planned(lines, paper), prepared(paper), NAMES))
+    whole = whole_stretches(dwell_at_stops(commanded, solvers(paper)))
+    pieces = list(dwell_at_stops(cut(commanded, n), solvers(paper)))
     assert sum(map(len, pieces)) == sum(map(len, commanded))
     for one, other in zip(whole_stretches(pieces), whole, strict=True):
         assert one.events == other.events
@@ -185,10 +182,9 @@ def test_equal_bits_however_the_stream_is_cut(paper: Printer, n: int) -> None:
 def test_a_wait_of_hours_is_not_kept_in_memory(paper: Printer) -> None:
     """Half an hour in chunks: nothing but the surroundings of its ends is kept."""
     lines = [*HEAD, "G1 X90 Y60 E1 F6000", "G4 P1800000", "G1 X90 Y90 E1"]
-    compensator, buffered = prepared(paper), 0
     raw = (line.encode() + b"\n" for line in lines)
     items = read(raw, ReadOptions.from_printer(paper, "printer"))
-    taken = 0
+    taken = returned = buffered = 0
 
     def counted() -> Iterable[Samples]:
         nonlocal taken
@@ -196,11 +192,8 @@ def test_a_wait_of_hours_is_not_kept_in_memory(paper: Printer) -> None:
             taken += len(chunk)
             yield chunk
 
-    returned = 0
-    for chunk in dwell_at_stops(
-        compensate(counted(), compensator, ("racking",)),
-        StopSolvers(compensator, NAMES[1:], paper.travel, paper.motors, paper.kinematics),
-    ):
+    commands = compensate(counted(), prepared(paper), ("racking",))
+    for chunk in dwell_at_stops(commands, solvers(paper, NAMES[1:])):
         returned += len(chunk)
         buffered = max(buffered, taken - returned)
     assert returned == taken > 1_800_000

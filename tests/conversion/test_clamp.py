@@ -20,13 +20,8 @@ SHAPES: dict[str, list[tuple[float, float]]] = {  # corners on the edges of a be
 
 def outline(corners: list[tuple[float, float]], speed: float) -> list[bytes]:
     (x, y), *others = corners
-    lines = [
-        b"G28\n",
-        b"G90\n",
-        b"M83\n",
-        b"M204 S10000\n",
-        b"G1 X%.3f Y%.3f Z0.2 F6000\n" % (x, y),
-    ]
+    lines = [b"G28\n", b"G90\n", b"M83\n", b"M204 S10000\n"]
+    lines.append(b"G1 X%.3f Y%.3f Z0.2 F6000\n" % (x, y))
     for end in others:
         length = ((end[0] - x) ** 2 + (end[1] - y) ** 2) ** 0.5
         x, y = end

@@ -105,23 +105,10 @@ def test_names_reach_the_output_as_one_printable_line(folder: Path, name: bytes)
     profile = os.path.join(os.fsencode(folder), name + b".toml")
     Path(os.fsdecode(profile)).write_text(OWN)
     target = os.path.join(os.fsencode(folder), name + b".gcode")
-    arguments: list[str | bytes] = [
-        sys.executable,
-        "-m",
-        "hframe_post",
-        "in.gcode",
-        "-p",
-        profile,
-        "-o",
-        target,
-    ]
-    done = subprocess.run(
-        arguments,
-        cwd=folder,
-        capture_output=True,
-        check=False,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
+    words = [os.fsencode(sys.executable), b"-m", b"hframe_post", b"in.gcode", b"-p", profile]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([*words, b"-o", target], cwd=folder, capture_output=True, check=False,
+                          env=environment)  # fmt: skip
     assert done.returncode == 0, done.stderr
     with open(target, "rb") as file:
         lines = file.read().splitlines()

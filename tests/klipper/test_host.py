@@ -11,11 +11,9 @@ import pytest
 from tests.klipper.host import KlippyError, Playback, play
 
 LIMITS = {
-    "max_velocity": 500.0,
-    "max_accel": 1000.0,
-    "square_corner_velocity": 5.0,
+    "max_velocity": 500.0, "max_accel": 1000.0, "square_corner_velocity": 5.0,
     "minimum_cruise_ratio": 0.0,
-}
+}  # fmt: skip
 
 
 ORDINARY = (
@@ -88,12 +86,7 @@ def test_mainline_plays_the_set_as_well(names: tuple[str, ...], marked: str) -> 
     command = [sys.executable, "-m", "pytest", "-q", "-m", marked, "-p", "no:cacheprovider", *files]
     environment = {name: text for name, text in os.environ.items() if "PYTEST" not in name}
     result = subprocess.run(
-        command,
-        cwd=Path(__file__).parents[2],
-        env=environment | {"KLIPPER": MAINLINE},
-        capture_output=True,
-        text=True,
-        timeout=900,
-        check=False,
-    )
+        command, cwd=Path(__file__).parents[2], env=environment | {"KLIPPER": MAINLINE},
+        capture_output=True, text=True, timeout=900, check=False,
+    )  # fmt: skip
     assert result.returncode == 0, result.stdout[-4000:] + result.stderr[-1000:]

@@ -127,14 +127,11 @@ def test_a_file_that_asks_for_too_much_is_slowed(kernel: Path, tmp_path: Path) -
 
 
 FAULTS = (
-    "SET_KINEMATIC_POSITION X={x:.3f} Y={y:.3f}",
-    "G4 P{ms}",
-    "M400",
-    "M204 S3000",
+    "SET_KINEMATIC_POSITION X={x:.3f} Y={y:.3f}", "G4 P{ms}", "M400", "M204 S3000",
     "M84\nSET_KINEMATIC_POSITION X={x:.3f} Y={y:.3f} Z=1",
     "SET_INPUT_SHAPER SHAPER_FREQ_X=40 SHAPER_FREQ_Y=50",
     "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0",
-)
+)  # fmt: skip
 TOGGLES = (*(f"SET_HFRAME_LIVE ENABLE={on}" for on in (0, 1)),
            *(f"SET_HFRAME_LIVE TOWER={band}" for band in (0, 1, 2)))  # fmt: skip
 
@@ -280,11 +277,8 @@ def test_the_c_is_clean_under_sanitizers() -> None:
     )
     asan = subprocess.check_output(["gcc", "-print-file-name=libasan.so"], text=True).strip()
     done = subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=Path(__file__).parents[2],
+        [sys.executable, "-c", program], cwd=Path(__file__).parents[2],
         env={"PATH": "/usr/bin:/bin", "LD_PRELOAD": asan, "ASAN_OPTIONS": "detect_leaks=0"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]

@@ -20,18 +20,9 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
     if compiler is None:
         pytest.skip("no C compiler here")
     path = tmp_path_factory.mktemp("compiled") / "_kernels.so"
-    flags = [
-        "-std=c99",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        "-O3",
-        "-ffp-contract=off",
-        "-fPIC",
-        "-DPy_LIMITED_API=0x030B0000",
-    ]
+    flags = "-std=c99 -Wall -Wextra -Werror -O3 -ffp-contract=off -fPIC -DPy_LIMITED_API=0x030B0000"
     sources = sorted(map(str, SOURCES.glob("*.c")))
-    subprocess.run([compiler, *flags, "-shared", "-o", path, *sources, "-lm"], check=True)
+    subprocess.run([compiler, *flags.split(), "-shared", "-o", path, *sources, "-lm"], check=True)
     spec = importlib.util.spec_from_file_location("hframe_post.native._kernels", path)
     assert spec is not None
     assert spec.loader is not None

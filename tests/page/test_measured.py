@@ -16,15 +16,9 @@ HZ = np.geomspace(3.0, 100.0, 5000)
 def built(name: str = "my printer") -> bytes:
     resonance = Curve("x = 80 mm", HZ, 1.0 / np.abs(1.0 - (HZ / 30.0) ** 2 + 0.1j * HZ / 30.0))
     gap = Curve(name, np.arange(4.0), np.array([1.0, np.nan, 3.0, 4.0]), "var(--ink)", strong=True)
+    marks = [(29.0, "29 Hz"), (30.0, name), (200.0, "not shown")]
     charts = [
-        Chart(
-            "Magnitude",
-            "frequency, Hz",
-            "1",
-            [resonance],
-            (True, True),
-            [(29.0, "29 Hz"), (30.0, name), (200.0, "not shown")],
-        ),
+        Chart("Magnitude", "frequency, Hz", "1", [resonance], (True, True), marks),
         Chart(name, "time, s", "mm", [gap], (False, False)),
     ]
     cards = [Card("off by", "3", "%", "order 4", "bad")]

@@ -76,13 +76,7 @@ def test_times_change_as_the_print_and_keep_form(line: bytes, printed: bytes) ->
 def test_lines_of_progress_are_written_as_one_by_one(after: float) -> None:
     """The loop for M73 in its usual form, and the lines that it leaves."""
     rng = np.random.default_rng(4)
-    forms = [
-        b"M73 P%d R%d",
-        b"M73 Q%d S%d",
-        b"M73 P%d R%d ; left",
-        b"M73 P%d R%d.5",
-        b"M73 P%d R0%d",
-    ]
+    forms = b"M73 P%d R%d|M73 Q%d S%d|M73 P%d R%d ; left|M73 P%d R%d.5|M73 P%d R0%d".split(b"|")
     lines = [forms[k % 5] % tuple(rng.integers(0, 100, 2)) for k in range(500)]
     elapsed = rng.uniform(0.0, after, len(lines))
     file = io.BytesIO()
