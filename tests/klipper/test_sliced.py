@@ -62,7 +62,7 @@ def turns(seed: int, count: int) -> list[bytes]:
 def test_it_has_klippers_cruise_ratio_and_lifts(lines: list[bytes], tmp_path: Path) -> None:
     printer, lines = load("paper"), [*lines[:1], b"G92 X0 Y0 Z0\n", *lines[1:]]
     own = AsSliced(firmware(printer).limits())
-    for item in [*Chain(printer, Options("racking").resolved(printer)).parsed(lines), None]:
+    for item in [*Chain(printer, Options("racking").resolved(printer)).read(lines), None]:
         list(own.planned(item))
     path = tmp_path / "sliced.gcode"
     path.write_bytes(b"".join(lines))
