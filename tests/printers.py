@@ -1,4 +1,4 @@
-"""What firmware says of itself: a printer.cfg and answers of Marlin, and profiles of them."""
+"""Configurations of printers, and profiles of them: new ones, and with a model as measured."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,7 @@
 """All messages of errors in one file: ``python -m pytest tests/test_messages.py --update-golden``.
 
 Other tests check an error's type, line and key. Read the difference of the file: would an owner
-understand each message at first reading?
+understand each message at first reading? Errors also reach a process that waits, with all they say.
 """
 
 import ast

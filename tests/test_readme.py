@@ -1,4 +1,4 @@
-"""The README's commands run and print what it shows.
+"""The README's commands and the examples run, and print what is shown.
 
 ``pytest --update-golden`` writes the present output into the tutorial.
 """

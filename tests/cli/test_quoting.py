@@ -1,4 +1,4 @@
-"""Commands that messages advise can be typed as they stand, whatever the files are called."""
+"""Commands that messages and slicers get can be typed as they stand, whatever files are called."""
 
 import shlex
 import subprocess

@@ -1,4 +1,4 @@
-"""Commands through the plant trace the path; standstill is as long as settling takes."""
+"""Commands through the plant trace the path, with couplings of the axes, too."""
 
 from dataclasses import replace
 

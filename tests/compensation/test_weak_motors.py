@@ -1,7 +1,5 @@
 """Motors whose limits an owner stated: the print is converted within them, whatever they are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,8 +1,9 @@
-"""What Klipper makes of a stream: its time for each segment, its commands."""
+"""What Klipper makes of a stream: its time for each segment, its commands, its macros."""
 
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from hypothesis import strategies as st
 from hframe_post.arrays import Array, Flags
 from hframe_post.firmware.code import plain
 from hframe_post.firmware.klipper.code import KlipperCode, StreamLimits
+from hframe_post.firmware.klipper.macros import BEGIN, WRAPPERS, macros
 from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.firmware.motion import Way
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.printer.firmware_tables import KlipperTable
+from hframe_post.printer.firmware_tables import END_MACRO, RECORDED, KlipperTable
+from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Extruder, Limits, Motors, Printer
 from hframe_post.stream.types import ModalState
 from tests.gcode_tools import converted
@@ -246,3 +249,30 @@ def test_no_segment_is_thicker_than_klipper_allows(paper: Printer) -> None:
         place = to
     assert "E" in written
     below(thickest, 0.266, "filament by length of the path, mm/mm")
+
+
+DOCS = Path(__file__).parents[2] / "docs" / "klipper.md"
+
+
+def test_the_beginning_sets_what_the_stream_would_set() -> None:
+    paper = load("paper")
+    begin = macros(paper).split("[gcode_macro _HFRAME_BEGIN]")[1].split("\n\n")[0]
+    for line in KlipperCode.from_printer(paper).limits_of_stream:
+        assert f"    {line}\n" in f"{begin}\n"
+
+
+def test_they_set_and_restore_the_averaging_of_pressure_advance() -> None:
+    text = macros(replace(load("paper"), extruder=Extruder(0.05)))
+    begin, end = (
+        text.split(f"[gcode_macro {name}]")[1] for name in ("_HFRAME_BEGIN", "_HFRAME_END")
+    )
+    assert "SMOOTH_TIME=0.02\n" in begin.split("\n\n")[0]
+    own = "SMOOTH_TIME={own.extruder.pressure_advance_smooth_time}\n"
+    assert own in end.split("\n\n")[0]
+
+
+def test_the_docs_name_each_macro() -> None:
+    names = {*re.findall(r"\[gcode_macro ([A-Z]\w+)\]", macros(load("paper")))}
+    names |= {BEGIN, END_MACRO, RECORDED, *WRAPPERS}
+    assert len(names) == 9
+    assert not [name for name in names if f"`{name}`" not in DOCS.read_text(encoding="utf-8")]

@@ -1,4 +1,4 @@
-"""What commands mean without their words, where firmwares differ."""
+"""What commands mean without their words, where firmwares differ, and what motors are guessed."""
 
 import importlib
 import math

@@ -1,4 +1,4 @@
-"""Lines as words: read as firmwares do, in linear time, without numbers that are too large."""
+"""Lines of an input as words: read as firmwares do, in linear time."""
 
 import io
 import os

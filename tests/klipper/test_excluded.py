@@ -1,6 +1,7 @@
 """Objects excluded in mid-print, in the dialects of six slicers, by Klipper's own modules.
 
-As sliced, the head does not go to an excluded object again. Nor may it as converted.
+As sliced, the head does not go to an excluded object again. Nor may it as converted. Nor does a
+pause, a loop or a cancelled print from the card change what is printed.
 """
 
 import re

@@ -1,4 +1,4 @@
-"""The harness itself: what Klipper is known to do comes out of ``play``."""
+"""The harness itself: what Klipper is known to do comes out of ``play``, from mainline, too."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""What a print has today, against the trapezoids of Klipper's own host."""
+"""What a print has and takes as sliced, against the trapezoids of Klipper's own host."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Junction speeds are those of Klipper."""
+"""Junction speeds are those of Klipper; motion from speed to speed keeps its limits."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Transfer functions against scipy."""
+"""Transfer functions against scipy; impulse responses, alone and side by side."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Compiled loops give what plain numpy does."""
+"""Compiled loops give what plain numpy does, and refuse what they cannot take."""
 
 import importlib
 import sys

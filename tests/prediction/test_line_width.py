@@ -1,4 +1,4 @@
-"""The width of the printed line, from the nozzle's way."""
+"""The width of the printed line, from the nozzle's way and from the flow that follows late."""
 
 import numpy as np
 import pytest

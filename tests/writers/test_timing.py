@@ -1,4 +1,4 @@
-"""Time as the writer keeps it, from one batch to the next."""
+"""Time as the writer keeps it, and filament where lines are carried through motion."""
 
 from dataclasses import replace
 
