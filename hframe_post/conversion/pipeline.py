@@ -114,7 +114,7 @@ class Chain:
         if not own.least:
             return plan(items, self.caps)
         joined = ShortMoves(own.least, own.step, own.motors).joined_travel(items)
-        return plan(joined, self.caps, joins=own.joins, step=own.step[0] if own.joins else 0.0)
+        return plan(joined, self.caps, joins=own.joins, late=own.late if own.joins else 0.0)
 
     def within_motors(self) -> WithinMotors:
         """Return what slows moves down so that the motors can follow."""

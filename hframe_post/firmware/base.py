@@ -108,7 +108,7 @@ class FirmwareLimits:
     limits: of any move. Until the file sets others, printing and travel are the accelerations,
     corner is the speed through a right angle, and others has what else holds. durations: of moves;
     None: those of exact ramps. step: mm of motors A and B, z and e. least: steps of the shortest
-    move, which joins shorter ones; 0: it makes every move.
+    move, which joins shorter ones; 0: it makes every move. late: mm by which it brakes late.
     """
 
     limits: Limits
@@ -119,6 +119,7 @@ class FirmwareLimits:
     durations: Durations | None = None
     step: Position = (1.0, 1.0, 1.0, 1.0)
     least: int = 0
+    late: float = 0.0
 
     @property
     def joins(self) -> bool:

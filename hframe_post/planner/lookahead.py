@@ -58,14 +58,14 @@ Z_SHARE = 0.8
 
 def plan(
     items: Iterable[Item], limits: Limits, batch: int = BATCH, longest: int = LONGEST_QUEUE,
-    joins: bool = False, step: float = 0.0,
+    joins: bool = False, late: float = 0.0,
 ) -> Iterator[Planned]:  # fmt: skip
     """Yield the items with final speeds; the motion stops before what must happen at rest.
 
     batch: moves planned at once; longest: moves queued at most. Speeds may depend on both. joins,
-    step: see ``Lookahead``.
+    late: see ``Lookahead``.
     """
-    queue = Lookahead(limits, batch, longest, joins=joins, step=step)
+    queue = Lookahead(limits, batch, longest, joins=joins, late=late)
     for item in with_travel_limits(items, limits):
         if isinstance(item, Marks) and queue.count:
             queue.carry(item)
@@ -85,7 +85,7 @@ class Lookahead:
     """Queue of moves that are not planned yet, and the speed at which the first of them begins.
 
     batch, longest: see ``plan``. z_share: of the z acceleration while x and y move; steep: rise
-    over run above which a move starts and ends at rest. step: mm by which the firmware brakes late,
+    over run above which a move starts and ends at rest. late: mm by which the firmware brakes late,
     so that it reaches corners faster than it means to. joins: whether its junctions are those of a
     board with junction deviation, which passes lifts and retractions at a speed: they are moves of
     the queue, too.
@@ -93,9 +93,9 @@ class Lookahead:
 
     def __init__(
         self, limits: Limits, batch: int = BATCH, longest: int = LONGEST_QUEUE,
-        z_share: float = Z_SHARE, steep: float = STEEP, joins: bool = False, step: float = 0.0,
+        z_share: float = Z_SHARE, steep: float = STEEP, joins: bool = False, late: float = 0.0,
     ) -> None:  # fmt: skip
-        self.joins, self._step = joins, step
+        self.joins, self._late = joins, late
         self._limits, self._batch, self._longest = limits, batch, longest
         self._z_share, self._steep = z_share, steep
         self._moves: list[_Limited] = []
@@ -229,18 +229,15 @@ class Lookahead:
         shorter = SHORT if self.joins else math.inf
         caps = greatest_speeds(points, table, self._rules, extruder, shorter, self._steep)
         raised = caps.copy()
-        if self._step:
+        if self._late:
             self._brake_late(raised[1:-1], table)
         return caps[-n - 1 :], raised[-n - 1 :]
 
     def _brake_late(self, caps: Array, table: Array) -> None:
-        """Raise the speeds (n − 1,) between moves by half of what braking a step late does.
-
-        It is late before a corner only; half of it before and after take as long.
-        """
-        late = np.sqrt(np.square(caps) + 2.0 * self._step * table[1:, ACCELERATION])
+        """Raise the speeds (n − 1,) between moves to those that braking late leads to."""
+        late = np.sqrt(np.square(caps) + 2.0 * self._late * table[1:, ACCELERATION])
         slower = BELOW_CRUISE * np.minimum(table[:-1, CRUISE], table[1:, CRUISE])
-        caps[:] = np.where(caps > 0.0, np.minimum((caps + late) / 2.0, slower), 0.0)
+        caps[:] = np.where(caps > 0.0, np.minimum(late, slower), 0.0)
 
     def _joints(self, moves: _Limited) -> Array:
         """Return the greatest speeds (n + 1,) at the ends of moves; at the first, the speed."""

@@ -11,7 +11,7 @@ import numpy as np
 from hframe_post.arrays import Array, E, Z
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.code import Code, coordinates, plain
-from hframe_post.firmware.marlin.planner import Planner, make_planner
+from hframe_post.firmware.marlin.planner import BRAKES_LATE_STEPS, Planner, make_planner
 from hframe_post.firmware.motion import VELOCITY_HEADROOM
 from hframe_post.native.block_times import Timer
 from hframe_post.native.whole_steps import Blocks
@@ -74,6 +74,11 @@ class MarlinCode(Code):
         steps = np.maximum(np.rint(lead), 1.0)
         blocks = Blocks(steps, d, np.floor(a * steps / d))
         return self.planner.reached(blocks, v_s, v_e, v)
+
+    @property
+    def brakes_late(self) -> float:
+        """Return the way by which the board brakes late, mm."""
+        return BRAKES_LATE_STEPS[self.table.planner] * self.steps.belt
 
     @property
     def motion_mode(self) -> str:

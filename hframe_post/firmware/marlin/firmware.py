@@ -110,7 +110,7 @@ class Marlin(Firmware):
             replace(unlimited(own, known), **Z_AND_E), table.acceleration,
             table.travel_acceleration, corner, others, (code := self.code()).durations,
             (code.steps.belt, code.steps.belt, code.steps.z, code.steps.e),
-            table.min_steps_per_segment,
+            table.min_steps_per_segment, code.brakes_late,
         )  # fmt: skip
 
     def caps(self) -> Limits:

@@ -162,7 +162,11 @@ class FixedTimePlanner:
 
 
 Planner = SteppedPlanner | FixedTimePlanner
-GENERATIONS = ("2.0", "2.1", "2.1-dev", "ft-motion")
+# Steps by which each brakes late, so that it takes corners faster than it means to. Measured: with
+# corners so much faster, exact ramps at 500 mm/s² take 0.1 to 0.4 % less for a cube or a prism, and
+# 0.3 to 0.6 % more for a figure of short moves
+BRAKES_LATE_STEPS = {"2.0": 1.0, "2.1": 2.2, "2.1-dev": 0.2, "ft-motion": 0.4}
+GENERATIONS = tuple(BRAKES_LATE_STEPS)
 
 
 @cache
