@@ -7,6 +7,7 @@ the path, and is the same for all strategies.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -108,12 +109,14 @@ class Advancing:
 
     def _in_force(self, first: int, count: int) -> tuple[Array, Integers]:
         """Return K (count,) from a sample on, s, and over how many samples it is averaged."""
-        K, half = np.empty(count), np.empty(count, np.int64)
-        for index, advance in self._since:
-            at = max(index - first, 0)
-            K[at:], half[at:] = advance.seconds, advance.half(self._limits is not None)
-        while len(self._since) > 1 and self._since[1][0] <= first:
-            del self._since[0]
+        computed = self._limits is not None
+        since, known = zip(*self._since, strict=True)
+        begun = np.clip(np.array(since) - first, 0, count)
+        begun[0], counts = 0, np.empty(len(begun), np.int64)
+        counts[:-1], counts[-1] = begun[1:] - begun[:-1], count - begun[-1]
+        K = np.repeat([each.seconds for each in known], counts)
+        half = np.repeat([each.half(computed) for each in known], counts)
+        del self._since[: max(bisect_right(since, first) - 1, 0)]
         return K, half
 
 

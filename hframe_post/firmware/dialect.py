@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from hframe_post.arrays import TS
@@ -18,6 +18,7 @@ from hframe_post.printer.settings import (
     SMOOTH_TIME_S,
     Extruder,
 )
+from hframe_post.stream.marks import recent
 
 _KLIPPER = re.compile(rb"\s*(?:N\d+\s*)?SET_PRESSURE_ADVANCE\s([^;#*]*)", re.IGNORECASE)
 _PARAMETER = re.compile(rb"(\w+)=[\"']?([^\s\"']*)")
@@ -69,8 +70,11 @@ class Advance:
         """Return what is in force after a line."""
         if (change := self.reads(text)) is NOTHING:
             return self
-        given = {name: value for name, value in change._asdict().items() if value is not None}
-        return replace(self, **given)
+        seconds, smooth_time = change
+        return Advance(
+            self.seconds if seconds is None else seconds,
+            self.smooth_time if smooth_time is None else smooth_time, self.reads,
+        )  # fmt: skip
 
 
 NO_ADVANCE = Advance()
@@ -83,6 +87,7 @@ class ExtruderLimits(NamedTuple):
     acceleration: float
 
 
+@recent
 def klipper_advance(text: bytes) -> AdvanceChange:
     """Return what SET_PRESSURE_ADVANCE sets for the extruder that prints."""
     if (match := _KLIPPER.match(text)) is None:
@@ -96,12 +101,14 @@ def klipper_advance(text: bytes) -> AdvanceChange:
     )
 
 
+@recent
 def klipper_seconds(text: bytes) -> AdvanceChange:
     """Return what SET_PRESSURE_ADVANCE sets where the stream restores its own averaging."""
     change = klipper_advance(text)
     return change if change is NOTHING else change._replace(smooth_time=None)
 
 
+@recent
 def marlin_advance(text: bytes) -> AdvanceChange:
     """Return what M900 sets for the first extruder."""
     if (match := _MARLIN.match(text)) is None:

@@ -8,17 +8,16 @@ import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
-from functools import lru_cache, reduce
+from functools import reduce
 from operator import xor
 from typing import NamedTuple
 
 from hframe_post.errors import GcodeError
+from hframe_post.stream.marks import recent
 from hframe_post.stream.types import Handling
 
 Words = dict[str, float]  # letter → number
 
-RECENT_TEXTS = 256  # whose words are known: most lines other than moves recur
-SHORT_BYTES = 100  # of a text that is remembered
 IGNORED = "DHLPQRST"  # in moves; A, B, C, I, J, K, U, V, W may be axes
 _BLANK_OR_IGNORED = b" \t\r\v\f" + IGNORED.encode() + IGNORED.lower().encode()
 
@@ -74,13 +73,13 @@ def uncommented(text: bytes) -> bytes:
 def command(line: Line) -> Command | None:
     """Return the coded command (G, M or T) of a line, or None. Raises GcodeError (checksum)."""
     text = line.text
-    coded, right = _coded(text) if len(text) <= SHORT_BYTES else _coded.__wrapped__(text)
+    coded, right = _coded(text)
     if not right:
         raise line.error("the checksum is wrong")
     return coded
 
 
-@lru_cache(maxsize=RECENT_TEXTS)
+@recent
 def _coded(text: bytes) -> tuple[Command | None, bool]:
     """Return the coded command of a line's text, or None, and whether its checksum is right."""
     body = uncommented(text)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from hframe_post.stream.marks import recent
+
 _LAYER = re.compile(
     rb"\s*;[\s;(<\[-]*(?:layer[\s:#]+(?P<number>-?\d{1,9})(?![\d.])"  # Cura, ideaMaker, Kiri:Moto
     rb"|layer num/total_layer_count:\s*(?P<counted>\d{1,9})(?!\d)"  # Bambu Studio, from 1
@@ -46,6 +48,7 @@ def kind(name: str) -> str:
     return next((kind for kind, words in _KINDS if any(w in plain for w in words)), OTHER)
 
 
+@recent
 def feature(text: bytes) -> str | None:
     """Return the name of the feature that begins at a line; None if none does."""
     if match := _FEATURE.match(text):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache, wraps
 from itertools import accumulate
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,6 +15,23 @@ from hframe_post.arrays import Integers
 INDEX, START, END, KIND = range(4)  # columns of a table
 # kinds of lines: those of which no stage needs to know more; those that tell the time left; others
 PLAIN, CLOCK, SAYS = range(3)
+RECENT_LINES, SHORT_BYTES = 256, 100  # lines of which is kept what they mean
+
+T = TypeVar("T")
+
+
+def recent(read: Callable[[bytes], T]) -> Callable[[bytes], T]:
+    """Return a function of a line that keeps its results: several stages read it, and lines recur.
+
+    Long lines are not kept: a file of them would fill the memory.
+    """
+    kept = lru_cache(RECENT_LINES)(read)
+
+    @wraps(read)
+    def known(text: bytes) -> T:
+        return kept(text) if len(text) <= SHORT_BYTES else read(text)
+
+    return known
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from hframe_post.arrays import TS, Array, E, Integers, X, Y, Z
 from hframe_post.firmware.code import Code
 from hframe_post.firmware.motion import MotionRules, Way
 from hframe_post.gcode.commands import Line, name_and_arguments
-from hframe_post.stream.marks import Marks
+from hframe_post.stream.marks import Marks, recent
 from hframe_post.stream.types import (
     Dwell,
     Handling,
@@ -227,8 +227,7 @@ class Machine:
         return Text(Between.from_marks(marks, 0, modes_after).output())
 
     def _modes_after(self, line: bytes) -> bytes:
-        name, _ = name_and_arguments(Line(0, line))
-        return self._code.modes_after(name, line)
+        return self._code.modes_after(_name(line), line)
 
     def _dwell(self, dwell: Dwell) -> Iterator[OutputCommand]:
         action = dwell.action
@@ -286,6 +285,11 @@ class Machine:
         self._offset, self._inside, self._at = action.state.offset, False, None
         self.ledger.passed(action.filament)
         return LimitChange(text_of(end))
+
+
+@recent
+def _name(line: bytes) -> str:
+    return name_and_arguments(Line(0, line))[0]
 
 
 class Ledger:

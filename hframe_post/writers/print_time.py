@@ -17,6 +17,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.native.digits import progress_lines
+from hframe_post.stream.marks import recent
 
 SUMMARY_BYTES = 4096  # bytes: the summary's length is not known when the body is written after it
 REWRITTEN_BYTES = 1 << 18  # bytes of a file in which lines are written again together
@@ -74,6 +75,7 @@ COMMENT = b"; hframe-post:"
 SUMMARY = Deferred.from_line(COMMENT, 0.0, summary=True)
 
 
+@recent
 def says_time(line: bytes) -> bool:
     return bool(_COMMENT.match(line) or _PROGRESS.match(line) or _MESSAGE.match(line))
 
