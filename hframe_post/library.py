@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
@@ -48,7 +47,7 @@ if TYPE_CHECKING:
     from hframe_post.studies.simulation import SimulationReport
 
 DEFAULT = Options()
-SHAPED_LINES = 20_000  # of a file, from which a page's input shaper is chosen; 2 % off at most
+SHAPED_BYTES = 600_000  # of a file, from which a page's input shaper is chosen; 2 % off at most
 
 
 def load_printer(name_or_path: str | Path) -> Printer:
@@ -277,7 +276,7 @@ def _watch(source: Path, outputs: Outputs) -> None:
 def _pictured(options: Options, source: Input, printer: Printer, plant: Plant) -> Options:
     """Return options that collect a page's picture, with the best input shaper for the print."""
     predicted = dict.fromkeys(("none", *options.strategies))
-    items = Chain(printer, options).read(islice(source.again(), SHAPED_LINES))
+    items = Chain(printer, options).read(source.beginning(SHAPED_BYTES))
     shaping = SlicedFile.from_items(items, printer).shaping(plant)
     return replace(options, predict=tuple(predicted), picture=True, shaping=shaping)
 

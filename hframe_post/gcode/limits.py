@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -20,7 +21,7 @@ from hframe_post.printer.settings import Printer
 
 BYTES_AHEAD = 1 << 22  # slicers ask for all the accelerations that they use within some layers
 MOST_KNOWN = 4096  # lines with limits whose effect is remembered: a file has few of them
-LIMITS = (b"M201", b"M203", b"M204", b"M205", commands.LIMITS.encode())
+LIMITS = re.compile(rb"^(?:M20[1345](?![\d.])|%b).*" % commands.LIMITS.encode(), re.MULTILINE)
 
 
 def with_motors(
@@ -40,7 +41,8 @@ def with_motors(
     options = ReadOptions.from_printer(printer, limits)
     usual = printer.limits
     own = usual.velocity, usual.acceleration, usual.square_corner_velocity
-    most = np.max([own, *_asked(head, options)], axis=0).tolist()
+    asked = _asked(head if limits != "printer" else [], options)
+    most = np.max([own, *asked], axis=0).tolist()
     motors = stated.completed(printer.kinematics, *most)
     return chain(head, rest), replace(printer, motors=motors)
 
@@ -49,30 +51,27 @@ def _asked(lines: Iterable[bytes], options: ReadOptions) -> Iterator[tuple[float
     """Yield speed, acceleration and speed through a right angle, once for each change."""
     state = State(options.dialect, start=options.start)
     known = dict[tuple[Any, ...], tuple[Any, ...]]()  # a line and the limits before → those after
-    for text in lines:
-        if text.startswith(LIMITS) and options.limits != "printer":
-            before = state.acceleration, state.travel_acceleration, state.corner, state.others
-            at = (text, *before[:3], id(state.others))
-            if (after := known.get(at)) is not None:
-                *_, state.acceleration, state.travel_acceleration, state.corner, state.others = (
-                    after
-                )
+    for text in (found[0] for texts in lines for found in LIMITS.finditer(texts)):
+        before = state.acceleration, state.travel_acceleration, state.corner, state.others
+        at = (text, *before[:3], id(state.others))
+        if (after := known.get(at)) is not None:
+            *_, state.acceleration, state.travel_acceleration, state.corner, state.others = after
+            continue
+        line = Line(0, text)
+        with suppress(GcodeError):  # the reader raises it, with its line
+            name, arguments = command(line) or (commands.LIMITS, b"")
+            if options.limits == "file" and name not in options.dialect.obeyed:
                 continue
-            line = Line(0, text)
-            with suppress(GcodeError):  # the reader raises it, with its line
-                name, arguments = command(line) or (commands.LIMITS, b"")
-                if options.limits == "file" and name not in options.dialect.obeyed:
-                    continue
-                if name == commands.LIMITS:
-                    words = parameters(line, commands.LIMIT_PARAMETERS)
-                else:
-                    words = numbers_among(line, arguments, commands.LIMIT_WORDS[name])
-                state.set_limits(line, name, words)
-                if len(known) >= MOST_KNOWN:
-                    known.clear()
-                after = state.acceleration, state.travel_acceleration, state.corner, state.others
-                known[at] = (*before, *after)  # keeps what the id names
-                yield _in_force(state)
+            if name == commands.LIMITS:
+                words = parameters(line, commands.LIMIT_PARAMETERS)
+            else:
+                words = numbers_among(line, arguments, commands.LIMIT_WORDS[name])
+            state.set_limits(line, name, words)
+            if len(known) >= MOST_KNOWN:
+                known.clear()
+            after = state.acceleration, state.travel_acceleration, state.corner, state.others
+            known[at] = (*before, *after)  # keeps what the id names
+            yield _in_force(state)
 
 
 def _in_force(state: State) -> tuple[float, float, float]:

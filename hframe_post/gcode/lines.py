@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 from io import IOBase
 from itertools import chain
 from pathlib import Path
@@ -35,8 +34,18 @@ def is_gcode_name(name: str) -> bool:
 
 
 def lines_of(file: IO[bytes]) -> Iterator[bytes]:
-    """Yield the lines of a file; one that is too long is cut."""
-    yield from iter(partial(file.readline, MAX_LINE_BYTES + 2), b"")
+    """Yield the lines of a file, many in a text; one that is too long is cut."""
+    read, begun = getattr(file, "read1", file.read), b""
+    while data := read(BYTES_PER_READ):
+        begun += data
+        if whole := begun.rfind(b"\n") + 1:
+            yield begun[:whole]
+            begun = begun[whole:]
+        if len(begun) > MAX_LINE_BYTES:
+            yield begun
+            begun = b""
+    if begun:
+        yield begun
 
 
 def _check_start(first: bytes) -> None:
@@ -45,7 +54,8 @@ def _check_start(first: bytes) -> None:
             raise GcodeError(cause)
 
 
-Source = str | Path | IO[bytes] | Iterable[bytes]  # a file of G-code, or its lines
+# a file of G-code, or its lines: texts of one line, or of several that end with a line feed
+Source = str | Path | IO[bytes] | Iterable[bytes]
 
 
 class Input:
@@ -60,7 +70,7 @@ class Input:
         self._source = source
 
     def lines(self, progress: Callable[[int], object] | None = None) -> Iterable[bytes]:
-        """Return the lines. progress: called with the number of bytes of each."""
+        """Return the lines, often many in a text. progress: called with the bytes of each text."""
         lines = self._opened()
         return lines if progress is None else _reported(lines, progress)
 
@@ -69,6 +79,13 @@ class Input:
         if self.once:
             raise ArgumentError("the source is read several times: give a path or a list of lines")
         return self._opened()
+
+    def beginning(self, size: int) -> Iterator[bytes]:
+        """Yield the first lines, of so many bytes at least. Raises ArgumentError as ``again``."""
+        for text in self.again():
+            yield text
+            if (size := size - len(text)) <= 0:
+                return
 
     def _opened(self) -> Iterable[bytes]:
         if self.path is not None:
@@ -91,21 +108,19 @@ def _lines_in(path: Path) -> Iterator[bytes]:
 class Lines:
     """Iterator over ``Line``s that can look ahead. Raises GcodeError where this cannot be G-code.
 
-    cr_ends_lines: whether a carriage return inside a line ends it; what follows it is then another
-    line of the same number. ``number``: that of the last line. The source is read in blocks; an
-    error of its own is raised where it would have been without them.
+    source: texts of one line or several. cr_ends_lines: whether a carriage return inside a line
+    ends it; what follows it is then another line of the same number. ``number``: that of the last
+    line. The source is read in blocks; an error of its own is raised where it would have been
+    without them.
     """
 
     def __init__(self, source: Iterable[bytes], cr_ends_lines: bool = False) -> None:
         self._source = iter(source)
         self._cr_ends_lines = cr_ends_lines
-        self._block: list[bytes] = []
-        self._next = 0  # index of the next line in the block
-        self._text: bytes | None = None  # the block as one text, if it was asked for
-        self._offset = 0  # of the next line in the text
+        self._text, self._offset = b"", 0  # lines, each with its line feed, and the next of them
         self._lines_read = 0
-        self._error: Exception | None = None  # of the source, after the block
-        self._queue: deque[Line] = deque()  # lines seen before their turn
+        self._error: Exception | None = None  # of the source, after the text
+        self._queue: deque[Line] = deque()  # parts of the latest line
         self.number = 0
 
     def __iter__(self) -> Iterator[Line]:
@@ -125,38 +140,40 @@ class Lines:
                 return
 
     def _unread(self) -> Iterator[Line]:
-        k = 0
-        while self._next + k < len(self._block) or self._read_block():
-            yield from self._split(self._lines_read + k + 1, self._block[self._next + k])
-            k += 1
+        number, size = self._lines_read, 0
+        while raw := self._raw(size):
+            number, size = number + 1, size + len(raw)
+            yield from self._split(number, raw)
 
     def upcoming(self) -> tuple[bytes, int]:
         """Return a text that ends with a line feed, and the offset of the next line in it.
 
         The text is empty at the end of the file.
         """
-        if self._queue or not (self._next < len(self._block) or self._read_block()):
+        if self._queue or not (self._offset < len(self._text) or self._read_block()):
             return b"", 0
-        if self._text is None:
-            ended = self._block if self._block[-1].endswith(b"\n") else self._block[:-1]
-            text = b"".join(ended)
-            self._text = text if text.count(b"\n") == len(ended) else b""
-        return (self._text, self._offset) if self._offset < len(self._text) else (b"", 0)
+        return self._text, self._offset
 
     def skip(self, lines: int, size: int) -> None:
-        self._next, self._offset = self._next + lines, self._offset + size
+        self._offset += size
         self._lines_read += lines
         self.number = self._lines_read
 
     def _read_line(self) -> bool:
         """Put one more line of the source into the queue; return False after the last."""
-        if not (self._next < len(self._block) or self._read_block()):
+        if not (raw := self._raw(0)):
             return False
-        raw = self._block[self._next]
-        self._next, self._offset = self._next + 1, self._offset + len(raw)
+        self._offset += len(raw)
         self._lines_read += 1
         self._queue.extend(self._split(self._lines_read, raw))
         return True
+
+    def _raw(self, after: int) -> bytes:
+        """Return the line that begins so many bytes after the next one; empty at the end."""
+        if self._offset + after >= len(self._text) and not self._read_block():
+            return b""
+        begin = self._offset + after
+        return self._text[begin : self._text.index(b"\n", begin) + 1]
 
     def _read_block(self) -> bool:
         """Read more of the source behind the lines left; return False if it has ended."""
@@ -165,7 +182,7 @@ class Lines:
         new, size = list[bytes](), 0
         try:
             for raw in self._source:
-                new.append(raw)
+                new.append(raw if raw.endswith(b"\n") else raw + b"\n")
                 size += len(raw)
                 if size > BYTES_PER_READ:
                     break
@@ -174,8 +191,7 @@ class Lines:
         if not new and self._error is not None:
             raise self._error
         if new:
-            self._block = self._block[self._next :] + new
-            self._next, self._text, self._offset = 0, None, 0
+            self._text, self._offset = b"".join([self._text[self._offset :], *new]), 0
         return bool(new)
 
     def _split(self, number: int, raw: bytes) -> Iterable[Line]:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hframe_post.errors import ArgumentError, GcodeError
 from hframe_post.gcode.commands import LIMIT_PARAMETERS, Line, command, parameters, uncommented
-from hframe_post.gcode.lines import Input
+from hframe_post.gcode.lines import Input, Lines
 from tests.command_line import RECTANGLE, run
 from tests.conftest import MEASURED
 
@@ -80,24 +80,33 @@ def test_parameters_that_klipper_refuses_are_refused(text: str) -> None:
 
 
 LINES = [b"G28\n", b"G1 X10\n"]
+TEXT = b"".join(LINES)  # a file gives many lines in a text
 
 
 def test_a_file_and_a_list_can_be_read_again(tmp_path: Path) -> None:
     path = tmp_path / "in.gcode"
-    path.write_bytes(b"".join(LINES))
+    path.write_bytes(TEXT)
     for source in (Input(path), Input(str(path)), Input(LINES)):
         counted = list[int]()
-        assert list(source.lines(counted.append)) == list(source.again()) == LINES
+        assert b"".join(source.lines(counted.append)) == b"".join(source.again()) == TEXT
         assert sum(counted) == 11
         assert not source.once
 
 
 def test_a_stream_cannot() -> None:
-    for source in (Input(io.BytesIO(b"".join(LINES))), Input(iter(LINES))):
+    for source in (Input(io.BytesIO(TEXT)), Input(iter(LINES))):
         assert source.once
-        assert list(source.lines()) == LINES
+        assert b"".join(source.lines()) == TEXT
         with pytest.raises(ArgumentError, match="a path or a list of lines"):
             source.again()
+
+
+@pytest.mark.parametrize("text", [b"", b"G28", b"G28\n\nG1 X5", b";" * 600_000 + b"\nM106\n" * 9])
+def test_texts_of_a_file_end_where_lines_do(text: bytes) -> None:
+    texts = list(Input(io.BytesIO(text)).lines())
+    assert b"".join(texts) == text
+    assert all(each.endswith(b"\n") for each in texts[:-1])
+    assert [*Lines(iter(texts))] == [*Lines(iter(text.splitlines(keepends=True)))]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="no named pipes")
