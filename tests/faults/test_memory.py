@@ -23,7 +23,10 @@ finally:
     print("peak", peak, file=sys.stderr)
 """
 
-pytestmark = pytest.mark.skipif(not os.path.exists("/proc/self/status"), reason="no /proc here")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not os.path.exists("/proc/self/status"), reason="no /proc here"),
+]
 
 
 def peak(lines: Iterator[str], source: str = "-", *more: str) -> tuple[int, float, str]:
@@ -78,7 +81,6 @@ CONSTRUCTS: dict[str, Callable[[], Iterator[str]]] = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", CONSTRUCTS)
 def test_memory_is_bounded(name: str) -> None:
     status, most, said = peak(chain(HEAD, CONSTRUCTS[name](), TAIL))
@@ -86,7 +88,6 @@ def test_memory_is_bounded(name: str) -> None:
     assert most < MOST
 
 
-@pytest.mark.slow
 def test_memory_is_bounded_when_the_quickest_print_is_sought() -> None:
     source = str(SAMPLES / "cube.gcode")
     status, most, said = peak(iter(()), source, "--max-error", "0.2mm")
@@ -94,7 +95,6 @@ def test_memory_is_bounded_when_the_quickest_print_is_sought() -> None:
     assert most < MOST
 
 
-@pytest.mark.slow
 def test_a_line_of_300_mb_is_refused_before_it_is_in_memory() -> None:
     status, most, said = peak(chain(HEAD, [";" + "x" * 300_000_000], TAIL))
     assert (status, said.count("\n")) == (1, 1)

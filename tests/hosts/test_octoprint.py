@@ -22,7 +22,11 @@ from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT, SAMPLES
 from tests.hosts.moonraker import Server, free_port, processes, until, waiting_for
 
+pytestmark = pytest.mark.slow
 PYTHON = os.environ.get("OCTOPRINT_PYTHON", "")
+needs_octoprint = pytest.mark.skipif(
+    not PYTHON, reason="OCTOPRINT_PYTHON names no Python with OctoPrint"
+)
 PROFILE = ROOT / "tests/measured.toml"
 PART = RECTANGLE.read_bytes()
 CUBE = (SAMPLES / "cube.gcode").read_bytes()
@@ -39,7 +43,6 @@ me: {{active: true, apikey: null, groups: [admins], password: {SECRET}, permissi
 """
 
 
-@pytest.mark.slow
 def test_the_plugin_is_installed_for_a_measured_printer(tmp_path: Path) -> None:
     done = run("connect", "octoprint", "-p", PROFILE, "--folder", tmp_path)
     plugin = (tmp_path / "plugins/hframe_post/__init__.py").read_text()
@@ -92,8 +95,7 @@ def settings(octoprint: Server, **values: object) -> None:
     octoprint.request("POST", "/api/settings", text.encode(), "application/json")
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not PYTHON, reason="OCTOPRINT_PYTHON names no Python with OctoPrint")
+@needs_octoprint
 @pytest.mark.skipif(PROGRAM is None, reason="there is no chromium")
 def test_the_settings_page_and_the_list_of_files(octoprint: Server, tmp_path: Path) -> None:
     """Settings are made in the browser; the list tells what became of each file."""
@@ -134,8 +136,7 @@ def test_the_settings_page_and_the_list_of_files(octoprint: Server, tmp_path: Pa
     assert (uploads / "part.gcode").read_bytes() == PART
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not PYTHON, reason="OCTOPRINT_PYTHON names no Python with OctoPrint")
+@needs_octoprint
 def test_an_upload_is_converted_or_fails_with_the_reason(octoprint: Server, tmp_path: Path) -> None:
     stored, expected = tmp_path / "uploads/part.gcode", tmp_path / "expected.gcode"
     run(RECTANGLE, "-o", expected, "-p", tmp_path / "printer.toml")
@@ -162,8 +163,7 @@ def logged(folder: Path) -> list[str]:
     return [line for line in text.splitlines() if "octoprint.plugins.hframe_post" in line]
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not PYTHON, reason="OCTOPRINT_PYTHON names no Python with OctoPrint")
+@needs_octoprint
 def test_an_upload_is_gentle_and_what_fails_is_said(octoprint: Server, tmp_path: Path) -> None:
     gate, profile = tmp_path / "gate", tmp_path / "printer.toml"
     gate.touch()

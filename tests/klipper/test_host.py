@@ -10,6 +10,8 @@ import pytest
 
 from tests.klipper.host import KlippyError, Playback, play
 
+pytestmark = pytest.mark.klipper
+
 LIMITS = {
     "max_velocity": 500.0, "max_accel": 1000.0, "square_corner_velocity": 5.0,
     "minimum_cruise_ratio": 0.0,
@@ -37,7 +39,6 @@ def trapezoid_time(distance: float, speed: float, accel: float) -> float:
     return distance / speed + speed / accel
 
 
-@pytest.mark.klipper
 def test_two_collinear_lines_take_the_time_of_one_trapezoid(tmp_path: Path) -> None:
     text, speed, max_accel = "G28\nG1 X60 Y45 F6000\nG1 X120 Y90\n", 80.0, 2500.0
     playback = play_text(tmp_path, text, max_velocity=speed, max_accel=max_accel)
@@ -51,14 +52,12 @@ def test_two_collinear_lines_take_the_time_of_one_trapezoid(tmp_path: Path) -> N
     np.testing.assert_allclose(playback.position(times), expected, atol=1e-9)
 
 
-@pytest.mark.klipper
 def test_commands_of_ordinary_files_are_known(tmp_path: Path) -> None:
     playback = play_text(tmp_path, ORDINARY.replace(" | ", "\n"))
     assert playback.warnings == ()
     np.testing.assert_allclose(playback.position([playback.end]), [[0.0, 0.0, 0.0]], atol=1e-9)
 
 
-@pytest.mark.klipper
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -77,7 +76,6 @@ SET = ("test_host.py", "test_playback.py")
 LIVE = ("../live/test_host.py::test_the_hosts_steps_are_the_kernels",)
 
 
-@pytest.mark.klipper
 @pytest.mark.slow
 @pytest.mark.skipif(not MAINLINE, reason="no source of mainline Klipper here: make programs")
 @pytest.mark.parametrize(("names", "marked"), [(SET, "not slow"), (LIVE, "slow")])

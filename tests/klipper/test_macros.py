@@ -14,6 +14,8 @@ from tests.klipper.console import typed
 from tests.klipper.host import TEMPLATE
 from tests.printers import profile_of
 
+pytestmark = pytest.mark.klipper
+
 OWN = {"limits": [250.0, 3000.0, 7.0, 0.25], "shapers": [51.5, 38.0], "averaged": 0.04}
 STREAM = {  # of `setup`'s profile
     "limits": [427.79, 7500.0, 20.0, 0.0], "shapers": [0.0, 0.0], "averaged": 0.02,
@@ -113,7 +115,6 @@ def like(row: dict[str, Any], expected: dict[str, Any]) -> bool:
     return all(row[key] == expected[key] for key in expected)
 
 
-@pytest.mark.klipper
 def test_a_shaper_that_the_profile_lacks_comes_back(machine: Printer, tmp_path: Path) -> None:
     """printer.cfg was read without the file that has [input_shaper]."""
     copy = tmp_path / "printer.cfg"
@@ -134,7 +135,6 @@ def test_a_shaper_that_the_profile_lacks_comes_back(machine: Printer, tmp_path: 
     assert like(done, OWN)
 
 
-@pytest.mark.klipper
 @pytest.mark.parametrize("client", few([*CLIENTS], 2))
 def test_limits_and_shapers_are_the_printers_whatever_stops_the_print(
     client: str, machine: Printer, files: dict[str, bytes], tmp_path: Path

@@ -14,6 +14,8 @@ from tests.conftest import few
 from tests.gcode_tools import converted, strokes
 from tests.klipper.host import Playback, play
 
+pytestmark = pytest.mark.klipper
+
 SECTIONS = """
 [exclude_object]
 [gcode_arcs]
@@ -102,7 +104,6 @@ FILES = {
 }  # fmt: skip
 
 
-@pytest.mark.klipper
 @pytest.mark.parametrize("name", few([*FILES], 1))
 def test_the_stream_ends_where_the_file_ends(name: str, tmp_path: Path) -> None:
     sliced, ours = both(FILES[name], tmp_path)
@@ -114,7 +115,6 @@ def test_the_stream_ends_where_the_file_ends(name: str, tmp_path: Path) -> None:
     assert not [w for w in unknown if w not in sliced.warnings and "INPUT_SHAPER" not in w]
 
 
-@pytest.mark.klipper
 def test_catching_up_on_a_left_out_object_has_the_users_limits(tmp_path: Path) -> None:
     """The long move after it has the printer's own acceleration, not the stream's."""
     _, ours = both(left_out("c"), tmp_path)
@@ -126,7 +126,6 @@ def test_catching_up_on_a_left_out_object_has_the_users_limits(tmp_path: Path) -
     assert moves["accel"][long].max() <= 10_000.0
 
 
-@pytest.mark.klipper
 def test_with_the_macros_a_paused_print_goes_on_as_it_was(tmp_path: Path) -> None:
     """Begun and ended by macros; what the pause's own moves do, they do with the user's limits."""
     paper = load("paper")
@@ -170,7 +169,6 @@ def belts_acceleration(played: Playback) -> float:
     return float(np.abs(belts[2 * h :] - 2 * belts[h:-h] + belts[: -2 * h]).max() / WINDOW**2)
 
 
-@pytest.mark.klipper
 def test_firmware_retraction_is_written_as_klipper_makes_it(tmp_path: Path) -> None:
     """As much filament, in hardly more time."""
     lines = strokes(7, 12)
@@ -231,7 +229,6 @@ def interrupted(kind: str, rows: list[bytes], at: int) -> list[bytes]:
     return [*rows[:at], b"EXCLUDE_OBJECT NAME=" + name, *rows[at:]]
 
 
-@pytest.mark.klipper
 @pytest.mark.parametrize("kind", ["pause", "cancel", "object"])
 @pytest.mark.parametrize(
     "moment", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 4))]

@@ -21,6 +21,8 @@ from tests.gcode_tools import converted, hops
 from tests.klipper.host import BEFORE_2024, Playback, play
 from tests.quantities import below, near
 
+pytestmark = pytest.mark.klipper
+
 MINUTE = 60_000  # samples
 FIFTH = 200  # samples
 MOVING = 2e-4  # mm a millisecond
@@ -138,7 +140,6 @@ def rms(x: Array) -> float:
     return float(np.sqrt(np.square(x).mean())) if len(x) else 0.0
 
 
-@pytest.mark.klipper
 @pytest.mark.skipif(BEFORE_2024, reason="each G4 takes Klipper of 2023 two milliseconds more")
 def test_lifts_pass_into_motion_as_intended(tmp_path: Path) -> None:
     """z stops for nothing but filament, and x, y and z are where they are to be, when."""
@@ -157,7 +158,6 @@ def test_lifts_pass_into_motion_as_intended(tmp_path: Path) -> None:
     assert not any(w for w in run.playback.warnings if "M106" not in w)
 
 
-@pytest.mark.klipper
 def test_filament_is_retracted_in_motion_as_intended(tmp_path: Path) -> None:
     """Klipper's rule for extrusion at corners holds nothing up, and no filament is lost."""
     lines = [line for line in hops(0, 14) if b"Z0.3 F1200" not in line and line[:4] != b"G1 Z"]
@@ -184,7 +184,6 @@ def hardest(run: Played, printer: Printer, over: float) -> float:
     return float(np.abs(after - 2.0 * now + before).max()) / over**2
 
 
-@pytest.mark.klipper
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "acceleration", "limit"),
@@ -212,19 +211,16 @@ def test_klipper_keeps_the_limit_of_the_belts_over_5_ms(
     assert hardest(run, printer, 5e-3) <= limit, "mm/s², over 5 ms"
 
 
-@pytest.mark.klipper
 def test_every_sample_is_played_as_intended(tmp_path: Path) -> None:
     options = Options("racking", limits="printer", tolerance=None)
     check(played("rectangle.gcode", tmp_path, options))
 
 
-@pytest.mark.klipper
 def test_spans_are_played_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spans, "SPAN_S", 4.0)
     check(played("cube.gcode", tmp_path, Options("racking", limits="printer"), 3))
 
 
-@pytest.mark.klipper
 @pytest.mark.slow
 def test_pressure_advance_is_what_the_width_is_predicted_with(tmp_path: Path) -> None:
     """The steps of Klipper's extruder, advanced and averaged, against its rule on the path.

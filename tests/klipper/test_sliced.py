@@ -20,8 +20,9 @@ from tests.gcode_tools import hops
 from tests.klipper.host import play
 from tests.quantities import near
 
+pytestmark = pytest.mark.klipper
 
-@pytest.mark.klipper
+
 def test_errors_as_sliced_are_those_of_klippers_motion(paper: Printer, tmp_path: Path) -> None:
     lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
     lines = lines[: lines.index(b";LAYER:3\n")]
@@ -57,7 +58,6 @@ def turns(seed: int, count: int) -> list[bytes]:
     return [line.encode() + b"\n" for line in lines]
 
 
-@pytest.mark.klipper
 @pytest.mark.parametrize("lines", [turns(0, 400), hops(0, 40)], ids=["turns", "lifts"])
 def test_it_has_klippers_cruise_ratio_and_lifts(lines: list[bytes], tmp_path: Path) -> None:
     printer, lines = load("paper"), [*lines[:1], b"G92 X0 Y0 Z0\n", *lines[1:]]
