@@ -5,6 +5,7 @@ conversion hard: headers, object labels, layer and feature comments, lifts, mode
 firmware commands, and the wording of print times.
 """
 
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,39 +28,14 @@ class Slice:
         return (self.folder / f"{self.name}.gcode").read_bytes().splitlines(keepends=True)
 
 
+KNOWN = tomllib.loads((FOLDER / "slices.toml").read_text())
+
+
+def _words(name: str, key: str) -> tuple[str, ...]:
+    return tuple(KNOWN[name].get(key, ()))
+
+
 SLICES = {
-    each.name: each
-    for each in (
-        Slice("cura", times=(";TIME:", ";TIME_ELAPSED:")),
-        Slice(
-            "prusaslicer",
-            harmless=("_ON_LAYER_CHANGE",),
-            times=("; estimated printing time (", "M73 "),
-        ),
-        Slice(
-            "orcaslicer",
-            harmless=("_set_fan_speed_changing_layer",),
-            returns=("TIMELAPSE_*",),
-            times=("; model printing time:", "; estimated printing time", "M73 "),
-        ),
-        Slice("superslicer", times=("; estimated printing time", "M73 ")),
-        Slice("bambu", times=("; model printing time", "M73 P")),
-        Slice(
-            "creality",
-            harmless=("TIMELAPSE_TAKE_FRAME",),
-            times=("; estimated printing time", ";TIME:"),
-        ),
-        Slice("ideamaker", times=(";Print Time:", ";REMAINING_TIME:")),
-        Slice("simplify3d", times=(";   Build time:",)),
-        Slice("kisslicer", times=("; Estimated Build Time",)),
-        Slice("icesl", times=(";TIME:",)),
-        Slice("kirimoto", times=("; --- print time:",)),
-        Slice("reprapfirmware"),
-        Slice("repetier"),
-        Slice("smoothie", times=("; estimated printing time",)),
-        Slice("sailfish", times=("M73 ",)),
-        Slice("wipe_tower", times=("M73 ",)),
-        Slice("flashprint"),
-        Slice("hidden_relative"),
-    )
+    name: Slice(name, _words(name, "harmless"), _words(name, "returns"), _words(name, "times"))
+    for name in KNOWN
 }

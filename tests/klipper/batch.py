@@ -29,59 +29,10 @@ CLOCK_FREQ = 4_000_000
 DRAIN_S = 120.0
 EMPTY = re.compile(r" ready_bytes=0 upcoming_bytes=0\b")
 
-COMMANDS = (
-    "identify offset=%u count=%c",
-    "get_uptime",
-    "get_clock",
-    "get_config",
-    "allocate_oids count=%c",
-    "finalize_config crc=%u",
-    "config_reset",
-    "emergency_stop",
-    "clear_shutdown",
-    "config_stepper oid=%c step_pin=%c dir_pin=%c invert_step=%c step_pulse_ticks=%u",
-    "queue_step oid=%c interval=%u count=%hu add=%hi",
-    "set_next_step_dir oid=%c dir=%c",
-    "reset_step_clock oid=%c clock=%u",
-    "stepper_get_position oid=%c",
-    "stepper_stop_on_trigger oid=%c trsync_oid=%c",
-    "config_endstop oid=%c pin=%c pull_up=%c",
-    "endstop_query_state oid=%c",
-    (
-        "endstop_home oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u"
-        " pin_value=%c trsync_oid=%c trigger_reason=%c"
-    ),
-    "config_trsync oid=%c",
-    "trsync_start oid=%c report_clock=%u report_ticks=%u expire_reason=%c",
-    "trsync_set_timeout oid=%c clock=%u",
-    "trsync_trigger oid=%c reason=%c",
-    "config_digital_out oid=%c pin=%u value=%c default_value=%c max_duration=%u",
-    "set_digital_out pin=%u value=%c",
-    "set_digital_out_pwm_cycle oid=%c cycle_ticks=%u",
-    "queue_digital_out oid=%c clock=%u on_ticks=%u",
-    "update_digital_out oid=%c value=%c",
-    "config_analog_in oid=%c pin=%u",
-    (
-        "query_analog_in oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u"
-        " min_value=%hu max_value=%hu range_check_count=%c"
-    ),
-)
-"""Messages to the controller, their ids counting from 1. None holds a byte string, so the
-whole stream is a sequence of variable-length integers."""
-
-RESPONSES = (
-    "starting",
-    "is_shutdown static_string_id=%hu",
-    "shutdown clock=%u static_string_id=%hu",
-    "stats count=%u sum=%u sumsq=%u",
-    "uptime high=%u clock=%u",
-    "clock clock=%u",
-    "config is_config=%c crc=%u is_shutdown=%c move_count=%hu",
-    "stepper_position oid=%c pos=%i",
-    "endstop_state oid=%c homing=%c next_clock=%u pin_value=%c",
-    "trsync_state oid=%c can_trigger=%c trigger_reason=%c clock=%u",
-    "analog_in_state oid=%c next_clock=%u value=%hu",
-)
+MESSAGES = Path(__file__).with_name("messages.txt").read_text()
+COMMANDS, RESPONSES = (each.splitlines() for each in MESSAGES.split("\n\n"))
+"""Messages to the controller, their ids counting from 1, and from it. None holds a byte string, so
+the whole stream is a sequence of variable-length integers."""
 
 
 def dictionary() -> dict[str, Any]:
@@ -93,27 +44,17 @@ def dictionary() -> dict[str, Any]:
     # identify_response built in as number 0 and identify as number 1.
     commands = {text: i for i, text in enumerate(COMMANDS, start=1)}
     responses = {text: i for i, text in enumerate(RESPONSES, start=len(COMMANDS) + 1)}
+    constants = {
+        "MCU": "handmade", "CLOCK_FREQ": CLOCK_FREQ, "ADC_MAX": 4095, "PWM_MAX": 255,
+        "STATS_SUMSQ_BASE": 256, "STEPPER_BOTH_EDGE": 1, "STEPPER_STEP_BOTH_EDGE": 1,
+    }  # fmt: skip
+    pins = {"gpio0": [0, 100], "analog0": [200, 8]}
     return {
-        "app": "Kalico",
-        "version": "handmade",
-        "build_versions": "handmade",
-        "license": "none",
-        "config": {
-            "MCU": "handmade",
-            "CLOCK_FREQ": CLOCK_FREQ,
-            "ADC_MAX": 4095,
-            "PWM_MAX": 255,
-            "STATS_SUMSQ_BASE": 256,
-            "STEPPER_BOTH_EDGE": 1,
-            "STEPPER_STEP_BOTH_EDGE": 1,
-        },
-        "commands": commands,
+        "app": "Kalico", "version": "handmade", "build_versions": "handmade", "license": "none",
+        "config": constants, "commands": commands,
         "responses": {"identify_response offset=%u data=%.*s": 0} | responses,
-        "enumerations": {
-            "pin": {"gpio0": [0, 100], "analog0": [200, 8]},
-            "static_string_id": {"none": 1},
-        },
-    }
+        "enumerations": {"pin": pins, "static_string_id": {"none": 1}},
+    }  # fmt: skip
 
 
 KLIPPER = os.environ.get("KLIPPER", "")
