@@ -12,8 +12,8 @@ from hframe_post.conversion.report import Report
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.types import Dwell, Event, Handling, ModalState, Passthrough, Samples
-from hframe_post.writers.step_file import MOTORS, Note, Start, Stepped
 from hframe_post.writers.steps import StepCounts, StepGenerator
+from hframe_post.writers.tables import MOTORS, Note, Start, Stepped
 
 STATE = ModalState(True, True, 0.0, 25.0, (0.0, 0.0, 0.0))
 

@@ -1,4 +1,4 @@
-"""A print as G-code or as steps of the motors, each with its report.
+"""A print as G-code, as steps of the motors or as samples, each with its report.
 
 G-code is written span by span, in this process or in several, with the same bytes.
 """
@@ -16,6 +16,7 @@ from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING
 
+from hframe_post.arrays import Array
 from hframe_post.conversion.ledger import Ledger, StepTally
 from hframe_post.conversion.options import Options, first_line
 from hframe_post.conversion.pipeline import (
@@ -36,8 +37,8 @@ from hframe_post.stream.tally import joined
 from hframe_post.version import __version__
 from hframe_post.writers.gcode import GcodeSummary, GcodeWriter
 from hframe_post.writers.print_time import SUMMARY, Output, after_head, later
-from hframe_post.writers.step_file import MOTORS, Header, Note, StepFileWriter
 from hframe_post.writers.steps import StepGenerator
+from hframe_post.writers.tables import MOTORS, Header, Note, StepFileWriter, tabulate
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
@@ -259,3 +260,26 @@ class StepConversion:
             self._commands.report(), written=GcodeSummary(self._writer.lines, 0, self._filament),
             steps=StepTally(self._writer.rows, counts.ticks, self._table.clock_hz, motors),
         )  # fmt: skip
+
+
+# ---------------------------------------------------------------------- samples
+
+
+class SampleConversion:
+    """A print as tables of path, command and predicted motion, one row a millisecond."""
+
+    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+        self._plant, self._strategy = printer.plant, options.strategy
+        self._commands = SampleStream(lines, printer, options)
+        self._rows = 0
+
+    def __iter__(self) -> Iterator[Array]:
+        for table in tabulate(self._commands, self._strategy, self._plant):
+            self._rows += len(table)
+            yield table
+        self._commands.check_filament(self._commands.ledger.filament_out)
+
+    def report(self) -> Report:
+        """Return the report; it is complete once the output was used up."""
+        report = self._commands.report()
+        return replace(report, written=GcodeSummary(self._rows, 0, report.filament_out))

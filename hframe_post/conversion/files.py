@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Any, TypeAlias
 
-from hframe_post.conversion.conversions import GcodeConversion, StepConversion
-from hframe_post.conversion.options import TOLERANCE, Kind, Options
+from hframe_post.conversion.conversions import GcodeConversion, SampleConversion, StepConversion
+from hframe_post.conversion.options import TOLERANCE, Kind, Options, stamp
 from hframe_post.conversion.report import Report
 from hframe_post.errors import OptionError
 from hframe_post.firmware.registry import firmware
@@ -21,9 +21,9 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.writers.outputs import Outputs, compressing
 from hframe_post.writers.print_time import write_output
-from hframe_post.writers.step_file import EVENTS_HEADER, inlined
+from hframe_post.writers.tables import COLUMNS, EVENTS_HEADER, as_csv, inlined, write_npz
 
-Conversion: TypeAlias = GcodeConversion | StepConversion
+Conversion: TypeAlias = GcodeConversion | StepConversion | SampleConversion
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +60,12 @@ class Target:
 class Format:
     """One kind of output: the conversion, and the function that saves it.
 
-    save: takes the conversion and the target. suffixes: those that choose this format.
+    save: takes the conversion, the target and a text that says what made it. suffixes: those that
+    choose this format.
     """
 
     convert: Callable[..., Conversion]
-    save: Callable[[Any, Target], None]
+    save: Callable[[Any, Target, str], None]
     suffixes: tuple[str, ...] = ()
 
 
@@ -84,7 +85,7 @@ def convert(
         for _ in conversion:
             pass
     else:
-        chosen.save(conversion, target)
+        chosen.save(conversion, target, stamp(printer, options))
     return conversion.report()
 
 
@@ -117,12 +118,12 @@ def chosen_format(output: Path | None, asked: Kind | None) -> Kind:
     kind: Kind = asked or by_suffix or "gcode"
     if suffix == BINARY:
         raise OptionError(f"{output}: binary G-code is not written: name a .gcode file")
-    if suffix == ".npz":
-        raise OptionError(f"{output}: samples are no output any more: compute them from Python")
-    if packing and kind == "gcode":
+    if suffix in TABLES and kind != "samples":
+        raise OptionError(f"a {suffix} file holds samples, not {kind}")
+    if packing and output is not None and (kind == "gcode" or suffix in TABLES):
+        why = f"{suffix} is compressed already" if suffix in TABLES else "printers cannot read it"
         raise OptionError(
-            f"{output}: gcode is not written compressed, because printers cannot read it: leave "
-            f"out {packing}"
+            f"{output}: {kind} is not written compressed, because {why}: leave out {packing}"
         )
     return kind
 
@@ -134,12 +135,12 @@ def _suffixes(path: Path | None) -> tuple[str, str]:
     return (suffixes[-1] if suffixes else ""), packing
 
 
-def _save_gcode(conversion: GcodeConversion, target: Target) -> None:
+def _save_gcode(conversion: GcodeConversion, target: Target, _: str) -> None:
     report = conversion.report
     write_output(target.open(), conversion, lambda: conversion.times, lambda: report().as_text())
 
 
-def _save_steps(conversion: StepConversion, target: Target) -> None:
+def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
     """Write the step file and, next to a regular file, the file of its events."""
     out = target.open()
     if target.path is None:
@@ -155,7 +156,20 @@ def _save_steps(conversion: StepConversion, target: Target) -> None:
                 events.write(piece.line())
 
 
+def _save_samples(conversion: SampleConversion, target: Target, made_by: str) -> None:
+    kind, packing = _suffixes(target.path)
+    out = target.open()
+    if target.path is not None and kind == ".npz":
+        write_npz(out, conversion, COLUMNS, made_by, target.path.resolve().parent)
+    else:
+        with compressing(out, packing) as packed:
+            for piece in as_csv(conversion):
+                packed.write(piece)
+
+
+TABLES = (".npz",)  # of samples, which are CSV under any other suffix
 FORMATS: dict[Kind, Format] = {
     "gcode": Format(GcodeConversion, _save_gcode),
     "steps": Format(StepConversion, _save_steps, (".csv",)),
+    "samples": Format(SampleConversion, _save_samples, TABLES),
 }

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 TOLERANCE = 0.007
 UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0}
 
-Kind = Literal["gcode", "steps"]
+Kind = Literal["gcode", "steps", "samples"]
 Retract = Literal["standing", "moving"]
 
 
@@ -149,8 +149,8 @@ class Options:
     )  # fmt: skip
     format: Kind | None = option(
         None, "--format", rare=True, choices=named(get_args(Kind)),
-        help="Output format: G-code or motor steps. Default: by the suffix of the output: .csv "
-        "steps, any other G-code.",
+        help="Output format: G-code, motor steps, or samples every millisecond. Default: by the "
+        "suffix of the output: .csv steps, .npz samples, any other G-code.",
     )  # fmt: skip
     firmware: str | None = option(
         None, "--firmware", rare=True, metavar="NAME", read=known_firmware,

@@ -40,7 +40,7 @@ from hframe_post.printer.settings import Steps
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import Dwell, Handling, Passthrough, Samples
-from hframe_post.writers.step_file import KEY_BITS, MOTORS, End, Item, Note, Start, Stepped
+from hframe_post.writers.tables import KEY_BITS, MOTORS, End, Item, Note, Start, Stepped
 
 GRAIN_DECIMALS = 9  # decimals of a mm; finer differences are noise, on which no motor must tremble
 SAMPLES_AT_ONCE = 1 << 14

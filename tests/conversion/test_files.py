@@ -1,22 +1,23 @@
-"""Steps from end to end: the pipeline's bytes, the command line."""
+"""Steps and samples from end to end: the pipeline's bytes, the command line."""
 
 import gzip
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from hframe_post.conversion.conversions import StepConversion
+from hframe_post.conversion.conversions import SampleConversion, StepConversion
 from hframe_post.conversion.files import Target, convert, with_format
-from hframe_post.conversion.options import Options
+from hframe_post.conversion.options import Kind, Options
 from hframe_post.gcode import batching
 from hframe_post.planner import sampling
 from hframe_post.printer.settings import Printer
 from hframe_post.writers import steps
 from hframe_post.writers.outputs import Outputs
-from hframe_post.writers.step_file import MOTORS, inlined
+from hframe_post.writers.tables import MOTORS, as_csv, inlined
 from tests.command_line import run
-from tests.conftest import SAMPLES
+from tests.conftest import SAMPLES, few
 from tests.gcode_tools import layers
 
 RECTANGLE = SAMPLES / "rectangle.gcode"
@@ -26,25 +27,31 @@ TURN = [
 ]  # fmt: skip
 
 
-def converted(lines: list[bytes], printer: Printer) -> bytes:
-    """The step file, with its events inline."""
-    options = Options("racking", clamp=False, format="steps")
+def converted(lines: list[bytes], printer: Printer, kind: Kind, strategy: str = "racking") -> bytes:
+    """The file of a format; events of step files are inline."""
+    options = Options(strategy, clamp=False, format=kind)
+    if kind == "samples":
+        return b"".join(as_csv(SampleConversion(iter(lines), printer, options)))
     return b"".join(inlined(StepConversion(iter(lines), printer, options)))
 
 
-def test_cuts_change_no_byte(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
+FORMATS = ["steps", "samples"]
+
+
+@pytest.mark.parametrize("kind", few(FORMATS, 1))
+def test_cuts_change_no_byte(paper: Printer, monkeypatch: pytest.MonkeyPatch, kind: Kind) -> None:
     for lines, cuts in ((TURN, [(1, 7), (100, 100)]), (layers("cube.gcode", 1), [(7, 1000)])):
-        whole = converted(lines, paper)
+        whole = converted(lines, paper, kind)
         for moves, samples in cuts:
             with monkeypatch.context() as patch:
                 patch.setattr(batching, "MOVES_PER_ITEM", moves)
                 patch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
                 patch.setattr(steps, "SAMPLES_AT_ONCE", samples)
-                assert converted(lines, paper) == whole
+                assert converted(lines, paper, kind) == whole
 
 
 def test_events_stand_in_order_of_time_among_the_steps(paper: Printer) -> None:
-    lines = converted([*TURN, b"M600\n", *TURN[2:]], paper).splitlines()
+    lines = converted([*TURN, b"M600\n", *TURN[2:]], paper, "steps").splitlines()
     timed = [re.match(rb"(?:#\w+,)?(\d+),", line) for line in lines[10:]]
     ticks = [int(match[1]) for match in timed if match]
     assert len(ticks) == len(lines) - 10
@@ -78,15 +85,18 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def test_suffix_chooses_the_format(tmp_path: Path) -> None:
-    for name in ("a.csv", "b.csv.gz", "f.gcode"):
+    for name in ("a.csv", "b.csv.gz", "d.npz", "f.gcode"):
         assert run(RECTANGLE, "-q", "-o", tmp_path / name).returncode == 0
+    assert run(RECTANGLE, "-q", "-o", tmp_path / "g.csv", "--format", "samples").returncode == 0
     found = files(tmp_path)
     assert found["a.csv"].startswith(b"#hframe-post steps,1\n")
     assert gzip.decompress(found["b.csv.gz"]) == found["a.csv"]
     assert found["a.csv.events"] == found["b.csv.gz.events"]
     assert found["a.csv.events"].endswith(b",end,\n")
+    assert len(np.load(tmp_path / "d.npz")["t"]) == found["g.csv"].count(b"\n") - 1
     assert b"; processed by" in found["f.gcode"]
-    assert len(found) == 3 + 2  # with the events of two
+    assert found["g.csv"].startswith(b"t,x_d,y_d")
+    assert len(found) == 5 + 2  # with the events of two
 
 
 def test_a_conversion_replaces_what_an_earlier_one_wrote(tmp_path: Path, paper: Printer) -> None:
@@ -106,7 +116,10 @@ def test_a_conversion_replaces_what_an_earlier_one_wrote(tmp_path: Path, paper: 
     ("arguments", "cause"),
     [
         (["--format", "steps"], b"name an output file with -o"),
-        (["-o", "a.npz"], b"samples are no output any more"),
+        (["--format", "samples"], b"name an output file with -o"),
+        (["-o", "a.npz", "--format", "steps"], b"holds samples"),
+        (["-o", "a.npz", "--format", "gcode"], b"holds samples"),
+        (["-o", "a.npz.gz"], b".npz is compressed already: leave out .gz"),
         (
             ["-o", "a.gcode.gz"],
             b"a.gcode.gz: gcode is not written compressed, because printers cannot read",

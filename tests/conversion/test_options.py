@@ -49,11 +49,11 @@ def test_every_option_is_read() -> None:
     words = (
         "--compensation racking --firmware klipper --limits file-all --extrusion absolute "
         "--on-limit error --force --tolerance 0 --retract moving --predict off --jobs 2 "
-        "--format steps --max-error 15um"
+        "--format samples --max-error 15um"
     )
     assert read(*words.split()) == Options(
         "racking", (), limits="file-all", clamp=False, tolerance=None, extrusion="absolute",
-        retract="moving", format="steps", firmware="klipper", force=True,
+        retract="moving", format="samples", firmware="klipper", force=True,
         max_error=0.015, jobs=2,
     )  # fmt: skip
 

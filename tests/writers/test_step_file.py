@@ -13,7 +13,7 @@ from hframe_post.prediction.predict import judge
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.writers.outputs import compressing
-from hframe_post.writers.step_file import (
+from hframe_post.writers.tables import (
     End,
     Header,
     Item,
