@@ -1,9 +1,11 @@
 """The clamp: it gives less where a command would leave the bed or outrun a motor.
 
-Near the edge of the bed, and where the belts would be too fast, the compensation is reduced; at the
-edge itself the command is cut off. Where the belts would accelerate too hard, as they do in the
-first milliseconds of a corner, the command is averaged over a longer and longer time. Both begin
-and end smoothly, and a command that must dwell does so.
+There a command becomes
+
+    path + share · (command − path)
+
+with a path whose corners are rounded. The share is 1 elsewhere, changes smoothly, and is constant
+while the machine dwells, so that the command dwells, too.
 """
 
 from __future__ import annotations
@@ -12,8 +14,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from hframe_post.arrays import TS, Array, Flags, Z
+from hframe_post.arrays import TS, Array, Z
 from hframe_post.compensation.guard import SLACK
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.judging import is_safe
@@ -22,14 +25,12 @@ from hframe_post.stream.chunks import join, neighbours, stretches
 from hframe_post.stream.tally import joined, tallied
 from hframe_post.stream.types import Dwell, Samples, frozen
 
-REACH = 80  # samples over which a reduction fades in and out
-LONGER_REACHES = (2 * REACH, 4 * REACH)  # where that itself would be too fast: all is removed
-# Samples to either side that the command is averaged over, one after the other where the belts
-# still cannot follow; and over which that fades in and out. A corner at 20 mm/s that is averaged
-# over 33 ms is cut by 0.1 mm; what needs more is a path that the motors cannot follow
-AVERAGED, FADE = (1, 2, 4, 8, 16), 40
-NEAR_DWELL = 5  # samples of fading where a command must dwell and nothing else was enough
-AROUND = REACH + 2 * sum(LONGER_REACHES) + 2 * (sum(AVERAGED) + (len(AVERAGED) + 2) * (FADE + 2))
+REACHES = (40, 80, 160, 160)  # samples in which a share fades in and out, one after the other
+ALL_REMOVED = 2  # of REACHES, from which on nothing is left where a limit is still exceeded
+# samples to either side over which corners of the path are rounded: at 5 mm/s, by 7 µm. So belts
+# change their speed in as many milliseconds; in 2 of them, a plan for stated motors lets them
+ROUNDED = 8
+AROUND = 2 * sum(REACHES) + 4 * ROUNDED
 MARGIN = 0.9  # share of the admissible compensation that a clamp keeps
 
 
@@ -62,10 +63,7 @@ class Clamp:
                     continue
                 wide, start = join(around), sum(map(len, before))
                 command, where = wide.commands[strategy], slice(start, start + len(chunk))
-                path = wide.xyze[:, :Z]
-                safe = self._averaged(self._reduced(path, command), _dwelling(wide))
-                safe = self._removed(path, safe)
-                safe = self._averaged(safe, _dwelling(wide), NEAR_DWELL)
+                safe = self._reduced(wide.xyze[:, :Z], command, _dwells(wide))
                 changed = np.abs(safe - command)[where].max(axis=1, initial=0.0) > SLACK
                 safe = np.where(changed[:, None], safe[where], chunk.commands[strategy])
                 if changed.any():
@@ -85,115 +83,83 @@ class Clamp:
                 return False
         return True
 
-    def _reduced(self, path: Array, command: Array) -> Array:
-        """Return the command (n, 2) with less compensation at the bed's edge and at full speed."""
+    def _reduced(self, path: Array, command: Array, dwells: list[slice]) -> Array:
+        """Return the command (n, 2) with less compensation where a limit is exceeded."""
         travel = self._travel
         edges = (travel.x[0], travel.y[0]), (travel.x[1], travel.y[1])
-
-        def with_share(share: Array) -> Array:
-            return np.clip(path + share[:, None] * (command - path), *edges)
-
-        share = _faded(self._admissible(path, command), REACH)
-        for reach in LONGER_REACHES:
-            exceeded = self._admissible(path, with_share(share)) < 1.0
-            if not exceeded.any():
+        path = _rounded(path, dwells)
+        safe, share = command, np.ones(len(path))
+        for k, reach in enumerate(REACHES):
+            left = self._admissible(path, safe)
+            if not (exceeded := left < 1.0).any():
                 break
-            share = np.minimum(share, _faded(np.where(exceeded, 0.0, 1.0), reach))
-        return with_share(share)
+            share = np.where(exceeded, 0.0 if k >= ALL_REMOVED else share * left, share)
+            share = _smooth(_held(_least(share, reach), dwells, reach), reach)
+            safe = np.clip(path + share[:, None] * (command - path), *edges)
+        return safe
 
     def _admissible(self, path: Array, command: Array) -> Array:
-        """Return the share of the compensation that bed and speed allow at each sample, (n,)."""
-        share, limit, belts = np.ones(len(path)), self._motors.belt_velocity, self._kinematics.belts
+        """Return the share of the compensation that bed and belts allow at each sample, (n,)."""
+        share, belts = np.ones(len(path)), self._kinematics.belts
         for axis, (low, high) in enumerate((self._travel.x, self._travel.y)):
             bed = _share_within(path[:, axis], command[:, axis], low, high, 1.0)
             share = np.minimum(share, bed)
-        of_path, of_command = (np.diff(belts(*xy.T)) / TS for xy in (path, command))
-        for pair in zip(of_path, of_command, strict=True):
-            share[1:] = np.minimum(share[1:], _share_within(*pair, -limit, limit, MARGIN))
+        for order, limit in enumerate(self._limits[-2:].tolist(), 1):
+            of_path, of_command = (
+                np.diff(belts(*xy.T), n=order) / TS**order for xy in (path, command)
+            )
+            for one, other in zip(of_path, of_command, strict=True):
+                within = _share_within(one, other, -limit, limit, MARGIN)
+                share[order:] = np.minimum(share[order:], within)
         return share
 
-    def _averaged(self, command: Array, dwelling: Flags, fade: int = FADE) -> Array:
-        """Return the command (n, 2) averaged where the belts would accelerate too hard.
 
-        dwelling (n,): samples that must stay, from which the averaging fades in over ``fade``
-        samples. Means of places on the bed are on it, too.
-        """
-        free = 1.0 - _near(dwelling, fade)
-        for reach in AVERAGED:
-            hard = self._too_hard(command)
-            if not hard.any():
-                break
-            share = free * _near(hard)
-            command = command + share[:, None] * (_mean(command, reach) - command)
-        return command
-
-    def _removed(self, path: Array, command: Array) -> Array:
-        """Return the command (n, 2) without compensation where the belts still are too hard.
-
-        That is next to samples at which the machine dwells, which are not averaged.
-        """
-        for reach in LONGER_REACHES:
-            hard = self._too_hard(command)
-            if not hard.any():
-                break
-            share = _faded(np.where(hard, 0.0, 1.0), reach)
-            command = path + share[:, None] * (command - path)
-        return command
-
-    def _too_hard(self, command: Array) -> Flags:
-        """Flag the samples (n,) at which a belt accelerates harder than it may."""
-        belts = self._kinematics.belts(*command.T)
-        hard = np.zeros(len(command), dtype=bool)
-        hard[2:] = (np.abs(np.diff(belts, n=2)) > self._limits[-1] * TS**2).any(axis=0)
-        return hard
-
-
-def _dwelling(chunk: Samples) -> Flags:
-    """Return at which samples (n,) the machine dwells, also at the ends of a stretch."""
-    dwelling = np.zeros(len(chunk), dtype=bool)
-    dwelling[[0, -1]] = True
+def _dwells(chunk: Samples) -> list[slice]:
+    """Return the samples at which the machine dwells."""
+    dwells = list[slice]()
     for event in chunk.events:
         if isinstance(event, Dwell):
             at = event.index - chunk.first
-            dwelling[max(at - 1, 0) : max(at + event.samples, 0)] = True
-    return dwelling
+            dwells.append(slice(max(at - 1, 0), max(at + event.samples, 0)))
+    return dwells
 
 
-def _near(flags: Flags, fade: int = FADE) -> Array:
-    """Return a smooth share (n,), 1 where flagged and 0 from ``fade`` samples away on."""
-    at, k = np.flatnonzero(flags), np.arange(len(flags))
-    if not len(at):
-        return np.zeros(len(flags))
-    following = np.searchsorted(at, k)
-    after = at[np.minimum(following, len(at) - 1)]
-    away = np.minimum(np.abs(after - k), np.abs(k - at[np.maximum(following - 1, 0)]))
-    return np.where(away > fade, 0.0, _ramp(fade)[fade + np.minimum(away, fade)])
+def _least(share: Array, reach: int) -> Array:
+    """Return the least share (n,) of samples −reach … reach around each."""
+    longer = np.pad(share, reach, mode="edge")
+    return np.asarray(sliding_window_view(longer, 2 * reach + 1).min(axis=1))
 
 
-def _mean(command: Array, reach: int) -> Array:
-    """Return the mean (n, 2) of samples −reach … reach around each."""
-    n = len(command)
-    longer = np.concatenate([command[:1].repeat(reach, 0), command, command[-1:].repeat(reach, 0)])
-    total = np.zeros_like(command)
-    for k in range(2 * reach + 1):  # not as a difference of sums, which depend on where they begin
-        total += longer[k : k + n] - command
-    return command + total / (2 * reach + 1)
-
-
-def _faded(needed: Array, reach: int) -> Array:
-    """Return a smooth share (n,) that is nowhere above ``needed`` and fades over ``reach``."""
-    share, ramp = np.ones(len(needed)), _ramp(reach)
-    for k in np.flatnonzero(needed < 1.0).tolist():  # few: only where a limit is exceeded
-        low, high = max(k - reach, 0), min(k + reach + 1, len(share))
-        removed = (1.0 - needed[k]) * ramp[low - k + reach : high - k + reach]
-        share[low:high] = np.minimum(share[low:high], 1.0 - removed)
+def _held(share: Array, dwells: list[slice], reach: int) -> Array:
+    """Return shares (n,), no greater, that are constant from ``reach`` before to after dwells."""
+    share, low = share.copy(), True
+    around = [share[max(dwell.start - reach, 0) : dwell.stop + reach] for dwell in dwells]
+    while low:  # dwells that are close to each other share theirs
+        low = False
+        for each in around:
+            if (least := each.min(initial=1.0)) < each.max(initial=least):
+                each[:], low = least, True
     return share
 
 
-def _ramp(reach: int) -> Array:
-    """Return a smooth rise to 1 and fall, (2·reach + 1,)."""
+def _rounded(path: Array, dwells: list[slice]) -> Array:
+    """Return the path (n, 2) with rounded corners, and the same dwells and ends."""
+    moving = np.ones(len(path))
+    for at in (slice(1), *dwells, slice(-1, None)):
+        moving[at] = 0.0
+    share = _smooth(_least(moving, ROUNDED), ROUNDED)
+    return np.asarray(path + share[:, None] * (_smooth(path, ROUNDED) - path))
+
+
+def _smooth(values: Array, reach: int) -> Array:
+    """Return weighted means (n, …) of samples −reach … reach around each, without corners."""
     ramp = 0.5 + 0.5 * np.cos(np.pi * np.arange(-reach, reach + 1) / (reach + 1))
-    return np.asarray(ramp.round(12))  # the last digit of a cosine depends on the processor
+    weights = ramp.round(12)  # the last digit of a cosine depends on the processor
+    n, edges = len(values), [(reach, reach)] + [(0, 0)] * (values.ndim - 1)
+    longer, total = np.pad(values, edges, mode="edge"), np.zeros_like(values)
+    for k, weight in enumerate(weights.tolist()):  # added up alike wherever samples begin
+        total += weight * (longer[k : k + n] - values)
+    return np.asarray(values + total / weights.sum())
 
 
 def _share_within(path: Array, command: Array, low: float, high: float, margin: float) -> Array:

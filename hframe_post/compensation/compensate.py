@@ -14,6 +14,7 @@ from itertools import product
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Z
+from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.strategies import Compensator, StrategyState, strategy
 from hframe_post.printer.settings import Limits, Travel
 from hframe_post.stream.chunks import stretches
@@ -110,13 +111,30 @@ def settling_samples(compensator: Compensator, limits: Limits, travel: Travel) -
     moving = np.cumsum(np.concatenate([ramp, cruise, ramp[::-1]])) * TS
     path = np.pad(moving, long, mode="edge")
     path[:long] = 0.0
-    xyze = np.column_stack([path, path, np.zeros((len(path), 2))])
-    line, stopped, needed = np.zeros(len(path), dtype=np.int64), long + len(moving), [1]
-    for x, y in product(travel.x, travel.y):
-        samples = Samples(0, xyze + np.array([x, y, 0.0, 0.0]), line)
-        commanded = compensate([samples], compensator, ("racking",))
-        off = np.concatenate([c.commands["racking"] - c.xyze[:, :Z] for c in commanded])
+    stopped, needed = long + len(moving), [1]
+    for corner in product(travel.x, travel.y):
+        whole = np.column_stack([path, path]) + corner
+        off = _whole(whole, compensator, "racking") - whole
         beyond = np.flatnonzero(np.abs(off).max(axis=1) > SETTLED)
         if len(beyond):
             needed += [int(beyond[-1]) - stopped, long - int(beyond[0])]
     return max(needed)
+
+
+def hardest(compensator: Compensator, name: str, kinematics: Kinematics, place: Array) -> float:
+    """Return how hard belts accelerate in commands for the hardest path at a place (2,), mm.
+
+    That is times the acceleration of its own belts: the sum of the command's response to theirs.
+    """
+    long = 1024  # samples in which the response to a change of speed ends
+    way = TS * np.cumsum(np.repeat([0.0, 1.0, 0.0], [long, 2 * long, long]))
+    commands = [_whole(place + np.outer(way, axis), compensator, name) for axis in np.eye(2)]
+    responses = np.diff(np.stack(commands, axis=-1), n=2, axis=0)[: 2 * long] / TS
+    by_belts = kinematics.matrix @ responses @ np.linalg.inv(kinematics.matrix)
+    return float(np.abs(by_belts).sum(axis=(0, 2)).max())
+
+
+def _whole(path: Array, compensator: Compensator, name: str) -> Array:
+    """Return the command (n, 2) of a strategy for a whole path."""
+    state = strategy(name).begin(compensator, path[0])
+    return np.concatenate([state.feed(path), state.finish()])

@@ -22,9 +22,11 @@ from dataclasses import fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hframe_post.compensation.advance import Advancing
 from hframe_post.compensation.clamp import Clamp
-from hframe_post.compensation.compensate import compensate
+from hframe_post.compensation.compensate import compensate, hardest
 from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
 from hframe_post.conversion.ledger import FileNotes, Ledger, SampleNotes
@@ -118,8 +120,12 @@ class Chain:
 
     def within_motors(self) -> WithinMotors:
         """Return what slows moves down so that the motors can follow."""
-        printer = self.printer
-        return WithinMotors(printer.motors.stated, printer.kinematics)
+        printer, motors, harder = self.printer, self.printer.motors.stated, 1.0
+        if math.isfinite(motors.belt_acceleration):
+            place = np.mean([printer.travel.x, printer.travel.y], axis=1)
+            compensated = self.compensator, self.options.strategy
+            harder = hardest(*compensated, printer.kinematics, place)
+        return WithinMotors(motors, printer.kinematics, harder)
 
     def following(self, advance: Advance | None = None) -> FollowedAdvance | None:
         """Return what lowers accelerations for the extruder; None: the firmware adds its advance.

@@ -103,15 +103,16 @@ def weak(profile: Printer, **motors: float) -> Printer:
     return replace(profile, motors=replace(profile.motors, **motors))
 
 
-def test_clamp_compensates_less_where_the_belts_cannot_follow(paper: Printer) -> None:
+def test_moves_become_slower_where_the_belts_could_not_follow_their_commands(
+    paper: Printer,
+) -> None:
     limited = weak(paper, belt_acceleration=16_000.0)
-    _, report = converted(
-        sample("rectangle.gcode"), limited, Options("racking", ("none", "racking"), clamp=True)
-    )
+    options = Options("racking", ("none", "racking"), clamp=False)
+    _, report = converted(sample("rectangle.gcode"), limited, options)
     assert report.peaks.belt_acceleration <= 16_000.0
-    assert report.clamped.samples > 0
+    assert report.slowed > 0.0
     error = report.as_json()["contour_error_um"]
-    below(error["racking"]["rms"], error["none"]["rms"], "RMS contour error, µm")
+    below(error["racking"]["rms"], 0.1 * error["none"]["rms"], "RMS contour error, µm")
 
 
 def test_lost_filament_is_an_error(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
