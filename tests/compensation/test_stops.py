@@ -18,9 +18,9 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import STOPS, Printer
 from hframe_post.stream.chunks import join, part, stretches
-from hframe_post.stream.types import Dwell, Samples
+from hframe_post.stream.types import Dwell, Samples, StopRules
 from tests.gcode_tools import HEAD, planned, strokes
 
 NAMES = ("fbs", "racking")
@@ -113,6 +113,13 @@ def test_any_sequence_of_stops_stands_still_within_the_limits(seed: int, body: l
                 np.testing.assert_array_equal(command[a:b], np.tile(command[a], (b - a, 1)))
             np.testing.assert_allclose(command[[0, -1]], block.xyze[[0, -1], :2], atol=1e-9)
             assert hardest(command, printer) <= printer.motors.belt_acceleration
+
+
+@pytest.mark.parametrize("joined", [False, True])
+def test_the_path_rests_at_stops_unless_firmware_passes_into_them(joined: bool) -> None:
+    rules = {kind: stop_rules(kind, "racking", StopRules(joined=joined)) for kind in STOPS}
+    assert [each.before for each in rules.values()] == [0 if joined else STOPS["fast"], 8]
+    assert stop_rules("fast", "none", StopRules(before=3)) == StopRules(before=3)
 
 
 def test_a_long_wait_is_made_on_the_path(paper: Printer) -> None:

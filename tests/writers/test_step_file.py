@@ -1,7 +1,9 @@
-"""Step files: their text, and that the plant which they drive prints what was predicted."""
+"""Files of steps and of samples: what they say, and that steps drive the plant as predicted."""
 
 import gzip
-from collections.abc import Callable
+import tracemalloc
+import zipfile
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +11,12 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.prediction.predict import judge
+from hframe_post.prediction.predict import judge, predict
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.writers.outputs import compressing
 from hframe_post.writers.tables import (
+    COLUMNS,
     End,
     Header,
     Item,
@@ -22,8 +25,11 @@ from hframe_post.writers.tables import (
     StepFileWriter,
     Stepped,
     inlined,
+    tabulate,
+    write_npz,
 )
 from tests.conftest import SAMPLES
+from tests.plants import Filter
 from tests.step_tools import read_steps, write_steps
 
 MATRIX = np.array([[1.0, 1.0], [1.0, -1.0]])
@@ -82,3 +88,65 @@ def test_plant_driven_by_the_steps_prints_what_was_predicted(
     assert 0.95 * rms["samples"] <= rms["steps"] <= 1.001 * np.hypot(rms["samples"], rounding)
     assert report.steps is not None
     assert report.steps.rows > 20_000
+
+
+@pytest.fixture(scope="module")
+def table(paper: Printer, commands: Callable[[str], Samples]) -> Array:
+    return np.concatenate(list(tabulate([commands("racking")], "racking", paper.plant)))
+
+
+def column(table: Array, name: str) -> Array:
+    return table[:, COLUMNS.index(name)]
+
+
+def test_each_row(paper: Printer, commands: Callable[[str], Samples], table: Array) -> None:
+    whole = commands("racking")
+    ((_, motion),) = predict([whole], paper.plant)
+    np.testing.assert_allclose(column(table, "t"), np.arange(1, len(whole) + 1) / 1000)
+    for k, name in enumerate(("x_d", "y_d", "z", "e")):
+        np.testing.assert_array_equal(column(table, name), whole.xyze[:, k])
+    for k, name in enumerate(("x", "y")):
+        np.testing.assert_array_equal(column(table, f"{name}_dm"), whole.commands["racking"][:, k])
+        np.testing.assert_allclose(column(table, name), motion["racking"][:, k], atol=1e-9)
+
+
+def test_theta_is_what_moves_the_nozzle_at_a_lever(paper: Printer, table: Array) -> None:
+    """y = Gyy y_dm + (x − x_c) θ: without θ only Gyy is left."""
+    y_dm = column(table, "y_dm")
+    straight = Filter(paper.plant.Gyy).run(y_dm - y_dm[0]) + y_dm[0]
+    lever = column(table, "x") - paper.plant.x_c
+    assert np.abs(column(table, "theta")).max() > 1e-4
+    np.testing.assert_allclose(
+        column(table, "y"), straight + lever * column(table, "theta"), atol=1e-8
+    )
+
+
+def pieces(table: Array) -> Iterator[Array]:
+    yield from np.array_split(table, 7)
+
+
+def test_npz_is_what_numpy_would_load(tmp_path: Path, table: Array) -> None:
+    for name in "ab":
+        with (tmp_path / f"{name}.npz").open("wb") as file:
+            write_npz(file, pieces(table), COLUMNS, "made by a test", tmp_path)
+    loaded = np.load(tmp_path / "a.npz")
+    assert loaded.files == [*COLUMNS, "stamp"]
+    assert str(loaded["stamp"]) == "made by a test"
+    for k, name in enumerate(COLUMNS):
+        np.testing.assert_array_equal(loaded[name], table[:, k])
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    assert zipfile.ZipFile(tmp_path / "a.npz").testzip() is None
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "b.npz"]
+
+
+def test_npz_does_not_hold_its_table_in_memory(tmp_path: Path) -> None:
+    def long() -> Iterator[Array]:
+        for _ in range(200):
+            yield np.zeros((1000, len(COLUMNS)))
+
+    tracemalloc.start()
+    with (tmp_path / "a.npz").open("wb") as file:
+        write_npz(file, long(), COLUMNS, "", tmp_path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert (tmp_path / "a.npz").stat().st_size > 3 * peak
