@@ -96,8 +96,8 @@ def _gathered(recordings: tuple[Path, ...], profile: Printer) -> Gathered:
 
     sweep = profile.sweep
     chips = {axis: chip.lower() for axis, chip in (("x", sweep.chip_x), ("y", sweep.chip_y))}
-    found = from_folders(recordings, None, profile.travel, chips=chips, kinds=[CHECK])
-    found = replace(found, used=[one for one in found.used if one.run.known_start])
+    found = from_folders(recordings, None, profile.travel, chips=chips)
+    found = replace(found, used=[one for one in found.used if one.kind == CHECK])
     if not found.used:
         raise IdentificationError(
             "no recording of the run that 'hframe-post measure --for check' writes. Give its "

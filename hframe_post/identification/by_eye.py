@@ -17,6 +17,7 @@ import math
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.signal import find_peaks
@@ -67,25 +68,18 @@ class PrintedMode:
         return ImpulseResponse.from_mode(self.hz, self.damping)
 
 
-def travel(length: float, speed: float, ends: float, up: float, down: float) -> Array:
-    """Return the way (n,) in mm every 1 ms along a line that begins and ends at mm/s.
-
-    up, down: mm/s² from there to the speed, and back.
-    """
-    gained, lost = (speed - ends) / up, (speed - ends) / down
-    cruise = (length - (speed + ends) / 2.0 * (gained + lost)) / speed
-    t = np.arange(round((gained + cruise + lost) / TS)) * TS
-    braked = np.maximum(t - gained - cruise, 0.0)
-    way = ends * t + (speed - ends) * np.maximum(t - gained, 0.0)
-    return np.asarray(way + up * np.minimum(t, gained) ** 2 / 2.0 - down * braked**2 / 2.0)
-
-
 def corner_path(band: Band, a: float, side: float) -> tuple[Array, int]:
     """Return the path around a corner, (n, 2) mm every 1 ms, and the sample of the corner.
 
-    It comes along the first axis and leaves along the second. a: mm/s²; side: mm.
+    It comes along the first axis and leaves along the second, each time from the corner's speed to
+    the band's and back. a: mm/s²; side: mm.
     """
-    way = travel(side, band.speed, band.corner, a, a)
+    ramp = (band.speed - band.corner) / a
+    cruise = (side - (band.speed + band.corner) * ramp) / band.speed
+    t = np.arange(round((2.0 * ramp + cruise) / TS)) * TS
+    gaining, braking = np.minimum(t, ramp), np.maximum(t - ramp - cruise, 0.0)
+    fast = (band.speed - band.corner) * np.maximum(t - ramp, 0.0)
+    way = band.corner * t + fast + 0.5 * a * (gaining**2 - braking**2)
     still = np.zeros(len(way))
     first, second = np.concatenate([way - side, still]), np.concatenate([still, way])
     return np.column_stack([first, second]), len(way)
@@ -147,29 +141,15 @@ def _fading(readings: Sequence[Reading], hz: float, a: float, side: float) -> tu
     for one in readings:
         path, corner = corner_path(one.band, a, side)
         for row, damping in zip(cost, DAMPING.tolist(), strict=True):
-            x = (
-                FiniteFilter(ImpulseResponse.from_mode(hz, damping), 0).run(path[:, 0] + side)
-                - side
-            )
-            heights, _ = half_waves(x[corner:])
+            G = FiniteFilter(ImpulseResponse.from_mode(hz, damping), 0)
+            wall = np.abs(G.run(path[:, 0] + side) - side)[corner:]
+            heights = wall[find_peaks(wall)[0]]  # of crests and troughs
             seen = (heights > SEEN_FROM[:, None]).sum(axis=1) / 2.0
             row += ((seen - one.seen) / MISCOUNT) ** 2
-    likely = likelihood(cost)
+    likely = np.exp(-0.5 * (cost - cost.min()))
+    likely /= likely.sum()
     damping, lowest = likely.sum(axis=1) @ np.log(DAMPING), likely.sum(axis=0) @ np.log(SEEN_FROM)
     return math.exp(damping), math.exp(lowest)
-
-
-def half_waves(across: Array) -> tuple[Array, Array]:
-    """Return heights (k,) in mm and samples (k,) of the crests and troughs on a wall."""
-    size = np.abs(across)
-    found = find_peaks(size)[0]
-    return size[found], found
-
-
-def likelihood(cost: Array) -> Array:
-    """Return how likely each of several explanations is, from sums of squared differences."""
-    likely = np.exp(-0.5 * (cost - cost.min()))
-    return np.asarray(likely / likely.sum())
 
 
 # ----------------------------------------------------------------------
@@ -249,7 +229,8 @@ class Filled:
                     f"{hz:.0f} Hz in {axis}: usual is {low:g} to {high:g}. Measure again, if you "
                     "are not sure"
                 )
-            found += self._doubtful_rows(axis, rows, hz)
+            for name, its_own in rows.items():
+                found += self._doubts_of_row(axis, name, its_own, hz)
         if bed_moves and modes["y"].hz > HEAVIER * modes["x"].hz:
             found.append(
                 "the bed rings faster in y than the head in x. Beds are heavier: did you exchange "
@@ -257,39 +238,32 @@ class Filled:
             )
         return found
 
-    def _doubtful_rows(self, axis: str, rows: dict[str, float], hz: float) -> Iterator[str]:
-        for k, one in enumerate(self.readings[axis], 1):
-            name = f"{axis}{k}"
-            if name in rows and abs(rows[name] / hz - 1.0) > APART:
-                yield (
-                    f"row {name} means {rows[name]:.0f} Hz and {axis} has {hz:.0f}: count its "
-                    "waves again. Is it the row of another height?"
-                )
-            elif name in rows and one.seen < SECOND_CREST + one.waves:
-                yield (
-                    f"row {name} has {one.waves:g} waves from the second crest on, but only "
-                    f"{one.seen:g} from the corner on: did you count crests?"
-                )
+    def _doubts_of_row(self, axis: str, name: str, its_own: float, hz: float) -> Iterator[str]:
+        one = self.readings[axis][int(name[1:]) - 1]
+        if abs(its_own / hz - 1.0) > APART:
+            yield (
+                f"row {name} means {its_own:.0f} Hz and {axis} has {hz:.0f}: count its waves "
+                "again. Is it the row of another height?"
+            )
+        elif one.seen < SECOND_CREST + one.waves:
+            yield (
+                f"row {name} has {one.waves:g} waves from the second crest on, but only "
+                f"{one.seen:g} from the corner on: did you count crests?"
+            )
 
 
 def filled(text: str, source: str) -> Filled:
     """Return a filled form. Raises HframeError, which names the row."""
     try:
         document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise HframeError(
-            f"{source} is not a form of 'hframe-post calibrate-print': {error}. {ROW}"
-        ) from None
-    try:
-        printed, waves = document["print"], document["waves"]
+        printed, waves = document["print"], dict(document["waves"])
         pairs = zip(printed["speeds"], printed["corners"], strict=True)
         bands = [Band(float(speed), float(corner)) for speed, corner in pairs]
-        if not isinstance(waves, dict):
-            raise TypeError("[waves] is missing")
         acceleration = float(printed["acceleration"])
     except (ValueError, KeyError, TypeError) as error:
+        hint = f". {ROW}" if isinstance(error, tomllib.TOMLDecodeError) else ""
         raise HframeError(
-            f"{source} is not a form of 'hframe-post calibrate-print': {error}"
+            f"{source} is not a form of 'hframe-post calibrate-print': {error}{hint}"
         ) from None
     readings = {
         axis: [
@@ -301,9 +275,12 @@ def filled(text: str, source: str) -> Filled:
     return Filled(readings, acceleration)
 
 
-def _reading(band: Band, row: object, name: str) -> Reading:
+def _reading(band: Band, row: Any, name: str) -> Reading:
     """Return a row of the form. Raises HframeError for what no ruler shows."""
-    one = Reading(band, *_numbers(row, 3, f"{name} must be three numbers. {ROW}"))
+    valid = isinstance(row, list) and len(row) == 3
+    if not (valid and all(isinstance(one, int | float) and 0.0 <= one < MOST for one in row)):
+        raise HframeError(f"{name} must be three numbers. {ROW}")
+    one = Reading(band, *map(float, row))
     if (one.distance > 0.0) != (one.waves > 0.0):
         raise HframeError(
             f"{name} has a distance without waves, or waves without one. Write both, or [0, 0, "
@@ -315,14 +292,3 @@ def _reading(band: Band, row: object, name: str) -> Reading:
             "number counts all waves that you see; the first two begin with the second crest"
         )
     return one
-
-
-def _numbers(row: object, count: int, message: str) -> list[float]:
-    """Return a row of ``count`` numbers. Raises HframeError with the message otherwise."""
-    if (
-        not isinstance(row, list)
-        or len(row) != count
-        or not all(isinstance(one, int | float) and 0.0 <= one < MOST for one in row)
-    ):
-        raise HframeError(message)
-    return [float(one) for one in row]

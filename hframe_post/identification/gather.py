@@ -22,8 +22,6 @@ from hframe_post.identification.estimation.measured import Run
 from hframe_post.identification.recordings import accelerometer
 from hframe_post.identification.recordings.clock import QUIET, known_start, on_command_clock
 from hframe_post.identification.recordings.folder import (
-    CHECK,
-    STROKES,
     Aside,
     Measurement,
     RunMotion,
@@ -66,6 +64,11 @@ class Experiment:
     @property
     def label(self) -> str:
         return self.source.label
+
+    @property
+    def kind(self) -> str:
+        """Return the purpose of `measure` that wrote the motion, if its start is known."""
+        return self.source.command.kind if self.source.command else ""
 
     def as_text(self) -> str:
         session = self.source.session
@@ -128,22 +131,17 @@ def gather(
 def from_folders(
     paths: Sequence[Path], config: KlipperConfig | None, travel: Travel,
     columns: Sequence[str] | None = None, chips: Mapping[str, str] = MappingProxyType({}),
-    kinds: Sequence[str] = (STROKES, CHECK),
 ) -> Gathered:  # fmt: skip
     """Return the experiments in files and folders, with recordings in the sensors' axes.
 
     config: printer.cfg, which describes the tests of resonances; Klipper's defaults without it.
     columns: names of time, x, y, z in files that do not say it. chips: by x and y, the sensors
-    where no config names them. kinds: of our own motions that are wanted. Raises OSError, and
-    IdentificationError if no recording can be used.
+    where no config names them. Raises OSError, and IdentificationError if no recording can be used.
     """
     held = contents(paths, columns, _chips(config) or chips)
     found, aside = list[Experiment](), list(held.aside)
     aside += [Aside(one.label, SECOND.format(one.name.chip)) for one in held.second]
     for one in held.measurements:
-        if one.command is not None and (kind := one.command.kind) and kind not in kinds:
-            aside.append(Aside(one.label, f"a motion that 'hframe-post {kind}' judges"))
-            continue
         try:
             found.append(_experiment(one, config, travel))
         except HframeError as error:

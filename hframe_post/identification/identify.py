@@ -93,18 +93,23 @@ class Identified:
         """Return the uncertainty of the model; what changes from day to day is assumed, unless
         every axis was recorded more than once."""
         shares = [min(share / BY_SHIFT, MOST) for share in self.repetitions.values()]
-        known = self.repetitions.keys() >= AXIS.keys() & self.fits.keys()
+        known = self.repetitions.keys() >= set(self.axes)
         return max([LEAST_CHANGE if known else DAY_TO_DAY, *shares])
+
+    @property
+    def axes(self) -> list[str]:
+        """Return the names of the axes that were identified, Gxx first."""
+        return [name for name in AXIS if name in self.fits]
 
     @property
     def gains(self) -> dict[str, float]:
         """Return the sensor's reading per mm/s² along each axis."""
-        return {axis: self.fits[name].gain for name, axis in AXIS.items() if name in self.fits}
+        return {AXIS[name]: self.fits[name].gain for name in self.axes}
 
     @property
     def refusal(self) -> str | None:
         """Return why the models are too poor for a profile, or None if they are good enough."""
-        for name in AXIS.keys() & self.fits.keys():
+        for name in self.axes:
             measured = self.measured[name]
             if measured.resonance_hz is not None and measured.repeated > verdict.SPREAD:
                 return (
@@ -113,7 +118,7 @@ class Identified:
                     "They are of two printers, of one that was changed in between, or of other "
                     "motions than their names say: identify each by itself"
                 )
-        for name in AXIS.keys() & self.fits.keys():
+        for name in self.axes:
             off, struck = abs(self.fits[name].gain - 1.0), self.measured[name].known_start
             bound = verdict.GAIN_ERROR_STROKES if struck else verdict.GAIN_ERROR_TEST
             if off > bound:
@@ -121,7 +126,7 @@ class Identified:
                     f"the sensor would have to read {100 * off:.0f} % wrong in {AXIS[name]}, more "
                     f"than the {100 * bound:g} % that sensors do: {self._cause}"
                 )
-        for name in AXIS.keys() & self.fits.keys():
+        for name in self.axes:
             found = self.fits[name]
             if found.residual > verdict.UNEXPLAINED:
                 return (
@@ -143,7 +148,7 @@ class Identified:
         measured is expected to drift.
         """
         found: dict[str, ImpulseResponse] = {name: fit.G for name, fit in self.fits.items()}
-        for name in AXIS.keys() & found.keys():
+        for name in self.axes:
             G = self.fits[name].G
             found[name] = replace(G, drift=DRIFT if len(G.unknown) else DRIFT_ALONE)
         known = x_c if self.x_c is None else self.x_c

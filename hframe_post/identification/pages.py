@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from scipy.signal import find_peaks
 
 from hframe_post.arrays import TS, Array, Complex, X, Y
 from hframe_post.identification.coupling import MeasuredCoupling
@@ -22,8 +19,6 @@ TITLES = {
     "Gxtheta": "Racking: from x to the rotation of the gantry (Gxθ)",
 }
 LEAST_SHOWN = 1e-3  # of |G|
-PROMINENT, MOST_NAMED = 2.0, 4  # dB; peaks of a response
-NEAR_PEAK = 0.05  # of a peak's frequency; damping of 0.2 shifts a peak by 4 %
 RELIABLE = 0.5  # coherence below which the phase of a response is noise
 
 
@@ -63,7 +58,7 @@ def identification_page(report: IdentificationReport, name: str) -> bytes:
 def _strongest(found: Fit) -> tuple[float, float] | None:
     """Return Hz and damping ratio of the mode that rings most, None if none rings."""
     hz = np.array([hz for hz, _ in found.modes])
-    strength = np.abs(found.G.response(2.0 * np.pi * TS * hz))
+    strength = np.abs(_at(found.G, hz))
     return found.modes[int(strength.argmax())] if len(hz) else None
 
 
@@ -95,69 +90,47 @@ def _charts(name: str, measured: Measured, found: Fit, held: ImpulseResponse | N
     held: the response in the profile, which may say how well it is known.
     """
     mean, hz = measured.mean, measured.mean.hz
-    several = len(measured.places) > 1
     runs = [(f"x = {at:.0f} mm", run, "") for at, run in measured.places]
-    runs += [("mean", mean, "var(--ink)")] if several else []
-
-    def model(hz: Array) -> Complex:
-        return found.G.response(2.0 * np.pi * TS * hz)
-
-    def clean(run: FrequencyResponse) -> Complex:
-        late = np.exp(2j * np.pi * run.hz * found.recording_delay)
-        return np.asarray(run.H * late / found.gain)
-
-    def phase(run: FrequencyResponse) -> Array:
-        near = degrees(model(run.hz)) + np.degrees(np.angle(clean(run) / model(run.hz)))
-        return np.where(run.coherence >= RELIABLE, near, np.nan)
-
-    magnitudes = [
-        Curve(label, run.hz, decibel(clean(run)), ink or None) for label, run, ink in runs
-    ]
-    phases = [Curve(label, run.hz, phase(run), ink or None) for label, run, ink in runs]
-    for lines, of in ((magnitudes, decibel), (phases, degrees)):
-        lines.append(Curve("model", hz, of(model(hz)), "var(--racking)", strong=True, dashed=True))
+    runs += [("mean", mean, "var(--ink)")] if len(runs) > 1 else []
+    magnitudes, phases = list[Curve](), list[Curve]()
+    for label, run, ink in runs:
+        clean, model = _clean(run, found), _at(found.G, run.hz)
+        near = degrees(model) + np.degrees(np.angle(clean / model))
+        phase = np.where(run.coherence >= RELIABLE, near, np.nan)
+        magnitudes.append(Curve(label, run.hz, decibel(clean), ink or None))
+        phases.append(Curve(label, run.hz, phase, ink or None))
+    model = _at(found.G, hz)
+    for curves, shown in ((magnitudes, decibel(model)), (phases, degrees(model))):
+        curves.append(Curve("model", hz, shown, "var(--racking)", strong=True, dashed=True))
     if held is not None and held.doubts:
-        sd = uncertain(held, hz)
         for label, size in (("model + 2 σ", 2.0), ("model − 2 σ", -2.0)):
-            edge = np.maximum(np.abs(model(hz)) + size * sd, LEAST_SHOWN)
+            edge = np.maximum(np.abs(model) + size * uncertain(held, hz), LEAST_SHOWN)
             magnitudes.append(Curve(label, hz, decibel(edge.astype(complex)), "var(--soft)"))
     coherence = Curve("coherence", hz, mean.coherence, "var(--ink)")
-    residual = Curve("residual", hz, np.abs(clean(mean) / model(hz) - 1.0), "var(--fbs)")
+    residual = Curve("residual", hz, np.abs(_clean(mean, found) / model - 1.0), "var(--fbs)")
     unit = "dB (rad/mm)" if name == "Gxtheta" else "dB (mm/mm)"
-    frequency = "frequency, Hz"
+    peaks, frequency = [(at, f"{at:.1f} Hz") for at, _ in found.modes], "frequency, Hz"
     return [
-        Chart(
-            "Magnitude",
-            frequency,
-            unit,
-            magnitudes,
-            (True, False),
-            _peaks(hz, decibel(model(hz)), [hz for hz, _ in found.modes]),
-        ),
+        Chart("Magnitude", frequency, unit, magnitudes, (True, False), peaks),
         Chart("Phase, where the coherence is above 0.5", frequency, "°", phases, (True, False)),
         Chart("Coherence", frequency, "", [coherence], (True, False)),
         Chart("Residual of the model", frequency, "relative", [residual], (True, True)),
     ]
 
 
-def _peaks(hz: Array, magnitude: Array, modes: Sequence[float]) -> list[tuple[float, str]]:
-    """Return the highest peaks of a response in dB, by frequency, with their names.
+def _at(G: ImpulseResponse, hz: Array) -> Complex:
+    return G.response(2.0 * np.pi * TS * hz)
 
-    modes: Hz of the modes that describe it. A peak near one has its frequency, as the cards do:
-    damping and other modes shift the peak itself.
-    """
-    at, found = find_peaks(magnitude, prominence=PROMINENT)
-    highest = np.sort(at[np.argsort(-found["prominences"])][:MOST_NAMED])
-    named = []
-    for peak in map(float, hz[highest]):
-        mode = min(modes, key=lambda known: abs(known - peak), default=peak)
-        named.append(mode if abs(mode - peak) < NEAR_PEAK * peak else peak)
-    return [(known, f"{known:.1f} Hz") for known in named]
+
+def _clean(run: FrequencyResponse, found: Fit) -> Complex:
+    """Return what was measured, without the sensor's gain and the recording's delay."""
+    late = np.exp(2j * np.pi * run.hz * found.recording_delay)
+    return np.asarray(run.H * late / found.gain)
 
 
 def uncertain(G: ImpulseResponse, hz: Array) -> Array:
     """Return the standard deviation of |G| at ``hz`` (k,), by drift and by what is not known."""
-    doubts = [np.abs(one.response(2.0 * np.pi * TS * hz)) ** 2 for one in G.doubts]
+    doubts = [np.abs(_at(one, hz)) ** 2 for one in G.doubts]
     return np.asarray(np.sqrt(np.sum(doubts, axis=0)))
 
 
@@ -171,9 +144,7 @@ def _coupling_chart(coupling: MeasuredCoupling) -> Chart:
     ]
     for where, run in dict(zip(at, coupling.runs, strict=True)).items():
         place = np.array([run.place])
-        parts = [
-            term.lever(place) * term.G.response(2.0 * np.pi * TS * hz) for term in coupling.terms
-        ]
+        parts = [term.lever(place) * _at(term.G, hz) for term in coupling.terms]
         if parts:
             known, colour = decibel(np.sum(parts, axis=0)), "var(--racking)"
             lines.append(Curve(f"compensated {where}", hz, known, colour, strong=True, dashed=True))

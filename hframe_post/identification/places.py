@@ -20,7 +20,6 @@ from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation.axes import (
     Fit,
     Measured,
-    begun,
     fit_known_start,
     fit_racking,
 )
@@ -112,7 +111,6 @@ def _log_factor(G: ImpulseResponse, measured: FrequencyResponse) -> float:
 
 
 SAME_PLACE = 5.0  # mm
-FACTORS = np.exp(np.arange(-0.35, 0.3501, 0.005))  # of frequencies, that are tried
 DIGITS = 4  # of factors
 LEAST_ARM = 20.0  # mm; nearer to x_c, racking does not tell its size
 
@@ -132,10 +130,12 @@ def fit_places(found: Fit, places: Places) -> Fit:
     }
     own = fits[middle].G
     elsewhere = [
-        Elsewhere(x, _frequency(own, one.G), one.G) for x, one in fits.items() if x != middle
+        Elsewhere(x, round(float(np.exp(_log_factor(own, at[x]))), DIGITS), one.G)
+        for x, one in fits.items()
+        if x != middle
     ]
     G = replace(own, x=middle, elsewhere=tuple(elsewhere))
-    return begun(replace(fits[middle], G=G), found.recording_delay)
+    return replace(fits[middle], G=G).begun(found.recording_delay)
 
 
 def factor(G: ImpulseResponse, place: float) -> float:
@@ -201,24 +201,6 @@ def _together(places: Places) -> dict[float, FrequencyResponse]:
         groups.setdefault(near[0] if near else round(float(place), 2), []).append(response)
     every = -(-len(groups) // MOST_PLACES)
     return {x: average(each) for x, each in list(groups.items())[::every]}
-
-
-def _frequency(G: ImpulseResponse, there: ImpulseResponse) -> float:
-    """Return the factor of the frequencies that makes G most like the response at another place.
-
-    Deviations are displacements, so what moves a print most counts most.
-    """
-    left = [_off(G.stretched(1.0 / factor), there) for factor in FACTORS.tolist()]
-    return round(float(np.exp(lowest(np.log(FACTORS), left))), DIGITS)
-
-
-def _off(one: ImpulseResponse, other: ImpulseResponse) -> float:
-    """Return the sum of squares of the difference of two deviations."""
-    lead = max(one.lead, other.lead)
-    first, second = (np.pad(G.deviation, (lead - G.lead, 0)) for G in (one, other))
-    n = max(len(first), len(second))
-    first, second = (np.pad(q, (0, n - len(q))) for q in (first, second))
-    return float(np.square(first - second).sum())
 
 
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions

@@ -70,22 +70,18 @@ class IdentificationReport:
         """Return what the user should not rely on, with the contour error that may remain."""
         identified = self.identified
         messages = [*identified.warnings]
-        for name, axis in AXIS.items():
-            measured = identified.measured.get(name)
-            if (
-                measured is not None
-                and measured.excited_hz[1] < verdict.TESTED_BAND * measured.mean.hz[-1]
-            ):
+        for name in identified.axes:
+            axis, share = AXIS[name], identified.fits[name].residual
+            measured = identified.measured[name]
+            if measured.excited_hz[1] < verdict.TESTED_BAND * measured.mean.hz[-1]:
                 messages.append(
                     f"{axis} was tested up to {measured.excited_hz[1]:.0f} Hz, so what rings above "
                     "is not known. Test up to 135 Hz (max_freq of [resonance_tester])"
                 )
-        for name in AXIS.keys() & identified.fits.keys():
-            share = identified.fits[name].residual
             if share > verdict.NONLINEAR:
                 messages.append(
-                    f"{100 * share:.0f} % of what {AXIS[name]} does is not linear in its "
-                    "command: look for friction, play and loose parts" + self._uncompensated(share)
+                    f"{100 * share:.0f} % of what {axis} does is not linear in its command: look "
+                    "for friction, play and loose parts" + self._uncompensated(share)
                 )
         along_x = identified.measured["Gxx"].spread if "Gxx" in identified.measured else 0.0
         moves = "Gxx" in identified.along_x
@@ -93,7 +89,7 @@ class IdentificationReport:
             messages.append(
                 f"{identified.mode_shift.message}. The profile's one model is that of the middle"
             )
-        elif along_x > 0.2 and not moves and "Gxx" not in identified.repetitions:
+        elif along_x > verdict.PLACES and not moves and "Gxx" not in identified.repetitions:
             messages.append(
                 f"Gxx varies by {100 * along_x:.0f} % between the gantry's positions; one model "
                 "cannot describe all of them" + self._uncompensated(along_x)

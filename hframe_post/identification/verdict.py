@@ -14,6 +14,7 @@ SPREAD = 0.4  # of the recordings of an axis; of a printer that was used for ten
 # identify warns
 TESTED_BAND = 0.8  # of the band that the model must explain, from which a test was long enough
 NONLINEAR = 0.2  # unexplained: of an SV08 0.37, of a Neptune and two Vorons 0.03 to 0.13
+PLACES = 0.2  # of the response, by which places along x differ from their mean
 
 # check refuses
 FREQUENCY_CHANGE = 0.1  # of the main resonance, from which it is another printer
@@ -30,3 +31,5 @@ TEST_PEAK = 1.5  # of its resonance; 1.2 with input shaping, 2.9 and more withou
 SHOWN = 0.3  # of a command's slow part; of any axis that the sensor rides
 LIKENESS = 0.4  # of each part to what the sensor shows
 LAG_S = 0.03  # of each part; printers have less
+COHERENCE = 0.25  # of a command and what the sensor shows, by their median
+OUT_OF_PHASE = 0.5  # of the response at low frequencies

@@ -15,6 +15,7 @@ from hframe_post.identification.estimation.regression import (
     Decay,
     Mode,
     Prior,
+    posterior,
     regress,
     ringing,
 )
@@ -79,13 +80,12 @@ def test_the_evidence_is_that_of_the_marginal_distribution() -> None:
     ours = np.array([regression._Search(data, prior).cost() for prior in priors])
     theirs = np.array([cost(prior) for prior in priors])
     assert np.allclose(np.diff(ours), np.diff(theirs), atol=1e-6)
-    search = regression._Search(data, priors[2])
     Phi = ringing(k, priors[2].modes, 1)
     K = linalg.block_diag(0.25, dense(priors[2].decay, k) + AMPLITUDE**2 * Phi @ Phi.T)
     covariance = np.linalg.inv(X.T @ X + np.linalg.inv(K))
-    posterior = search.posterior()
-    assert np.allclose(posterior.response(k), (covariance @ X.T @ y)[1:], atol=1e-7)
-    assert np.allclose(posterior.known(k), covariance[1:, 1:], atol=1e-7)
+    found = posterior(data, priors[2])
+    assert np.allclose(found.response(k), (covariance @ X.T @ y)[1:], atol=1e-7)
+    assert np.allclose(found.known(k), covariance[1:, 1:], atol=1e-7)
 
 
 def test_what_decays_without_modes_needs_none() -> None:

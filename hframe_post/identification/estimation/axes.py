@@ -9,7 +9,7 @@ others           all delay is the recording's, but for what damping explains
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,19 +20,15 @@ from hframe_post.identification.estimation.frequency_response import (
     advanced,
     share_left,
 )
-from hframe_post.identification.estimation.modes import Modes, described
-from hframe_post.identification.estimation.regression import Estimated, Mode
+from hframe_post.identification.estimation.modes import listed, ringing, shares
+from hframe_post.identification.estimation.regression import Estimated
 from hframe_post.model.impulse_response import ImpulseResponse
 
-RINGS = 0.3  # damping ratio below which a mode visibly rings
 # share of the measurement that a response without an assumed mode may leave: of drawn linear
 # printers 0.005 to 0.035, of real ones 0.06 to 0.3
 LINEAR = 0.05
 UNCALIBRATED = (1.0, 0.05)  # gain, as mean and standard deviation, after a rough one
 EARLY = 4e-3  # s by which the rough start may be late
-LISTED = 0.03  # of the motion at rest: modes that contribute less are not listed
-DESCRIBED_LATE = 2e-3  # s by which their delay may differ from the response's lag
-NEAR = 1e-5  # s; likewise where the delay is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,33 +64,35 @@ class Measured:
 class Fit:
     """The response ``G`` and how it was found.
 
-    residual: share of the measurement that it leaves, weighted with input power. gain: of the
-    sensor, not part of G. recording_delay: s, not part of G.
-    measured: what was estimated. sum: of modes, that describes the measurement; of racking, none.
-    highest_hz: up to which it was measured.
+    measured: what was estimated. residual: share of the measurement that it leaves, weighted with
+    input power. modes: Hz and damping ratio of each that rings and counts, lowest first; of
+    racking, none.
     """
 
     G: ImpulseResponse
-    residual: float
-    gain: float
-    recording_delay: float
     measured: Estimated
-    sum: Modes | None = None
-    highest_hz: float = np.inf
+    residual: float
+    modes: list[tuple[float, float]] = field(default_factory=list)
+
+    @property
+    def gain(self) -> float:
+        """Return the gain of the sensor, not part of G."""
+        return self.measured.gain
+
+    @property
+    def recording_delay(self) -> float:
+        """Return the delay of the recording, s, not part of G."""
+        return self.measured.delay
 
     @property
     def lag(self) -> float:
         """Return how late the printer is at a constant speed, s."""
         return self.G.lag * TS
 
-    @property
-    def modes(self) -> list[tuple[float, float]]:
-        """Return (Hz, damping ratio) of each mode that rings and counts, lowest first."""
-        if self.sum is None:
-            return []
-        hz, zeta = self.sum.hz, self.sum.zeta
-        listed = (self.sum.sizes > LISTED) & (zeta < RINGS) & (hz <= self.highest_hz)
-        return sorted(zip(hz[listed].tolist(), zeta[listed].tolist(), strict=True))
+    def begun(self, late: float) -> Fit:
+        """Return the fit of recordings that began ``late``, s, found from what they were without
+        it."""
+        return replace(self, measured=replace(self.measured, delay=late))
 
     def response(self, hz: Array) -> Complex:
         """Return the model of the measurement at ``hz`` (k,), including gain and all delay."""
@@ -110,18 +108,7 @@ def fit_known_start(whole: FrequencyResponse) -> Fit:
     Raises IdentificationError.
     """
     found = known_start.estimated(whole)
-    late = found.G.lag * TS
-    delays = (late - DESCRIBED_LATE, late + DESCRIBED_LATE)
-    return _described(found, whole, delays)
-
-
-def begun(found: Fit, late: float) -> Fit:
-    """Return the fit of recordings that began ``late``, s, found from what they were without it."""
-    assert found.sum is not None
-    return replace(
-        found, recording_delay=late, measured=replace(found.measured, delay=late),
-        sum=replace(found.sum, delay=found.sum.delay + late),
-    )  # fmt: skip
+    return _described(found, whole, found.G.lag * TS)
 
 
 def fit_racking(whole: FrequencyResponse, x: Fit, gain: float, in_time: bool) -> Fit:
@@ -130,11 +117,10 @@ def fit_racking(whole: FrequencyResponse, x: Fit, gain: float, in_time: bool) ->
     whole: rad/mm, as measured by a sensor of that gain in the recordings that ``x`` is of. in_time:
     whether they tell their start. Raises IdentificationError.
     """
-    recording_delay = x.recording_delay
-    found = known_start.estimated_coupling(advanced(whole, recording_delay), gain, in_time)
-    left = share_left(found.response(whole.hz), whole, whole.power)
-    found = replace(found, delay=recording_delay)
-    return Fit(found.G, left, gain, recording_delay, found, None, float(whole.hz[-1]))
+    in_step = advanced(whole, x.recording_delay)
+    found = known_start.estimated_coupling(in_step, gain, in_time)
+    left = share_left(found.response(whole.hz), in_step, whole.power)
+    return Fit(found.G, found, left).begun(x.recording_delay)
 
 
 # ---------------------------------------------------------------------- an unknown start
@@ -163,39 +149,27 @@ def _from_its_damping(whole: FrequencyResponse) -> Fit:
     scaled = replace(whole, H=whole.H / gain)
     in_time = advanced(scaled, late)
     rough = known_start.estimated(in_time, UNCALIBRATED)
-    if any(mode.zeta < RINGS for mode in rough.modes):
-        seen = whole.hz >= rough.resonance_hz * unknown_start.MEASURED
-        lag = rough.G.lag * TS
-        bounds = (lag - DESCRIBED_LATE, lag + DESCRIBED_LATE)
-        late += _in_modes(rough, in_time.where(seen), bounds, UNCALIBRATED, speed=False).delay
+    lag = rough.G.lag * TS
+    if modes := ringing(rough):
+        seen = in_time.where(whole.hz >= rough.resonance_hz * unknown_start.MEASURED)
+        late += shares(seen, modes, lag, speed=False)[1]
     else:  # too stiff to ring, so in time with it
-        late += rough.G.lag * TS
+        late += lag
     found = known_start.estimated(advanced(scaled, late), UNCALIBRATED)
     found = replace(found, gain=gain * found.gain, delay=late)
-    return _described(found, whole, (late - NEAR, late + NEAR))
+    return _described(found, whole, late)
 
 
 def _with_an_ideal_mode(whole: FrequencyResponse) -> Fit:
     """Return the response that follows its command below the resonance as one mode does."""
     found = unknown_start.estimated(whole)
-    return _described(found, whole, (found.delay - NEAR, found.delay + NEAR))
+    return _described(found, whole, found.delay)
 
 
 # ---------------------------------------------------------------------- both
 
 
-def _described(found: Estimated, whole: FrequencyResponse, delays: tuple[float, float]) -> Fit:
-    """Return the fit of a response whose modes are late as these bounds tell, s."""
-    gain = (found.gain, 0.03 * abs(found.gain))
-    modes = _in_modes(found, whole, delays, gain, speed=True)
+def _described(found: Estimated, whole: FrequencyResponse, late: float) -> Fit:
+    """Return the fit of a response; late: s, of the measurement, by recording and printer."""
     left = share_left(found.response(whole.hz), whole, whole.power)
-    return Fit(found.G, left, found.gain, found.delay, found, modes, float(whole.hz[-1]))
-
-
-def _in_modes(
-    found: Estimated, whole: FrequencyResponse, delays: tuple[float, float],
-    gain: tuple[float, float], speed: bool,
-) -> Modes:  # fmt: skip
-    ringing = [mode for mode in found.modes if mode.zeta < RINGS]
-    start = ringing or [Mode(2.0 * np.pi * TS * found.resonance_hz, 0.1)]
-    return described(whole, start, delays, gain, speed)
+    return Fit(found.G, found, left, listed(found, whole, late))

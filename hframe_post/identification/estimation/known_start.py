@@ -30,6 +30,7 @@ from hframe_post.identification.estimation.regression import (
     Posterior,
     Prior,
     regress,
+    rows,
     transfer,
 )
 from hframe_post.model.impulse_response import ImpulseResponse
@@ -138,9 +139,9 @@ class Linear:
         """Return the data of a regression, for 1 / noise (k,)."""
 
         def by_modes(modes: Sequence[Mode], onset: int) -> Array:
-            return _rows(weight, self._ringing(modes, onset))
+            return rows(weight, self._ringing(modes, onset))
 
-        X, y = _rows(weight, self._columns), _rows(weight, self._H - self._gain)
+        X, y = rows(weight, self._columns), rows(weight, self._H - self._gain)
         return Data.of(X, y, self._k, np.array([gain_sd, self._lag_sd]) ** -2.0, by_modes)
 
     def modelled(self, found: Posterior) -> Complex:
@@ -151,12 +152,6 @@ class Linear:
 
     def _ringing(self, modes: Sequence[Mode], onset: int) -> Complex:
         return np.asarray(self._acceleration[:, None] * transfer(self._z, modes, onset))
-
-
-def _rows(weight: Array, columns: Complex) -> Array:
-    """Return weighted columns (k, …) as real and imaginary rows, (2k, …)."""
-    weighted = (weight * columns.T).T
-    return np.concatenate([weighted.real, weighted.imag])
 
 
 def _smoothed(noise: Array, hz: Array) -> Array:

@@ -130,6 +130,19 @@ ROUNDING = 1e-11  # of XᵀX, for some hundred columns
 WORST = 1e15  # cost of what cannot be computed
 
 
+NO_SCALARS = np.zeros(0)
+
+
+def no_modes(modes: Sequence[Mode], onset: int) -> Array:
+    raise ValueError("these data have no modes")
+
+
+def rows(weight: Array, columns: Array | Complex) -> Array:
+    """Return weighted columns (k, …) as real and imaginary rows, (2k, …)."""
+    weighted = (weight * columns.T).T
+    return np.concatenate([weighted.real, weighted.imag])
+
+
 @dataclass(frozen=True, slots=True)
 class Data:
     """Measured y (r,), by columns X (r, n + m) of scalars and of q at samples k (m,).
@@ -148,8 +161,8 @@ class Data:
 
     @classmethod
     def of(
-        cls, X: Array, y: Array, k: Array, precision: Array,
-        by_modes: Callable[[Sequence[Mode], int], Array],
+        cls, X: Array, y: Array, k: Array, precision: Array = NO_SCALARS,
+        by_modes: Callable[[Sequence[Mode], int], Array] = no_modes,
     ) -> Data:  # fmt: skip
         return cls(X, y, k, precision, by_modes, X.T @ X, X.T @ y)
 
@@ -205,7 +218,14 @@ def regress(data: Data, start: Prior | None = None, most: int = MOST_MODES) -> P
         plain.improve()
         search = min(search, plain, key=lambda one: one.cost())
     search.drop_modes()
-    return search.posterior()
+    return posterior(data, search.prior)
+
+
+def posterior(data: Data, prior: Prior) -> Posterior:
+    """Return the posterior for given hyperparameters."""
+    L, mean, cost = _Normal.with_modes(data, prior).solved(prior.decay)
+    covariance = linalg.cho_solve((L, True), np.eye(len(L)), check_finite=False)
+    return Posterior(mean, covariance, data.k, prior, cost)
 
 
 class _Search:
@@ -213,7 +233,7 @@ class _Search:
 
     def __init__(self, data: Data, prior: Prior) -> None:
         self._data, self.prior = data, prior
-        self._without_modes = _Normal.of(data, np.zeros((len(data.y), 0)))
+        self._without_modes = _Normal.of(data, data.X[:, :0])
         self._integrate()
 
     def _integrate(self) -> None:
@@ -239,7 +259,7 @@ class _Search:
         return Psi.T @ Psi - decaying.T @ decaying, Psi.T @ self._v
 
     def _normal(self) -> _Normal:
-        return _Normal.of(self._data, self._data.by_modes(self.prior.modes, self.prior.onset))
+        return _Normal.with_modes(self._data, self.prior)
 
     def cost(self) -> float:
         return self._normal().solved(self.prior.decay)[2]
@@ -330,12 +350,6 @@ class _Search:
         self.prior = replace(self.prior, decay=decay(found.x))
         self._integrate()
 
-    def posterior(self) -> Posterior:
-        """Return the posterior."""
-        L, mean, cost = self._normal().solved(self.prior.decay)
-        covariance = linalg.cho_solve((L, True), np.eye(len(L)), check_finite=False)
-        return Posterior(mean, covariance, self._data.k, self.prior, cost)
-
 
 @dataclass(frozen=True, slots=True)
 class _Normal:
@@ -349,6 +363,11 @@ class _Normal:
     y_y: float
     k: Array
     precision: Array
+
+    @classmethod
+    def with_modes(cls, data: Data, prior: Prior) -> _Normal:
+        modes = prior.modes
+        return cls.of(data, data.by_modes(modes, prior.onset) if modes else data.X[:, :0])
 
     @classmethod
     def of(cls, data: Data, Psi: Array) -> _Normal:

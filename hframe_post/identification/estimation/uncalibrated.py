@@ -22,6 +22,7 @@ from scipy.signal import find_peaks
 
 from hframe_post.arrays import Array, Complex, Flags, X, Y
 from hframe_post.errors import IdentificationError
+from hframe_post.identification import verdict
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     by_command,
@@ -36,15 +37,16 @@ from hframe_post.identification.estimation.measured import (
 from hframe_post.identification.recordings.clock import (
     SelfAligned,
     acceleration,
+    axes_in_sensor,
     not_found,
     self_aligned,
 )
 
 EXCITED = 0.1  # of a test's usual power, from which a frequency counts as excited
+LATEST_GAP_HZ = 30.0  # at which a test begins at the latest
 LEAST_HZ = 8.0  # to which a test lasts at least; slow sweeping lies below
 LATEST = 0.08  # s by which the rough start may be off
 SLOW_HZ = 25.0  # below it a printer moves more than it racks
-ACROSS = 0.5  # of the response at low frequencies that may be out of phase
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +88,7 @@ def direction(responses: list[FrequencyResponse]) -> Direction:
     along = (unit * np.exp(2j * np.pi * hz[used] * delay))[:, lowest]
     axis = _at_rest(along, hz[used][lowest], weight[lowest])
     mean = along @ weight[lowest]
-    if np.linalg.norm(mean.imag) > ACROSS * np.linalg.norm(mean.real):
+    if np.linalg.norm(mean.imag) > verdict.OUT_OF_PHASE * np.linalg.norm(mean.real):
         raise not_found()
     return Direction(axis / np.linalg.norm(axis), delay, resonance, (low, high))
 
@@ -98,7 +100,7 @@ def _excited(response: FrequencyResponse) -> Flags:
     the pulses have harmonics of a ninth of their power.
     """
     coherence = _smoothed(response.coherence, response.hz, 1.0)
-    middle = response.hz <= 30.0
+    middle = response.hz <= LATEST_GAP_HZ
     step = float(response.hz[1] - response.hz[0])
     level = response.power / np.square(response.hz)
     steady = median_filter(level, max(round(2.0 / step), 1), mode="nearest")
@@ -106,7 +108,7 @@ def _excited(response: FrequencyResponse) -> Flags:
         np.median(level[steady > EXCITED * steady[response.hz > LEAST_HZ].max(initial=0.0)])
     )
     inside = ~middle & (steady > EXCITED * usual)
-    if not inside.any() or np.median(coherence[inside]) < 0.25:
+    if not inside.any() or np.median(coherence[inside]) < verdict.COHERENCE:
         raise not_found()
     gaps = np.flatnonzero(middle & (steady < EXCITED * usual))
     flags = np.zeros(len(response.hz), dtype=bool)
@@ -233,19 +235,11 @@ def _axes(one: _Located, located: Sequence[_Located]) -> Array:
     mates = [other for other in located if _mounted_alike(one, other)]
     commanded = np.array([mate.commanded for mate in mates])
     seen = np.array([mate.seen.axis for mate in mates])
-    if np.linalg.matrix_rank(commanded, tol=0.3) < 2:
-        if not one.aligned.up.any():
-            raise IdentificationError(
-                f"{one.run.name}: the recording does not show gravity, and no other run shows "
-                "where the other axis points. Record both axes with the sensor mounted alike"
-            )
-        turned = np.array([[-one.commanded[Y], one.commanded[X]]])
-        commanded = np.concatenate([commanded, turned])
-        seen = np.concatenate([seen, np.cross(one.aligned.up, one.seen.axis)[None]])
-    axes = np.linalg.lstsq(commanded, seen, rcond=None)[
-        0
-    ]  # x and y as the sensor sees them, (2, 3)
-    return np.asarray(np.linalg.pinv(axes.T))
+    try:
+        axes = axes_in_sensor(commanded, seen, one.aligned.up)
+    except IdentificationError as error:
+        raise IdentificationError(f"{one.run.name}: {error}") from None
+    return np.asarray(np.linalg.inv(axes).T[:2])
 
 
 def _mounted_alike(one: _Located, other: _Located) -> bool:

@@ -3,11 +3,10 @@
 A real printer is not a sum of a few modes. Its response h is therefore estimated as it is, by least
 squares with a prior (Pillonetto, Chen, Ljung, Regularized System Identification, 2022)
 
-    ĥ = argmin Σ_f W(f) |H(f) − Σ_k h_k e^{−2πifk}|² + (h − δ)ᵀ K⁻¹ (h − δ),
-    K_jk = c² d^(|j| + |k|) r^|j − k|
+    ĥ = argmin Σ_f W(f) |H(f) − Σ_k h_k e^{−2πifk}|² + (h − δ)ᵀ K⁻¹ (h − δ)
 
 H is the measured response, W the command's power over the power that no linear model explains,
-and the kernel K says that h decays, and that neighbouring samples are alike.
+and the kernel K that of ``regression``: h decays, and neighbouring samples are alike.
 
 Such recordings do not tell the phase below the resonances, since nobody knows when the motion
 began. There the printer is taken to do what its strongest mode alone does, 1/(1 − (f/f₀)²): from
@@ -18,7 +17,6 @@ acceleration does to the nozzle (``ImpulseResponse``), so that its gain at rest 
 from __future__ import annotations
 
 import numpy as np
-from scipy import linalg
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
@@ -27,21 +25,27 @@ from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     largest_response,
 )
-from hframe_post.identification.estimation.regression import Estimated
+from hframe_post.identification.estimation.regression import (
+    Data,
+    Decay,
+    Estimated,
+    Prior,
+    posterior,
+    rows,
+)
 from hframe_post.model.impulse_response import ImpulseResponse
 
 AFTER, BEFORE = 400, 12  # samples of h; band-limited, it begins before the command
 UNEXPLAINED = 0.25  # share of the response that counts as noise, since no linear model explains it
-SIZE, DECAY, ALIKE = 0.06, 0.985, 0.9  # c, d, r of the kernel
+SIZE, BETA, ALPHA = 0.06, 0.0151, 0.1054  # of the kernel of h, and of the result's
 ASSUMED = (0.25, 0.42)  # of f₀: one ideal mode below, the measurement above
 IDEAL_SD = 0.003  # of that mode, up to MEASURED·f₀
 MEASURED = 1.0 / 3.0  # of f₀, from which on the measurement counts
-LOWEST_HZ = 6.0  # below it, table and frame move as much as the axis
 STRONGEST_HZ = (18.0, 95.0)  # in which f₀ is sought
 LEAD, LENGTH = 32, 440  # samples of the result
 FIT_HZ = 125.0, 0.25  # up to which, and how densely, the result is fitted
 SLOW_HZ = 5.0  # of strokes as long as a bed
-FIT_SIZE = 1e-4  # weight of the result's own kernel
+FIT_WEIGHT = 3000.0  # of the result, beside its kernel
 
 
 def estimated(measured: FrequencyResponse) -> Estimated:
@@ -68,7 +72,7 @@ def _strongest(measured: FrequencyResponse) -> float:
 def gain_and_delay(measured: FrequencyResponse) -> tuple[float, float]:
     """Return the gain and delay (s) with which one ideal mode is seen below the resonance."""
     hz, f0 = measured.hz, _strongest(measured)
-    low = (hz >= max(LOWEST_HZ, f0 / 5.0)) & (hz <= f0 / 2.4)
+    low = (hz >= f0 / 5.0) & (hz <= f0 / 2.4)
     H, omega = measured.H[low], 2.0 * np.pi * hz[low]
     if not low.any():
         raise IdentificationError(
@@ -82,45 +86,41 @@ def gain_and_delay(measured: FrequencyResponse) -> tuple[float, float]:
 
 
 def _estimate(measured: FrequencyResponse, H: Complex, f0: float) -> Array:
-    """Return ĥ (BEFORE + AFTER,) from sample −BEFORE on."""
+    """Return ĥ − δ (BEFORE + AFTER,) from sample −BEFORE on."""
     hz, k = measured.hz, np.arange(-BEFORE, AFTER, dtype=float)
-    counts = hz >= max(LOWEST_HZ, MEASURED * f0)
+    counts = hz >= MEASURED * f0
+    low = np.arange(0.0, MEASURED * f0, 0.5)
     power = measured.power[counts] / (measured.power[counts] @ np.abs(H[counts]) ** 2)
     step = float(np.median(np.diff(hz)))
     samples = measured.averages * 2.0 / (BANDWIDTH * step * TS)
-    W = samples / UNEXPLAINED**2 * power
-    E = np.exp(-2j * np.pi * TS * np.outer(hz[counts], k))
-    low = np.arange(0.0, MEASURED * f0, 0.5)
-    L = np.exp(-2j * np.pi * TS * np.outer(low, k))
-    P = linalg.inv(_kernel(k, SIZE))
-    weighted, ideal = E.conj().T * W, L.conj().T / IDEAL_SD**2
-    A = (weighted @ E).real + (ideal @ L).real + P
-    b = (weighted @ H[counts]).real + (ideal @ _one_mode(low, f0)).real + P @ (k == 0)
-    return np.asarray(linalg.solve(A, b, assume_a="pos"))
+    by_noise = np.sqrt(samples * power) / UNEXPLAINED
+    weight = np.concatenate([np.full(len(low), 1.0 / IDEAL_SD), by_noise])
+    wanted = np.concatenate([_one_mode(low, f0), H[counts]]) - 1.0
+    turn = _turn(np.concatenate([low, hz[counts]]), k)
+    return posterior(Data.of(rows(weight, turn), rows(weight, wanted), k), _prior(SIZE)).mean
 
 
 def _handed_over(h: Array, f0: float) -> ImpulseResponse:
-    """Return h as what acceleration does, with one ideal mode where the phase is not known."""
+    """Return h − δ as what acceleration does, with one ideal mode where the phase is unknown."""
     hz = np.arange(FIT_HZ[1], FIT_HZ[0], FIT_HZ[1])
     at = np.clip((hz / f0 - ASSUMED[0]) / (ASSUMED[1] - ASSUMED[0]), 0.0, 1.0)
     known = at * at * (3.0 - 2.0 * at)
-    E = np.exp(-2j * np.pi * TS * np.outer(hz, np.arange(-BEFORE, AFTER)))
-    G = (1.0 - known) * _one_mode(np.minimum(hz, 0.7 * f0), f0) + known * (E @ h)
+    ideal = _one_mode(np.minimum(hz, 0.7 * f0), f0) - 1.0
+    off = (1.0 - known) * ideal + known * (_turn(hz, np.arange(-BEFORE, AFTER, dtype=float)) @ h)
     k = np.arange(-LEAD, LENGTH - LEAD, dtype=float)
-    turn = np.exp(-2j * np.pi * TS * np.outer(hz, k))
     slow = np.maximum(SLOW_HZ / hz, 1.0) ** 2  # acceleration is as strong there: all of Q counts
-    weight = (30.0 * slow / np.maximum(hz, SLOW_HZ) ** 1.5)[:, None]
-    X = -weight * (2.0 * np.sin(np.pi * TS * hz[:, None])) ** 2 * turn
-    P = FIT_SIZE * linalg.inv(_kernel(k, 1.0 / (2.0 * np.pi * TS * f0)))
-    A = (X.conj().T @ X).real + P
-    q = linalg.solve(A, (X.conj().T @ (weight[:, 0] * (G - 1.0))).real, assume_a="pos")
-    return ImpulseResponse(np.asarray(q), LEAD)
+    weight = FIT_WEIGHT * slow / np.maximum(hz, SLOW_HZ) ** 1.5
+    X = -((2.0 * np.sin(np.pi * TS * hz[:, None])) ** 2) * _turn(hz, k)
+    data = Data.of(rows(weight, X), rows(weight, off), k)
+    return ImpulseResponse(posterior(data, _prior(1.0 / (2.0 * np.pi * TS * f0))).mean, LEAD)
 
 
-def _kernel(k: Array, size: float) -> Array:
-    sd = size * DECAY ** np.abs(k)
-    K = np.outer(sd, sd) * ALIKE ** np.abs(k[:, None] - k)
-    return np.asarray(K + 1e-9 * size**2 * np.eye(len(k)))
+def _turn(hz: Array, k: Array) -> Complex:
+    return np.asarray(np.exp(-2j * np.pi * TS * np.outer(hz, k)))
+
+
+def _prior(size: float) -> Prior:
+    return Prior(Decay(size, BETA, ALPHA))
 
 
 def _one_mode(hz: Array, f0: float) -> Array:

@@ -28,7 +28,6 @@ most of the recording. What is left of the start is part of the delay that the e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -183,9 +182,7 @@ def self_aligned(command: Array, recording: Recording, rough: Clock | None = Non
     whole = np.pad(command, (0, TAIL))
     recorded = sensor.recorded(clock.at(np.arange(len(whole))))
     acceleration = sensor.resampled(clock, len(whole)) * recorded[:, None]
-    up = recording.a.mean(axis=0)
-    size = float(np.linalg.norm(up))
-    up = up / size if PLAUSIBLE[0] <= size <= PLAUSIBLE[1] else np.zeros(3)
+    up = upwards(recording.a.mean(axis=0))
     return SelfAligned(whole * recorded, acceleration, up, clock)
 
 
@@ -298,7 +295,7 @@ def on_command_clock(command: Array, recording: Recording, clock: Clock) -> Arra
     D = (D / columns.std(axis=0)[:, None])[: len(moved)]
     if (np.linalg.norm(D, axis=1) < verdict.SHOWN).any():
         raise not_found()
-    return np.asarray(a @ np.linalg.inv(completed(D, moved, rest)))
+    return np.asarray(a @ np.linalg.inv(axes_in_sensor(np.eye(2)[moved], D, upwards(rest))))
 
 
 def _slow_part(values: Array) -> Array:
@@ -309,30 +306,34 @@ def _slow_part(values: Array) -> Array:
     return np.asarray(irfft(spectra, len(values), axis=0))
 
 
-def completed(D: Array, moved: Sequence[int], rest: Array) -> Array:
-    """Return the printer's axes as the sensor sees them: unit vectors x, y, z, in rows (3, 3).
-
-    D (k, 3): where the axes that moved point, of any length; rest (3,): what the sensor shows at
-    rest. Raises IdentificationError without gravity, if one axis moved.
-    """
-    D = D / np.linalg.norm(D, axis=1, keepdims=True)
-    rows = np.zeros((3, 3))
-    rows[list(moved)] = D
+def upwards(rest: Array) -> Array:
+    """Return the unit vector (3,) of gravity's reaction in what a sensor shows at rest, (3,); zero
+    if that is not gravity."""
     strength = float(np.linalg.norm(rest))
-    if len(moved) == 2:
-        rows[2] = np.cross(rows[X], rows[Y])
-        rows[2] *= np.sign(rows[2] @ rest) or 1.0
-    elif PLAUSIBLE[0] <= strength <= PLAUSIBLE[1]:
-        along = D[0]
-        up = rest / strength - (along @ rest) / strength * along
-        rows[2] = up / np.linalg.norm(up)
-        rows[1 - moved[0]] = np.cross(rows[2], along) * (1.0 if moved[0] == X else -1.0)
-    else:
-        raise IdentificationError(
-            f"at rest the sensor shows {strength / 1000.0:.4g} m/s² instead of gravity, so "
-            "its axes are unknown. Record both axes at once"
-        )
-    return rows
+    plausible = PLAUSIBLE[0] <= strength <= PLAUSIBLE[1]
+    return np.asarray(rest / strength if plausible else np.zeros(3))
+
+
+def axes_in_sensor(commanded: Array, seen: Array, up: Array) -> Array:
+    """Return the printer's axes as the sensor sees them: x, y and z, in rows (3, 3).
+
+    commanded (k, 2): directions in x and y that moved; seen (k, 3): where the sensor saw them, of
+    any length. up: as of ``upwards``, needed if all moved along one line; raises
+    IdentificationError without it.
+    """
+    seen = seen / np.linalg.norm(seen, axis=1, keepdims=True)
+    if np.linalg.matrix_rank(commanded, tol=0.3) < 2:
+        if not up.any():
+            raise IdentificationError(
+                "the recording does not show gravity, and nothing else shows where the other axis "
+                "points. Record both axes with the sensor mounted alike"
+            )
+        across = np.cross(up, seen[0])
+        commanded = np.vstack([commanded, [-commanded[0, Y], commanded[0, X]]])
+        seen = np.vstack([seen, across / np.linalg.norm(across)])
+    x, y = np.linalg.lstsq(commanded, seen, rcond=None)[0]
+    z = np.cross(x, y)
+    return np.array([x, y, z / np.linalg.norm(z) * (np.sign(z @ up) or 1.0)])
 
 
 def _check_in_time(slow: Array, shown: Array) -> None:
