@@ -123,7 +123,7 @@ def test_convert_does_all_that_the_command_line_can(paper: Printer, tmp_path: Pa
     out, page = tmp_path / "by_library.gcode", tmp_path / "page.html"
     read = list[int]()
     options = hp.Options(
-        force=True, firmware="klipper", tolerance=None, retract="moving",
+        force=True, firmware="klipper", tolerance=None,
         predict=("none", "fbs", "racking"), jobs=2,
     )  # fmt: skip
     report = hp.convert(
@@ -131,7 +131,7 @@ def test_convert_does_all_that_the_command_line_can(paper: Printer, tmp_path: Pa
         title="A rectangle", notes=["printed on the big one"], progress=read.append,
     )  # fmt: skip
     by_tool = tmp_path / "by_tool.gcode"
-    run(RECTANGLE, "-q", "--tolerance", "0", "--retract", "moving", "-o", by_tool)
+    run(RECTANGLE, "-q", "--tolerance", "0", "-o", by_tool)
     by_both = [body(path.read_bytes()) for path in (out, by_tool)]
     assert by_both[0] == by_both[1]
     both = {"shaper", "live"}  # which the page shows

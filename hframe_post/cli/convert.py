@@ -45,7 +45,7 @@ OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
 @conversion_options("format")
 @printer_option
 @conversion_options(
-    "strategy", "firmware", "limits", "extrusion", "clamp", "force", "tolerance", "retract",
+    "strategy", "firmware", "limits", "extrusion", "clamp", "force", "tolerance",
     "predict", "max_error", "jobs",
 )  # fmt: skip
 @json_option

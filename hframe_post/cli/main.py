@@ -73,6 +73,7 @@ GONE_OPTIONS = {  # former options by command, and what replaced them
     ("check", "--gcode"): "write the run with 'hframe-post measure --for check -o CHECK.GCODE'",
     ("check", "--axis"): "the run moves both axes; where the bed moves, each has its file",
     ("check", "--axes"): MOUNTED,
+    ("convert", "--retract"): "retractions are made before the travel, as in the file",
     ("doctor", "--klippy-log"): "docs/klipper.md names the versions of Klipper that cannot do it",
     ("doctor", "--report"): "its output says all",
     ("doctor", "--history"): "the console says what each check has found",

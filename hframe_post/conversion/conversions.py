@@ -109,7 +109,7 @@ class SpanWriter:
             skip_slow=options.tolerance is not None, advance=start.advance,
             whole=0 if start.place else WHOLE,
         )  # fmt: skip
-        rules = own.motion(options.tolerance, options.retract == "moving")
+        rules = own.motion(options.tolerance)
         writer = GcodeWriter(
             options.strategy, rules, own.code(), place=start.place, offset=start.offset
         )

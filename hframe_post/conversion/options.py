@@ -32,7 +32,6 @@ TOLERANCE = 0.007
 UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0}
 
 Kind = Literal["gcode", "steps", "samples"]
-Retract = Literal["standing", "moving"]
 
 
 def error_bound(text: str) -> float:
@@ -142,11 +141,6 @@ class Options:
         help="Meaning of E before the first M82 or M83 in the file, if a start macro of the "
         "printer sets it.",
     )  # fmt: skip
-    retract: Retract = option(
-        "standing", "--retract", decides=True, rare=True, choices=named(get_args(Retract)),
-        help="For Klipper: retract before the travel as in the file, or during it where there is "
-        "time.",
-    )  # fmt: skip
     format: Kind | None = option(
         None, "--format", rare=True, choices=named(get_args(Kind)),
         help="Output format: G-code, motor steps, or samples every millisecond. Default: by the "
@@ -175,7 +169,7 @@ class Options:
     shaping: Shaping | None = None
 
     def __post_init__(self) -> None:
-        for name in ("limits", "extrusion", "retract", "format"):
+        for name in ("limits", "extrusion", "format"):
             given, choices = getattr(self, name), SHOWN[name].choices
             if given is not None and given not in choices:
                 raise OptionError(f"{name} must be one of {', '.join(choices)}, not {given!r}")

@@ -143,7 +143,7 @@ class Chain:
         skip_slow: leave out samples of slow motion, as ``sample`` does.
         """
         options, printer = self.options, self.printer
-        rules = self.firmware.motion(options.tolerance, options.retract == "moving")
+        rules = self.firmware.motion(options.tolerance)
         rests = stop_rules(printer.compensation.stops, options.strategy, rules.stop_rules)
         return sample(items, self.caps, rests, skip_slow=skip_slow)
 

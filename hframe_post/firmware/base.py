@@ -155,12 +155,11 @@ class Firmware(ABC):
         self.printer = printer
 
     @abstractmethod
-    def motion(self, tolerance: float | None, retract_moving: bool = False) -> MotionRules:
+    def motion(self, tolerance: float | None) -> MotionRules:
         """Return its motion.
 
-        tolerance: of decimation, mm; None keeps every sample. retract_moving: filament is retracted
-        in motion. Raises PrinterError where the profile lacks the firmware's table, HframeError
-        where it cannot retract in motion.
+        tolerance: of decimation, mm; None keeps every sample. Raises PrinterError where the profile
+        lacks the firmware's table.
         """
 
     @abstractmethod
@@ -250,6 +249,5 @@ def unlimited(limits: Limits, deviation: float = math.inf) -> Limits:
     """
     return replace(
         limits, velocity=math.inf, acceleration=math.inf, square_corner_velocity=math.inf,
-        junction_deviation=deviation, jerk=1e12, deceleration=math.inf, travel_velocity=0.0,
-        travel_acceleration=0.0,
+        junction_deviation=deviation, jerk=1e12, deceleration=math.inf,
     )  # fmt: skip

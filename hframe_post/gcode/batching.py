@@ -18,7 +18,6 @@ from hframe_post.gcode.state import ROUNDED_S, Extent, ReadOptions, State
 from hframe_post.native.plain_lines import (
     APPLY,
     HARMLESS,
-    LEAVE,
     SETS,
     SHOWS,
     SKIP,
@@ -135,8 +134,6 @@ class PlainLines:
             if limits != "printer" else SKIP
             for name in ("M204", "M205", commands.LIMITS)
         ]  # fmt: skip
-        if m204 == APPLY and others.travel < math.inf:
-            m204 = LEAVE
         if dialect.has_deviation:
             m205 = SKIP
         moves = state.absolute and state.e_mode_known and all(state.known)

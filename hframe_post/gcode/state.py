@@ -267,8 +267,6 @@ class State:
         if name == "M204":
             before = self.acceleration, self.travel_acceleration
             self.acceleration, self.travel_acceleration = self._dialect.accelerations(words, before)
-            if "S" in words or "T" in words:
-                self._limit(travel=words.get("T", math.inf))
             if self.others.retract < math.inf:
                 self._limit(retract=words.get("R", self.others.retract))
         elif name == "M205" and self._dialect.has_deviation:

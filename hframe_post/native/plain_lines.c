@@ -7,7 +7,7 @@
 #include "kernels.h"
 
 enum { EXACT_DIGITS = 15, LONGEST_LINE = 512, ROW = 8, MARK = 4, TAKEN = 6, CELL = 32, CELLS = 1024 };
-enum { LEAVE, APPLY, SKIP };          /* what to do with a line that limits the motion */
+enum { APPLY, SKIP };                 /* what to do with a line that limits the motion */
 enum { NO_MOVE, TRAVELS, STANDS };    /* a move: x or y changes; only z or e does */
 
 /* Powers of ten that a double holds exactly: a number of 15 digits over one of them is rounded once,
@@ -330,7 +330,7 @@ static const char *limit(const char *c, const char *last, const struct rules *ru
                          struct state *state)
 {
     const char *next;
-    if ((next = after(c, last, "M204 ")) != NULL && rules->m204 != LEAVE)
+    if ((next = after(c, last, "M204 ")) != NULL)
         return coded_limit(next - 1, last, rules->m204, 0, state);
     if ((next = after(c, last, "M205 ")) != NULL)
         return coded_limit(next - 1, last, rules->m205, 1, state);

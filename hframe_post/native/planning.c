@@ -6,9 +6,8 @@ struct limited { /* a move; the deviation is that of its junctions; alone: x and
 enum { OF_MOVE = 5 };
 
 struct rules { /* those of the printer, and of the file for motors A and B, z and e */
-    double cruise, travel_cruise, acceleration, travel_acceleration, z_cruise, retraction, melted,
-        z_acceleration, e_acceleration, corner, deviation, axis_velocity[COLUMNS],
-        axis_acceleration[COLUMNS], belts[2][2];
+    double cruise, acceleration, z_cruise, retraction, melted, z_acceleration, e_acceleration, corner,
+        deviation, axis_velocity[COLUMNS], axis_acceleration[COLUMNS], belts[2][2];
 };
 
 /* Return the length of a move, of filament if nothing else moves; share: what a mm of it is of motors A
@@ -59,11 +58,9 @@ static int64_t limit_moves(const double *points, const double *speed, const doub
 {
     for (int64_t k = 0; k < n; k++, points += COLUMNS) {
         double delta[COLUMNS], share[COLUMNS], length = find_shares(points, rules->belts, delta, share);
-        int travels = delta[E] == 0.0, alone = delta[X] == 0.0 && delta[Y] == 0.0;
-        double path_cruise = travels ? rules->travel_cruise : rules->cruise;
-        double hardest = travels ? rules->travel_acceleration : rules->acceleration;
-        double cruise = lesser(speed[k], alone ? INFINITY : path_cruise);
-        double a = lesser(acceleration[k], alone ? INFINITY : hardest);
+        int alone = delta[X] == 0.0 && delta[Y] == 0.0;
+        double cruise = lesser(speed[k], alone ? INFINITY : rules->cruise);
+        double a = lesser(acceleration[k], alone ? INFINITY : rules->acceleration);
         double retracting = delta[E] < 0.0 ? share[E] : 0.0, extruding = share[E] - retracting;
         for (int c = 0; c < COLUMNS; c++)
             cruise = lesser(cruise, rules->axis_velocity[c] / share[c]);

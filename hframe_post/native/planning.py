@@ -92,10 +92,10 @@ def limit_moves(
 ) -> Array:
     """Return the table (n, 5) of moves between points (n + 1, 4) with limits.
 
-    speed, acceleration, corner (n,): what the file asks for. rules (23,): cruise speed,
-    that of travels, acceleration, that of travels, speed in z, of retractions, of melted filament,
-    acceleration in z, of filament, speed through a square corner, junction deviation; then speed
-    and acceleration of motors A and B, z and e, and the matrix from x, y to A and B.
+    speed, acceleration, corner (n,): what the file asks for. rules (21,): cruise speed,
+    acceleration, speed in z, of retractions, of melted filament, acceleration in z, of filament,
+    speed through a square corner, junction deviation; then speed and acceleration of motors A and
+    B, z and e, and the matrix from x, y to A and B.
     """
     table = np.empty((len(speed), 5))
     kernels.limit_moves(points, speed, acceleration, corner, len(table), rules, table)

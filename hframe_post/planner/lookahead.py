@@ -34,7 +34,6 @@ from hframe_post.native.planning import (
     greatest_speeds,
     limit_moves,
 )
-from hframe_post.planner.pacing import with_travel_limits
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.marks import NO_MARKS, Marks
 from hframe_post.stream.types import (
@@ -66,7 +65,7 @@ def plan(
     late: see ``Lookahead``.
     """
     queue = Lookahead(limits, batch, longest, joins=joins, late=late)
-    for item in with_travel_limits(items, limits):
+    for item in items:
         if isinstance(item, Marks) and queue.count:
             queue.carry(item)
         elif isinstance(item, Moves) or (isinstance(item, MoveAtRest) and queue.joins):
@@ -134,8 +133,7 @@ class Lookahead:
         limits, z_share = self._limits, self._z_share
         velocity = min(limits.velocity, own.path)
         return np.array([
-            velocity, limits.travel_velocity or velocity, limits.acceleration, limits.hardest,
-            limits.z_velocity, limits.extruder_velocity, MELTED,
+            velocity, limits.acceleration, limits.z_velocity, limits.extruder_velocity, MELTED,
             z_share * limits.z_acceleration, z_share * limits.extruder_acceleration,
             limits.square_corner_velocity, min(limits.junction_deviation, own.deviation),
             *own.velocity, *own.acceleration, *own.belts[0], *own.belts[1],

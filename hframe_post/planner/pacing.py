@@ -1,7 +1,4 @@
-"""Speeds and accelerations of moves, changed before they are planned: of travel, and by a factor.
-
-file's moves ──► accelerations at the pace asked for ──► travel ──► look-ahead
-"""
+"""Accelerations of moves times a factor, before they are planned."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Z
+from hframe_post.arrays import Array
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.features import Place, kind
 from hframe_post.stream.marks import Marks
@@ -19,36 +16,6 @@ from hframe_post.stream.types import Item, Moves, Passthrough, frozen
 
 NOT_RAISED = ("bridge", "ironing", "interface", "skirt")  # features
 FIRST_LAYERS = 1  # must stick to the bed, so they are not printed harder than in the file
-
-
-def with_travel_limits(items: Iterable[Item], limits: Limits) -> Iterator[Item]:
-    """Yield the items with the profile's speed and acceleration of travel, if it has any.
-
-    Travel extrudes nothing, so it need not be traced exactly. Its acceleration becomes
-    ``limits.travel_acceleration``, or what the file asks for in travel alone. Its speed becomes
-    ``limits.travel_velocity`` where it is level and, in the file, no slower than the last
-    extrusion: slower travel is meant to be slow, for instance to wipe the nozzle.
-    """
-    if not (limits.travel_velocity or limits.travel_acceleration):
-        yield from items
-        return
-    printed = np.inf  # mm/s of the last extrusion; none yet
-    for item in items:
-        if not isinstance(item, Moves):
-            yield item
-            continue
-        delta = np.diff(item.points, axis=0)
-        travels = delta[:, E] == 0.0
-        acceleration, speed = item.acceleration.copy(), item.speed.copy()
-        if limits.travel_acceleration:
-            acceleration[travels] = min(limits.travel_acceleration, item.limits.travel)
-        printing = np.where(delta[:, E] > 0.0, np.arange(len(speed)), -1)
-        last = np.maximum.accumulate(printing)
-        before = np.where(last < 0, printed, item.speed[last])
-        printed = float(item.speed[last[-1]]) if last[-1] >= 0 else printed
-        if limits.travel_velocity:
-            speed[travels & (delta[:, Z] == 0.0) & (item.speed >= before)] = limits.travel_velocity
-        yield replace(item, speed=frozen(speed), acceleration=frozen(acceleration))
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +35,7 @@ class Pace:
             return limits
         accelerations = {
             name: self._at(getattr(limits, name), self.acceleration)
-            for name in ("acceleration", "deceleration", "travel_acceleration")
+            for name in ("acceleration", "deceleration")
         }
         return replace(
             limits, jerk=self.factor * limits.jerk,

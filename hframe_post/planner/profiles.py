@@ -182,33 +182,3 @@ class ProfileAtRest:
         """Return x, y, z, e after ``first``, first + 1, … samples of the move, (n, 4)."""
         ends = np.array([move.start, move.end])
         return move_at_rest(self.trapezoid.row, ends, first, n, self.samples)
-
-
-class TravelRetraction:
-    """A retraction made during the travel that follows it."""
-
-    def __init__(self, trapezoid: Trapezoid) -> None:
-        self._trapezoid, self._samples = trapezoid, 0
-        self.finished = False
-
-    @classmethod
-    def if_it_fits(
-        cls, move: MoveAtRest, travel: Plan, limits: Limits, acceleration: float
-    ) -> TravelRetraction | None:
-        """Return the retraction, or None if ``move`` is none or the travel is too short for it."""
-        length = move.start[E] - move.end[E]
-        if length <= 0.0 or move.end[Z] != move.start[Z]:
-            return None
-        trapezoid = Trapezoid(length, min(move.speed, limits.extruder_velocity), acceleration)
-        extruding = np.flatnonzero(np.diff(travel.points[:, E]) != 0.0)
-        way = float(travel.s[extruding[0]] if len(extruding) else travel.s[-1])
-        fits = way >= trapezoid.seconds * float(travel.cruise.max())
-        return cls(trapezoid) if fits else None
-
-    def remaining(self, n: int) -> Array:
-        """Return the filament (n,), mm, that is not retracted yet at each of the next samples."""
-        way = self._trapezoid
-        t = TS * np.arange(self._samples + 1.0, self._samples + n + 1.0)
-        self._samples += n
-        self.finished = bool(t[-1] >= way.seconds)
-        return np.where(t < way.seconds, way.length - way.distance(t), 0.0)

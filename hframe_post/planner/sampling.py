@@ -19,7 +19,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E
 from hframe_post.native.planning import follow, path_lengths, phases, samples_until
 from hframe_post.planner.output import Output
-from hframe_post.planner.profiles import Profile, ProfileAtRest, Profiler, TravelRetraction
+from hframe_post.planner.profiles import Profile, ProfileAtRest, Profiler
 from hframe_post.planner.stopping import Change, State, Stopping
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.marks import Marks
@@ -112,7 +112,6 @@ class _Sampler:
         self._acceleration = 0.0  # of the last motion, mm/s²
         self._filament_at_mark: float | None = None  # at a mark on the next sample
         self._waiting_lines: list[Marks] = []  # at the end of motion, until the command rests
-        self._retraction: TravelRetraction | None = None
 
     # ------------------------------------------------------------------ motion
 
@@ -173,16 +172,13 @@ class _Sampler:
         marks = self._pin(plan, marks, s, xyze)
         if arrives:
             xyze[-1] = plan.points[-1]
-        if self._retraction is not None:
-            xyze[:, E] += self._retraction.remaining(n)
-            self._retraction = None if self._retraction.finished else self._retraction
         self.output.add(xyze, plan.line[move])
         return marks
 
     def _slow_parts(self, plan: Plan, motion: Array, last: int) -> deque[tuple[int, int]]:
         """Return the samples, first and last, that can be left out of slow straights."""
         parts = deque[tuple[int, int]]()
-        if not self._skip_slow or self._retraction is not None:
+        if not self._skip_slow:
             return parts
         time, duration, s, v, a, j = motion
         long = np.flatnonzero(duration > (FEWEST + 2 * KEPT) * TS)
@@ -253,8 +249,6 @@ class _Sampler:
         out = self.output
         if out.last is None:
             yield from out.rest(np.array(move.start), 1)
-        if self._retracts_in_motion(move, motion):
-            return
         planned = move.entry, move.leaving
         at_ends = planned if any(planned) else self._corner_speeds(motion)
         profile = ProfileAtRest.from_move(move, self._limits, *at_ends)
@@ -278,15 +272,6 @@ class _Sampler:
                 yield from out.flush()
         if way.v_e and not any(planned):
             yield from self._change(Change.LEAVE)
-
-    def _retracts_in_motion(self, move: MoveAtRest, motion: Plan | None) -> bool:
-        """Return whether a retraction is left to the travel that follows it."""
-        acceleration = self._rules.retract_acceleration
-        if motion is None or not acceleration or self._stopping.settled:
-            return False
-        moving = TravelRetraction.if_it_fits(move, motion, self._limits, acceleration)
-        self._retraction = moving or self._retraction
-        return moving is not None
 
     def _corner_speeds(self, motion: Plan | None) -> tuple[float, float]:
         """Return z's greatest speeds, mm/s, next to the motion before and after a lift."""

@@ -150,6 +150,9 @@ OLD_KEYS = {
     "speed.filament_acceleration": "limits.extruder_acceleration holds for any print",
     "speed.model_error": "max_error is compared with the range of the measured model",
     "speed.max_width_error": "the summary shows the error of the lines' width",
+    **dict.fromkeys(
+        ("limits.travel_velocity", "limits.travel_acceleration"), "slicers have both for travel"
+    ),
     "speed.avoid": "in the slicer, give outer walls a speed at which the motors shake less",
 }
 

@@ -60,7 +60,6 @@ class Limits:
     where they differ from the firmware's own, in its table (`Firmware.caps`).
     deceleration limits braking more than acceleration does. flow (mm³/s) limits what
     ``calibrate-print`` prints. filament_density (g/cm³) makes a moving bed heavier.
-    travel_velocity and travel_acceleration, unless 0, replace those of the file for travel.
     Raises ArgumentError if reaching full speed would take more than MAX_RAMP_S.
     """
 
@@ -78,8 +77,6 @@ class Limits:
     flow: float = within(0.1, 1e3, default=15.0)
     filament_diameter: float = within(0.5, 5.0, default=1.75)
     filament_density: float = within(0.1, 25.0, default=1.24)
-    travel_velocity: float = not_negative(0.0, most=1e4)
-    travel_acceleration: float = not_negative(0.0, most=1e6)
 
     @property
     def filament_mass(self) -> float:
@@ -90,21 +87,10 @@ class Limits:
     def _filament_area(self) -> float:
         return math.pi / 4.0 * self.filament_diameter**2
 
-    @property
-    def fastest(self) -> float:
-        """Return the maximum speed of travel, mm/s."""
-        return self.travel_velocity or self.velocity
-
-    @property
-    def hardest(self) -> float:
-        """Return the maximum acceleration of travel, mm/s²."""
-        return self.travel_acceleration or self.acceleration
-
     def __post_init__(self) -> None:
         ramps = {
             "acceleration": self.velocity / self.acceleration + self.acceleration / self.jerk,
-            "deceleration": self.fastest / min(self.deceleration, self.acceleration),
-            "travel_acceleration": self.fastest / self.hardest + self.hardest / self.jerk,
+            "deceleration": self.velocity / min(self.deceleration, self.acceleration),
             "z_acceleration": self.z_velocity / self.z_acceleration,
             "extruder_acceleration": self.extruder_velocity / self.extruder_acceleration,
         }

@@ -28,13 +28,11 @@ class FileLimits:
     velocity, acceleration: of the motors A and B, of z and e (M203, M201). belts: from x, y to A
     and B. path: speed along the path (VELOCITY). deviation: of junctions (M205 J). cruise_ratio: of
     a move that brakes as soon as it has accelerated, the share that must be at constant speed.
-    travel: acceleration requested for travel alone (M204 T), whether the firmware obeys it or not.
     retract: acceleration of filament where nothing else moves (M204 R); inf: the firmware has none.
     """
 
     velocity: Position = (math.inf,) * 4
     acceleration: Position = (math.inf,) * 4
-    travel: float = math.inf
     retract: float = math.inf
     path: float = math.inf
     deviation: float = math.inf
@@ -196,9 +194,8 @@ class StopRules:
     takes ``long_from`` samples or longer, and at the ends of a stretch.
     lift_speed: mm/s of z between a lift and motion in x and y that directly precedes or follows it,
     if neither needs samples of rest; 0: z comes to rest there.
-    retract_acceleration: mm/s² with which filament is retracted during the travel that follows, if
-    it lasts long enough; 0: retract before it. joined: firmware passes into lifts and retractions
-    at a speed, so that x and y stop there as in a corner, and short rests bring nothing.
+    joined: firmware passes into lifts and retractions at a speed, so that x and y stop there as in
+    a corner, and short rests bring nothing.
     """
 
     before: int = 0
@@ -206,7 +203,6 @@ class StopRules:
     long_rest: int = 0
     long_from: int = 1 << 60
     lift_speed: float = 0.0
-    retract_acceleration: float = 0.0
     joined: bool = False
 
 

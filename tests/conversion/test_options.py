@@ -35,7 +35,7 @@ def test_without_words_the_command_line_has_the_defaults_of_the_library() -> Non
     [
         Options(),
         Options("fbs", limits="printer", clamp=False, force=True, jobs=3),
-        Options("none", ("none", "fbs", "racking"), extrusion="relative", retract="moving"),
+        Options("none", ("none", "fbs", "racking"), extrusion="relative"),
         Options(predict=(), format="steps", firmware="marlin", tolerance=0.05),
         Options(max_error=0.055),
     ],
@@ -48,12 +48,12 @@ def test_words_are_read_back_as_the_same_options(options: Options) -> None:
 def test_every_option_is_read() -> None:
     words = (
         "--compensation racking --firmware klipper --limits file-all --extrusion absolute "
-        "--on-limit error --force --tolerance 0 --retract moving --predict off --jobs 2 "
+        "--on-limit error --force --tolerance 0 --predict off --jobs 2 "
         "--format samples --max-error 15um"
     )
     assert read(*words.split()) == Options(
         "racking", (), limits="file-all", clamp=False, tolerance=None, extrusion="absolute",
-        retract="moving", format="samples", firmware="klipper", force=True,
+        format="samples", firmware="klipper", force=True,
         max_error=0.015, jobs=2,
     )  # fmt: skip
 
@@ -67,7 +67,7 @@ def test_what_does_not_go_together_is_wrong_usage() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"limits": "non"}, {"extrusion": "x"}, {"retract": ""}, {"format": "rtf"}, {"tolerance": 1.0}],
+    [{"limits": "non"}, {"extrusion": "x"}, {"format": "rtf"}, {"tolerance": 1.0}],
 )
 def test_wrong_values_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(OptionError):

@@ -91,7 +91,7 @@ class Stub(Firmware):
     dialect = Dialect(frozenset({"M204"}), _accelerations, _dwell)
     configuration = "stub.txt"
 
-    def motion(self, tolerance: float | None, retract_moving: bool = False) -> StubMotion:
+    def motion(self, tolerance: float | None) -> StubMotion:
         return StubMotion()
 
     def code(self) -> StubCode:

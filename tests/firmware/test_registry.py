@@ -27,8 +27,8 @@ def test_command_line_takes_what_is_registered() -> None:
         known_firmware("reprap")
 
 
-def motion(printer: Printer, tolerance: float | None, retract_moving: bool = False) -> MotionRules:
-    return firmware(printer).motion(tolerance, retract_moving)
+def motion(printer: Printer, tolerance: float | None) -> MotionRules:
+    return firmware(printer).motion(tolerance)
 
 
 def test_lifts_pass_into_motion_only_on_klipper_and_no_faster_than_a_corner() -> None:
@@ -42,14 +42,6 @@ def test_lifts_pass_into_motion_only_on_klipper_and_no_faster_than_a_corner() ->
         == motion(marlin, 0.014).stop_rules.lift_speed
         == 0.0
     )
-
-
-def test_only_klipper_retracts_in_motion() -> None:
-    moving = motion(load("paper"), 0.014, retract_moving=True)
-    assert moving.stop_rules.retract_acceleration == pytest.approx(300.0)
-    assert motion(load("paper"), 0.014).stop_rules.retract_acceleration == 0.0
-    with pytest.raises(HframeError, match="Marlin does not retract in motion"):
-        motion(load("paper-marlin"), 0.014, retract_moving=True)
 
 
 def with_dialect(name: str) -> Printer:

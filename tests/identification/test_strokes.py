@@ -121,13 +121,6 @@ def test_weak_motors_and_klippers_own_limits_lower_it() -> None:
     below(float(np.hypot(*rates(one.command, 1).T).max()), 60.001, "speed, mm/s")
 
 
-def test_travel_of_a_profile_does_not_count(paper: Printer) -> None:
-    limits = replace(paper.limits, travel_velocity=20.0, travel_acceleration=500.0)
-    place = (140.0, 147.5)
-    slow_travel = command(replace(paper, limits=limits), place, seconds=4.0)
-    assert np.array_equal(slow_travel, command(paper, place, seconds=4.0))
-
-
 @pytest.mark.parametrize("place", [(-1.0, 100.0), (140.0, 294.0), (0.0, 100.0)])
 def test_a_place_without_room_is_an_error(paper: Printer, place: tuple[float, float]) -> None:
     with pytest.raises(LimitError, match="--position"):

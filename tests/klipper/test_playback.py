@@ -158,21 +158,6 @@ def test_lifts_pass_into_motion_as_intended(tmp_path: Path) -> None:
     assert not any(w for w in run.playback.warnings if "M106" not in w)
 
 
-def test_filament_is_retracted_in_motion_as_intended(tmp_path: Path) -> None:
-    """Klipper's rule for extrusion at corners holds nothing up, and no filament is lost."""
-    lines = [line for line in hops(0, 14) if b"Z0.3 F1200" not in line and line[:4] != b"G1 Z"]
-    run = lines_played(lines, tmp_path, Options("racking", limits="printer", retract="moving"))
-    standing = sum(row.startswith(b"G1 E-") for row in run.text.splitlines())
-    assert 0 < standing < 10  # of 14, where travel is too short
-    start, offset = first_offset(run)
-    t = np.arange(start, len(run.command)) * TS + offset
-    off = np.hypot(*(run.playback.position(t)[:, :2] - run.command[start:]).T)
-    below(rms(off), 0.012, "RMS distance to the command, mm")
-    end, filament = run.playback.end, run.report.filament_after
-    assert filament is not None
-    near(run.playback.extruded([end])[0], filament, 1e-3, "filament, mm")
-
-
 def hardest(run: Played, printer: Printer, over: float) -> float:
     """Return the greatest mean acceleration of a belt over a time (s) in the stream, mm/s²."""
     moves = run.playback.moves

@@ -305,7 +305,7 @@ def test_boards_fit_arcs_into_short_gentle_turns_only(turn: float, fits: bool) -
     way = length * np.array([[1.0, 0.0], [np.cos(angle), np.sin(angle)]])
     points = np.column_stack([np.cumsum(np.vstack([[0.0, 0.0], way]), axis=0), np.zeros((3, 2))])
     table = np.tile([length, 300.0, a, deviation, 0.0], (2, 1))
-    rules = np.full(23, np.inf)
+    rules = np.full(21, np.inf)
     rules[-4:] = 1.0, 0.0, 0.0, 1.0
     half = (np.pi - angle) / 2.0  # of the angle between the moves
     arc = np.sqrt(deviation * a * np.sin(half) / (1.0 - np.sin(half)))

@@ -291,46 +291,6 @@ def test_a_long_or_a_combined_lift_comes_to_rest() -> None:
     assert (pause.entry, pause.leaving) == (0.0, 0.0)
 
 
-# ---------------------------------------------------------------------- retractions on the way
-
-MOVING = replace(RESTS, retract_acceleration=300.0)
-
-
-def with_retraction(
-    length: float, rests: StopRules = MOVING, size: int = 100
-) -> tuple[Array, list[Event]]:
-    """Return samples and events of: print, retract, travel 50 mm at 100 mm/s, print."""
-    e = 2.0 - length
-    back = MoveAtRest(4, (50, 0, 0.2, 2), (50, 0, 0.2, e), 45.0)
-    after = moves([(50, 0, 0.2, e), (100, 0, 0.2, e), (100, 50, 0.2, e + 3.0)])
-    return whole(sampled([there(), back, *cut(after, size)], rests=rests))
-
-
-def test_a_retraction_during_travel_takes_all_of_its_filament() -> None:
-    xyze, events = with_retraction(0.8)
-    assert not [e for e in events if isinstance(e, Dwell)]
-    e, x = xyze[:, E], xyze[:, 0]
-    rate = np.diff(e) / TS
-    travel = (x[1:] > 50.0) & (xyze[1:, 1] == 0.0)
-    assert (rate[travel] <= 1e-9).all()
-    assert np.abs(np.diff(rate[travel])).max() <= 300.0 * TS * 1.01
-    assert e[np.argmax(xyze[:, 1] > 0.0) - 1] == pytest.approx(1.2)  # before it prints again
-    assert e[-1] == pytest.approx(4.2)
-    stood, with_pause = with_retraction(0.8, RESTS)
-    assert len([e for e in with_pause if isinstance(e, Dwell)]) == 1
-    assert len(xyze) < len(stood) - 30
-    np.testing.assert_array_equal(xyze[-1], stood[-1])
-
-
-def test_a_retraction_is_made_at_rest_where_the_travel_is_too_short_or_follows_no_motion() -> None:
-    _, events = with_retraction(30.0)
-    assert len([e for e in events if isinstance(e, Dwell)]) == 1
-    back = MoveAtRest(4, (50, 0, 0.2, 2), (50, 0, 0.2, 1.2), 45.0)
-    for before in (list[Item](), [there(), DWELL], [there(), LIFT]):
-        _, events = whole(sampled([*before, back, there(50.0)], rests=MOVING))
-        assert [e for e in events if isinstance(e, Dwell) and e.action is back]
-
-
 def standing(start: Array, end: Array, speed: float) -> tuple[Dwell, Array]:
     action = MoveAtRest(1, tuple(start.tolist()), tuple(end.tolist()), speed)
     blocks = sampled([action])

@@ -103,9 +103,9 @@ class Klipper(Firmware):
     newer_versions = "Klipper of 27 April 2026 or newer"
     configuration = "printer.cfg"
 
-    def motion(self, tolerance: float | None, retract_moving: bool = False) -> KlipperMotion:
+    def motion(self, tolerance: float | None) -> KlipperMotion:
         code, corner = self.code(), self.printer.limits.square_corner_velocity
-        return KlipperMotion(code.table, code.stream, tolerance, corner, retract_moving)
+        return KlipperMotion(code.table, code.stream, tolerance, corner)
 
     def code(self) -> KlipperCode:
         return KlipperCode.from_printer(self.printer)

@@ -25,15 +25,13 @@ class KlipperMotion(MotionRules):
     """Klipper's motion.
 
     tolerance: mm by which the decimated command may miss a sample; None keeps every sample.
-    users_corner: the user's square corner velocity, mm/s. retract_moving: whether filament is
-    retracted in motion, where every sample is written.
+    users_corner: the user's square corner velocity, mm/s.
     """
 
     table: KlipperTable
     limits: StreamLimits
     tolerance: float | None = None
     users_corner: float = 0.0
-    retract_moving: bool = False
 
     @property
     def lines_per_second(self) -> float:
@@ -44,26 +42,15 @@ class KlipperMotion(MotionRules):
         """Return how lifts and retractions pass into motion.
 
         A lift passes no faster than a square corner of the user's, and comes to rest where every
-        sample is written. Filament in motion changes its speed by a share of what Klipper allows
-        the extruder at a junction, of which x and y need the most.
+        sample is written.
         """
-        share = 0.3
-        moving = share * self.limits.extruder_corner_velocity / TS if self.retract_moving else 0.0
-        if self.tolerance is None:
-            return StopRules(retract_acceleration=moving)
         corner = self.limits.lift_corner
-        return StopRules(
-            lift_speed=corner if corner <= self.users_corner else 0.0,
-            retract_acceleration=moving,
-        )
+        passes = self.tolerance is not None and corner <= self.users_corner
+        return StopRules(lift_speed=corner if passes else 0.0)
 
     def segments(self, points: Array, forced: Flags, last: bool) -> tuple[Integers, Array]:
         if self.tolerance is None:
             return np.arange(1, len(points)), points[1:]
-        if self.retract_moving:
-            back = np.flatnonzero(np.diff(points[:, E]) < 0.0)
-            forced = forced.copy()
-            forced[back] = forced[back + 1] = True
         ends = breakpoints(points, forced, self.tolerance)
         if self.lines_per_second < math.inf:
             ends = sparser(

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hframe_post.errors import HframeError, PrinterError
+from hframe_post.errors import PrinterError
 from hframe_post.firmware.base import (
     UNLIMITED_DEVIATION,
     Firmware,
@@ -60,15 +60,10 @@ class Marlin(Firmware):
     )  # fmt: skip
     configuration = "m503.txt"
 
-    def motion(self, tolerance: float | None, retract_moving: bool = False) -> MarlinMotion:
+    def motion(self, tolerance: float | None) -> MarlinMotion:
         """Return its motion. tolerance: not used, segments are as long as whole steps make them."""
         from hframe_post.firmware.marlin.motion import MarlinMotion
 
-        if retract_moving:
-            raise HframeError(
-                "Marlin does not retract in motion: leave out --retract moving, or write for "
-                "Klipper with --firmware klipper"
-            )
         return MarlinMotion(self.code(), self.printer.kinematics)
 
     def code(self) -> MarlinCode:

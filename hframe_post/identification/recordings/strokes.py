@@ -113,8 +113,8 @@ def within_limits(printer: Printer) -> Printer:
     """Return the printer with the limits of the motion: those of a print that does not travel."""
     velocity, acceleration = allowed(printer, printer.kinematics.min_speed_ratio, MARGIN)
     gentle = replace(
-        printer.limits, velocity=velocity, acceleration=acceleration, travel_velocity=0.0,
-        travel_acceleration=0.0, jerk=min(printer.limits.jerk, RAMP_HZ * acceleration),
+        printer.limits, velocity=velocity, acceleration=acceleration,
+        jerk=min(printer.limits.jerk, RAMP_HZ * acceleration),
     )  # fmt: skip
     return replace(printer, limits=gentle)
 
