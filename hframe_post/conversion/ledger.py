@@ -20,18 +20,13 @@ from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
 from hframe_post.firmware.dialect import object_label
 from hframe_post.gcode.state import ROUNDED_S
-from hframe_post.planner.profiles import ProfileAtRest
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
-from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import (
     Dwell,
     Item,
     MoveAtRest,
     Moves,
     Passthrough,
-    Plan,
-    Planned,
-    Rest,
     Samples,
 )
 from hframe_post.writers.gcode import GcodeSummary
@@ -105,28 +100,25 @@ class StepTally:
 class Ledger:
     """What a conversion noted; mm and s.
 
-    Of the file: read, path. Of its plans: ramps, the motion if nothing limited its jerk; slowed,
-    the share of the path that is slower so that the motors can follow; following, the share of the
-    lines that accelerate less for the extruder, and the least of these accelerations. As sliced:
-    sliced_s, as the firmware plays it; elsewhere, an estimate for moves from unknown places, in
-    neither time.
+    Of the file: read, path. Of its plans: slowed, the share of the path that is slower so that the
+    motors can follow; following, the share of the lines that accelerate less for the extruder, and
+    the least of these accelerations. As sliced: sliced_s, as the firmware plays it; elsewhere, an
+    estimate for moves from unknown places, in neither time.
 
-    Of the samples: their number; resting, those added at stops; judged, those whose errors were
-    predicted; filament_out; peaks; clamped; advancing, pressure advance; contour and width, errors
-    by strategy; picture, if one was asked for.
+    Of the samples: their number; judged, those whose errors were predicted; filament_out; peaks;
+    clamped; advancing, pressure advance; contour and width, errors by strategy; picture, if one was
+    asked for.
 
     Of the output: written, steps.
     """
 
     read: FileTally = field(default_factory=FileTally)
     path: PathTally = field(default_factory=PathTally)
-    ramps: float = 0.0
     slowed: float = 0.0
     following: tuple[float, float] | None = None
     sliced_s: float = 0.0
     elsewhere: float = 0.0
     samples: int = 0
-    resting: int = 0
     judged: int = 0
     filament_out: float = 0.0
     peaks: Peaks = field(default_factory=Peaks)
@@ -145,14 +137,14 @@ class Ledger:
 
 
 class FileNotes:
-    """Notes a file: its lines, its items and their plans.
+    """Notes a file: its lines and its items.
 
-    label: see ``Dialect``. limits: of the profile.
+    label: see ``Dialect``.
     """
 
-    def __init__(self, label: Callable[[bytes], bytes | None], limits: Limits) -> None:
-        self.read, self.ramps = FileTally(), 0.0
-        self._label, self._limits, self._path = label, limits, PathTally()
+    def __init__(self, label: Callable[[bytes], bytes | None]) -> None:
+        self.read = FileTally()
+        self._label, self._path = label, PathTally()
         # by form, EXCLUDE_OBJECT or M486: the object that is printed, and where it began
         self._open = dict[bool, tuple[bytes, int]]()
         self._times = dict[str, float]()  # s, that the file said last, except by M73
@@ -200,10 +192,14 @@ class FileNotes:
         self.read.oddities.setdefault(kind, text)
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
-        """Note items as they were read."""
+        """Note items as they were read, and what of the path is not compensated."""
         read = self.read
         for item in items:
             if isinstance(item, Moves):
+                self._waiting.append(item)
+                self._count += len(item.line)
+                if self._count >= MEASURED_TOGETHER:
+                    self._measure()
                 read.moves += len(item.line)
                 read.filament += float(item.points[-1, E] - item.points[0, E])
                 if "filament" not in read.oddities:
@@ -215,6 +211,8 @@ class FileNotes:
                 read.lines = item.line  # the last is the end of the file
                 read.filament += item.filament
                 read.firmware_retractions += _RETRACTION.match(item.text) is not None
+                if item.cause:
+                    self._add_uncompensated(item)
             yield item
         for counted in self._open:
             self._check_closed(counted)
@@ -227,18 +225,6 @@ class FileNotes:
                 "filament", f"line {moves.line[k]} takes back {-fed[k]:.1f} mm of filament while "
                 "it moves, as sliced. Is a G92 E0 or M83 missing before it?"
             )  # fmt: skip
-
-    def asked(self, items: Iterable[Item]) -> Iterator[Item]:
-        """Note the path of items, and what of it is not compensated."""
-        for item in items:
-            if isinstance(item, Moves):
-                self._waiting.append(item)
-                self._count += len(item.line)
-                if self._count >= MEASURED_TOGETHER:
-                    self._measure()
-            elif isinstance(item, Passthrough) and item.cause:
-                self._add_uncompensated(item)
-            yield item
 
     def _measure(self) -> None:
         if not self._waiting:
@@ -260,25 +246,12 @@ class FileNotes:
         self._path.path += move.path
         self._path.filament += filament
 
-    def plans(self, plans: Iterable[Planned]) -> Iterator[Planned]:
-        """Note the time of what is planned if nothing limited its jerk."""
-        for item in plans:
-            if isinstance(item, Plan):
-                self.ramps += float(item.seconds.sum())
-            elif isinstance(item, MoveAtRest):
-                at_ends = item.entry, item.leaving
-                profile = ProfileAtRest.from_move(item, self._limits, *at_ends)
-                self.ramps += profile.trapezoid.seconds
-            elif isinstance(item, Passthrough) and (item.end or not item.cause):
-                self.ramps += item.seconds
-            yield item
-
 
 class SampleNotes:
     """Notes samples on their way to the output."""
 
     def __init__(self) -> None:
-        self.end, self.resting, self.filament = 0, 0, 0.0
+        self.end, self.filament = 0, 0.0
         self._last: float | None = None  # filament at the last sample of the stretch
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
@@ -289,9 +262,7 @@ class SampleNotes:
                 self.filament += last - (first if self._last is None else self._last)
                 self._last = last
             for event in chunk.events:
-                if isinstance(event, Rest):
-                    self.resting += event.samples
-                elif isinstance(event, Dwell) and isinstance(event.action, Passthrough):
+                if isinstance(event, Dwell) and isinstance(event.action, Passthrough):
                     self.filament += event.action.filament
             if chunk.ends_stretch:
                 self._last = None

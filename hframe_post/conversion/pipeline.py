@@ -260,7 +260,7 @@ class Stages:
         """Return what was noted of all samples that were taken so far."""
         notes, errors = self._notes, self._errors
         return Ledger(
-            samples=notes.end, resting=notes.resting, judged=errors.judged,
+            samples=notes.end, judged=errors.judged,
             filament_out=notes.filament, peaks=self._guard.peaks, clamped=self._clamp.clamped,
             advancing=self._advancing.summary, contour=errors.contour,
             width=errors.width, picture=errors.picture,
@@ -286,7 +286,7 @@ class PlannedFile:
 
     def __init__(self, lines: Iterable[bytes], chain: Chain) -> None:
         self._lines, self._chain, self._options = lines, chain, chain.options
-        self._notes = FileNotes(chain.firmware.dialect.label, chain.caps)
+        self._notes = FileNotes(chain.firmware.dialect.label)
         self._sliced = SlicedFile(chain.sliced.printer, chain.sliced)
         self._following = chain.following()
         self._within = chain.within_motors()
@@ -299,11 +299,8 @@ class PlannedFile:
     def spans(self) -> Spans:
         """Yield the spans; use up each before taking the next. Raises HframeError."""
         notes, chain = self._notes, self._chain
-        items = notes.items(chain.read(self._lines, notes))
-        items = read_ahead(items)
-        items = notes.asked(self._sliced.items(items))
-        plans = chain.scheduled(items, followed=self._following, within=self._within)
-        plans = notes.plans(plans)
+        items = read_ahead(notes.items(chain.read(self._lines, notes)))
+        plans = chain.scheduled(self._sliced.items(items), self._following, self._within)
         return Spans(plans, chain.firmware.advance())
 
     @property
@@ -311,7 +308,7 @@ class PlannedFile:
         """Return what was noted of the file so far."""
         notes, own, slowed = self._notes, self._sliced.own, self._following
         return Ledger(
-            read=notes.read, path=notes.path, ramps=notes.ramps,
+            read=notes.read, path=notes.path,
             slowed=self._within.share, sliced_s=own.seconds, elsewhere=own.elsewhere,
             following=None if slowed is None else (slowed.share, slowed.least),
         )  # fmt: skip

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
 from typing import Any
 
-from hframe_post.arrays import TS
 from hframe_post.compensation.shape import SHAPER
 from hframe_post.conversion.ledger import Ledger
 from hframe_post.gcode.reader import CHANGE_OF_OBJECT, START_OF_FILE
@@ -47,15 +46,12 @@ class Row:
 class PrintTime:
     """Duration of the print, s: as the firmware plays the sliced file, and as converted.
 
-    ramps: of the converted path if nothing limited its jerk; resting: added at stops. slowed: share
-    of the path that is slower so that the motors can follow. capped: whether limits of the
-    profile bind what the file asks.
+    slowed: share of the path that is slower so that the motors can follow. capped: whether limits
+    of the profile bind what the file asks.
     """
 
     before: float = 0.0
     after: float = 0.0
-    ramps: float = 0.0
-    resting: float = 0.0
     slowed: float = 0.0
     capped: bool = True
 
@@ -65,24 +61,15 @@ class PrintTime:
         return self.after / self.before - 1.0 if self.before else 0.0
 
     def as_row(self) -> Row:
-        """Return both times, and what costs the difference if it is worth a word."""
-        limits, jerk = self.ramps - self.before, self.after - self.resting - self.ramps
-        why = "lower limits in the profile" if self.capped else "slower corners and stops"
-        if self.slowed:
-            why = f"the limits in [motors], on {percent(self.slowed)} of the path"
-        costs = (limits, why), (jerk, "smoother acceleration"), (self.resting, "rests at stops")
-        least = max(0.5, WORTH_SAYING * self.before)
-        causes = [f"{s:.0f} s for {why}" for s, why in sorted(costs, reverse=True) if s >= least]
+        """Return both times, and which limits cost the difference if it is worth a word."""
         text = f"{duration(self.before)} → {duration(self.after)} ({100.0 * self.change:+.1f} %)"
-        if causes and self.change >= WORTH_SAYING:
-            text += f": {', '.join(causes)}"
+        if self.change >= WORTH_SAYING and self.slowed:
+            text += f": the limits in [motors], on {percent(self.slowed)} of the path"
+        elif self.change >= WORTH_SAYING and self.capped:
+            text += ": lower limits in the profile"
         return Row("print time", text, {
             "print_time_s": {"before": round(self.before, 3), "after": round(self.after, 3)},
             "slowed_for_motors_percent": round(100.0 * self.slowed, 2),
-            "time_costs_s": {
-                "limits": round(limits, 3), "jerk": round(jerk, 3),
-                "stops": round(self.resting, 3),
-            },
         })  # fmt: skip
 
 
@@ -161,8 +148,7 @@ class Report(Ledger):
     def time(self) -> PrintTime:
         """Return the duration of the print."""
         before, after = self.sliced_s + self.elsewhere, self.duration + self.elsewhere
-        ramps = self.ramps + self.elsewhere
-        return PrintTime(before, after, ramps, TS * self.resting, self.slowed, self.capped)
+        return PrintTime(before, after, self.slowed, self.capped)
 
     @property
     def predicted(self) -> float:
