@@ -16,7 +16,8 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream, prepared
+from hframe_post.conversion.pipeline import prepared
+from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer

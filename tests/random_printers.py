@@ -8,7 +8,7 @@ import numpy as np
 
 from hframe_post.arrays import Z
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.identification.identify import Identified, MeasurementSettings, Run, identify
 from hframe_post.identification.recordings.clock import Clock
 from hframe_post.identification.recordings.runs import PlannedRun

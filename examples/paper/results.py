@@ -16,7 +16,8 @@ import hframe_post as hp
 from examples.paper.commands import WholeTrajectory, windowed
 from hframe_post.arrays import TS, Array, Complex, E, X, Y, Z
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Chain, SampleStream, prepared
+from hframe_post.conversion.pipeline import Chain, prepared
+from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions

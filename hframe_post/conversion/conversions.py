@@ -19,15 +19,10 @@ from typing import TYPE_CHECKING
 from hframe_post.arrays import Array
 from hframe_post.conversion.ledger import Ledger, StepTally
 from hframe_post.conversion.options import Options, first_line
-from hframe_post.conversion.pipeline import (
-    Chain,
-    PlannedFile,
-    SampleStream,
-    Stages,
-    stop_solvers,
-)
+from hframe_post.conversion.pipeline import Chain, Stages, stop_solvers
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.spans import Span, Spans
+from hframe_post.conversion.whole_file import PlannedFile, SampleStream
 from hframe_post.errors import HframeError, PrinterError
 from hframe_post.gcode.limits import with_motors
 from hframe_post.model.strategies import Compensator

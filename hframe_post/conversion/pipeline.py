@@ -9,16 +9,15 @@
       → predicted     contour error; print time
 
 Conversions and studies all use these stages. A ``Chain`` gives each of them what it needs of the
-printer and of the options, ``Stages`` runs those from samples on and keeps a ledger, and
-``SampleStream`` joins all for a whole file.
+printer and of the options, ``Stages`` runs those from samples on and keeps a ledger;
+``whole_file.py`` joins all.
 """
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -27,17 +26,14 @@ import numpy as np
 from hframe_post.compensation.advance import Advancing
 from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate, hardest
-from hframe_post.compensation.guard import Guard, check_deviation, check_model, check_prediction
+from hframe_post.compensation.guard import Guard, check_deviation, check_model
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
 from hframe_post.conversion.ledger import FileNotes, Ledger, SampleNotes
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.report import AdvanceReport, Report
-from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.conversion.spans import Spans
-from hframe_post.errors import HframeError, PrinterError
+from hframe_post.errors import PrinterError
 from hframe_post.firmware.dialect import Advance
 from hframe_post.firmware.registry import firmware
-from hframe_post.gcode.limits import with_motors
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
@@ -50,12 +46,11 @@ from hframe_post.planner.short_moves import ShortMoves
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.statistics import Labels
-from hframe_post.printer.settings import Limits, Motors, Printer
+from hframe_post.printer.settings import Motors, Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
 from hframe_post.stream.marks import Marks
 from hframe_post.stream.running import prefetch
-from hframe_post.stream.tally import joined
 from hframe_post.stream.types import Item, Moves, Passthrough, Planned, Samples
 
 if TYPE_CHECKING:
@@ -279,128 +274,6 @@ def _picture(printing: Place) -> Picture:
     from hframe_post.prediction.picture import Picture
 
     return Picture(Labels(printing))
-
-
-class PlannedFile:
-    """A file as spans of planned motion, and a ledger of what it asks for."""
-
-    def __init__(self, lines: Iterable[bytes], chain: Chain) -> None:
-        self._lines, self._chain, self._options = lines, chain, chain.options
-        self._notes = FileNotes(chain.firmware.dialect.label)
-        self._sliced = SlicedFile(chain.sliced.printer, chain.sliced)
-        self._following = chain.following()
-        self._within = chain.within_motors()
-
-    @property
-    def sliced_seconds(self) -> float:
-        """Return how long the firmware takes for what was read so far, as sliced."""
-        return self._sliced.own.seconds
-
-    def spans(self) -> Spans:
-        """Yield the spans; use up each before taking the next. Raises HframeError."""
-        notes, chain = self._notes, self._chain
-        items = read_ahead(notes.items(chain.read(self._lines, notes)))
-        plans = chain.scheduled(self._sliced.items(items), self._following, self._within)
-        return Spans(plans, chain.firmware.advance())
-
-    @property
-    def ledger(self) -> Ledger:
-        """Return what was noted of the file so far."""
-        notes, own, slowed = self._notes, self._sliced.own, self._following
-        return Ledger(
-            read=notes.read, path=notes.path,
-            slowed=self._within.share, sliced_s=own.seconds, elsewhere=own.elsewhere,
-            following=None if slowed is None else (slowed.share, slowed.least),
-        )  # fmt: skip
-
-    def report(self, rest: Ledger) -> Report:
-        """Return the report of a conversion whose later stages noted the rest.
-
-        Raises HframeError if the model predicts an error that no working printer has.
-        """
-        printer, options, ledger = self._chain.printer, self._options, joined(self.ledger, rest)
-        contour, width, shaping, share = ledger.contour, ledger.width, None, 1.0
-        if self._judges_today:
-            today = self._sliced.today(live=options.picture)
-            contour, width = {**contour, **today.contour}, {**width, **today.width}
-            shaping, share = today.shaping, today.share
-        if "none" in contour:
-            check_prediction(contour["none"].rms)
-        noted = {each.name: getattr(ledger, each.name) for each in fields(Ledger)}
-        return Report(
-            **noted | {"contour": contour, "width": width}, strategy=options.strategy,
-            shaping=shaping, predicted_sliced=share,
-            couples=printer.kinematics.racks and bool(printer.plant.couplings),
-            notices=tuple(printer.warnings()) if options.strategy != "none" else (),
-            capped=_binds(self._chain.caps),
-            other_tools=printer.firmware.other_tools,
-        )  # fmt: skip
-
-    @property
-    def _judges_today(self) -> bool:
-        return "none" in (self._options.predict or ()) and self._options.strategy != "none"
-
-    def advance(self, ledger: Ledger) -> AdvanceReport | None:
-        """Return what was done about pressure advance, if there is any."""
-        found, limits = ledger.advancing, self._chain.printer.limits
-        if not found.most:
-            return None
-        computed = self._following is not None
-        share, least = self.ledger.following or (0.0, math.inf)
-        return AdvanceReport(
-            found.least, found.most, computed, found.hardest, limits.extruder_acceleration, share,
-            least,
-        )  # fmt: skip
-
-    def check_filament(self, written: float, late: float = 0.0) -> None:
-        """Raise HframeError unless all filament read was written, both in mm.
-
-        late: mm of filament that may still be missing or too much.
-        """
-        lost = self._notes.read.filament - written
-        if abs(lost) > 1e-3 + late:
-            raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")
-
-
-def _binds(caps: Limits) -> bool:
-    """Return whether limits of a profile bind what a file asks."""
-    asked = caps.velocity, caps.acceleration, caps.square_corner_velocity
-    return any(map(math.isfinite, asked))
-
-
-class SampleStream:
-    """Safe commands for the motors of a whole file, streamed in constant memory.
-
-    strategies: to compute; the options' by default. Iterating raises HframeError. The report is
-    complete once all commands were taken.
-    """
-
-    def __init__(
-        self, lines: Iterable[bytes], printer: Printer, options: Options,
-        strategies: tuple[str, ...] = (), compensator: Compensator | None = None,
-    ) -> None:  # fmt: skip
-        lines, printer = with_motors(lines, printer, options.limits)
-        chain = Chain(printer, options)
-        self._source = PlannedFile(lines, chain)
-        self._stages = Stages(chain, compensator or chain.compensator, strategies)
-        self.check_filament = self._source.check_filament
-
-    def __iter__(self) -> Iterator[Samples]:
-        """Yield commands with prediction, computed ahead in threads."""
-        return self._stages.predicted(self.computed(), threads=True)
-
-    def computed(self) -> Iterator[Samples]:
-        """Yield the commands alone: no threads, no prediction, no print time."""
-        return self._stages.whole(self._source.spans())
-
-    @property
-    def ledger(self) -> Ledger:
-        """Return what was noted of the commands taken so far."""
-        return self._stages.ledger
-
-    def report(self) -> Report:
-        """Return what is known of the commands taken so far."""
-        return self._source.report(self.ledger)
 
 
 def prepared(printer: Printer) -> Compensator:

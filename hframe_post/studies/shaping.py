@@ -14,8 +14,9 @@ from typing import Any
 from hframe_post.arrays import TS
 from hframe_post.compensation.shape import LIVE, Shapes, shape
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Chain, SampleStream
+from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SlicedFile
+from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.klipper.live import by_itself

@@ -10,7 +10,7 @@ import pytest
 from hframe_post.arrays import Array
 from hframe_post.compensation.advance import Advancing
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.firmware.dialect import Advance, ExtruderLimits, klipper_advance, marlin_advance
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Extruder

@@ -12,7 +12,8 @@ from examples.paper.tables import transfer_functions
 from hframe_post.arrays import TS, Array, E, Y
 from hframe_post.conversion import spans
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream, prepared
+from hframe_post.conversion.pipeline import prepared
+from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.model.lpfbs import Lpfbs
 from hframe_post.model.plant import Bed
 from hframe_post.model.transfer_function import TransferFunction

@@ -12,7 +12,7 @@ from hframe_post.arrays import Z
 from hframe_post.conversion import pipeline
 from hframe_post.conversion.files import Target, convert
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import load
 from hframe_post.stream.marks import Marks

@@ -1,5 +1,5 @@
 ;FLAVOR:Marlin
-; processed by hframe-post 0.1.dev1470, printer paper, settings 30d2f7cc1f58
+; processed by hframe-post 0.1.dev1497, printer paper, settings e9ad92615077
 ; hframe-post:
 G28
 G90

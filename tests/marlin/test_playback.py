@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.firmware.marlin.planner import GENERATIONS
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load

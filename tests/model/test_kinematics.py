@@ -9,7 +9,7 @@ import pytest
 from hframe_post.arrays import TS
 from hframe_post.conversion.conversions import StepConversion
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.klipper.code import StreamLimits
 from hframe_post.model.kinematics import TYPES, Differences, Kinematics

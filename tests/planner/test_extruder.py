@@ -7,7 +7,7 @@ import pytest
 
 from hframe_post.arrays import E, X
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.firmware.dialect import Advance, ExtruderLimits, marlin_advance
 from hframe_post.planner.extruder import LOWEST, FollowedAdvance
 from hframe_post.printer.profile import load

@@ -8,7 +8,7 @@ import pytest
 
 from hframe_post.arrays import Array, X, Y
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.model.error_range import SUMS, error_range, products
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.nozzle import nozzle

@@ -5,7 +5,7 @@ import pytest
 
 from hframe_post.arrays import TS, Array, E, X, Y, Z
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import SampleStream
+from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.native.judging import line_pieces
 from hframe_post.prediction.error_meter import PIECE, Melt
 from hframe_post.printer.settings import Printer
