@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +11,7 @@ import numpy as np
 from hframe_post.cli.measure import FILE
 from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.parameters import (
+    ask,
     files_read,
     number,
     printer_option,
@@ -107,12 +107,11 @@ def calibrate_print(
 
 def _asked() -> tuple[float, float]:
     """Return °C of nozzle and bed, which only the owner knows."""
-    if not sys.stdin.isatty():
-        raise click.UsageError(
-            "give the temperatures of your filament, °C of nozzle and bed: --heat 210,60 for PLA"
-        )
     question = "Temperatures of your filament, °C of nozzle and bed, such as 210,60"
-    heat: tuple[float, float] = click.prompt(question, value_proc=_heat)
+    unknown = click.UsageError(
+        "give the temperatures of your filament, °C of nozzle and bed: --heat 210,60 for PLA"
+    )
+    heat: tuple[float, float] = ask(question, unknown, value_proc=_heat)
     return heat
 
 

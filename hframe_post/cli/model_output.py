@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import click
 
 from hframe_post.cli.json_summary import open_json
-from hframe_post.cli.parameters import quoted, say, shown_working, write_kernel
+from hframe_post.cli.parameters import quoted, say, write_kernel
 from hframe_post.errors import HframeError
 from hframe_post.printer.choice import PROFILE
 from hframe_post.printer.model_file import model_path, texts
@@ -67,8 +67,7 @@ def publish(
         with Outputs([*reads, *([output] if output else [])]) as reports:
             write_json = open_json(reports, json_file)
             html = reports.open(report_file) if report_file is not None else None
-            with shown_working():
-                found = find()
+            found = find()
             write_json(found.report.as_json(), error=found.fault)
             if html is not None:
                 if found.page is None:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import click
 
+from hframe_post.cli.parameters import agrees
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.klipper.printer_cfg import HEADING, KlipperConfig
@@ -86,9 +87,7 @@ class Moonraker:
 
     def choose_live(self) -> None:
         """Ask, on a terminal, whether Klipper itself compensates; it does where it can."""
-        self._live = self._klippy is not None
-        if self._live and sys.stdin.isatty():
-            self._live = click.confirm(LIVE_QUESTION, default=True)
+        self._live = self._klippy is not None and agrees(LIVE_QUESTION)
 
     def connecting(self, profile: Path) -> list[Change]:
         """Return the changes that connect a profile. Raises HframeError."""
@@ -215,7 +214,7 @@ def agreed(changes: Sequence[Change]) -> bool:
     if not changes:
         return True
     click.echo("\n".join(change.diff() for change in changes))
-    return not sys.stdin.isatty() or click.confirm("Make these changes?", default=True)
+    return agrees("Make these changes?")
 
 
 def make(changes: Sequence[Change], outputs: Outputs) -> list[str]:

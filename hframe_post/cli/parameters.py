@@ -12,7 +12,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
-from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
@@ -189,6 +188,23 @@ def position(text: str) -> tuple[float, float]:
     return round(x, 3), round(y, 3)
 
 
+def ask(question: str, otherwise: Any, **settings: Any) -> Any:
+    """Return what the owner answers; without a terminal ``otherwise``, raised if it is an error.
+
+    settings: of ``click.prompt``.
+    """
+    if sys.stdin.isatty():
+        return click.prompt(question, **settings)
+    if isinstance(otherwise, Exception):
+        raise otherwise
+    return otherwise
+
+
+def agrees(question: str) -> bool:
+    """Return whether the owner agrees; without a terminal, as asked for by the command."""
+    return not sys.stdin.isatty() or click.confirm(question, default=True)
+
+
 STEPS = 200  # of a bar
 PATIENCE_S = 2.0  # s of work, after which a terminal shows a bar
 
@@ -219,29 +235,6 @@ def progress_bar(source: Path | None, quiet: bool) -> Iterator[Callable[[int], o
     finally:
         for bar in shown:
             bar.render_finish()
-
-
-@contextmanager
-def shown_working(quiet: bool = False) -> Iterator[None]:
-    """Show on a terminal for how long a command has been working, from its third second on."""
-    if quiet or not sys.stderr.isatty():
-        yield
-        return
-    done, start = Event(), time.monotonic()
-
-    def tick() -> None:
-        while not done.wait(1.0):
-            if (seconds := time.monotonic() - start) > PATIENCE_S:
-                click.echo(f"\rworking, {seconds:.0f} s ", err=True, nl=False)
-
-    ticking = Thread(target=tick, daemon=True)
-    ticking.start()
-    try:
-        yield
-    finally:
-        done.set()
-        ticking.join()
-        click.echo("\r\x1b[K", err=True, nl=False)
 
 
 def write_kernel(outputs: Outputs, profile: Path, printer: Printer) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import click
 
 from hframe_post.cli.model_output import ModelOutput
-from hframe_post.cli.parameters import files_read, number, quoted, write_kernel
+from hframe_post.cli.parameters import ask, files_read, number, quoted, write_kernel
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Source
 from hframe_post.firmware.klipper.macros import FILE
@@ -158,9 +157,8 @@ def _bed(source: Source) -> tuple[float, float] | None:
     """Return the bed's width and depth, mm, asked for only if the source does not know them."""
     if not source.no_travel:
         return None
-    if not sys.stdin.isatty():
-        raise HframeError(source.no_travel)
-    size: tuple[float, float] = click.prompt("Width and depth of the bed (mm)", value_proc=_size)
+    unknown = HframeError(source.no_travel)
+    size: tuple[float, float] = ask("Width and depth of the bed (mm)", unknown, value_proc=_size)
     return size
 
 
@@ -177,10 +175,9 @@ def _kinematics(source: Source, requested: str | None, before: Printer | None) -
         return Known(requested, "as you said")
     if before is not None and before.kinematics.type in possible:
         return Known(before.kinematics.type, f"as {PROFILE} says")
-    if sys.stdin.isatty():
-        question = QUESTION if source.decided else ANY_KIND
-        kinds = click.Choice(possible)
-        return Known(click.prompt(question, type=kinds, default=possible[0]), "as you said")
+    question = QUESTION if source.decided else ANY_KIND
+    if said := ask(question, "", type=click.Choice(possible), default=possible[0]):
+        return Known(said, "as you said")
     if not source.decided:
         return Known(possible[0], "assumed: the answers do not tell")
     return Known(possible[0], f"assumed: for the firmware {' and '.join(possible)} are the same")
