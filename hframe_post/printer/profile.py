@@ -10,33 +10,19 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from hframe_post.arrays import TS, X, Y
-from hframe_post.errors import ArgumentError, PrinterError, one_line
-from hframe_post.model.impulse_response import (
-    FARTHEST,
-    LONGEST,
-    Elsewhere,
-    ImpulseResponse,
-)
+from hframe_post.arrays import TS
+from hframe_post.errors import PrinterError, one_line
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.plant import Bed, Coupling, Plant
-from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.firmware_tables import check_needs, load_firmware
+from hframe_post.printer.plant_tables import read_bed, read_plant
 from hframe_post.printer.schema import (
     checked,
     checked_value,
     digest_of,
     file_text,
     known_keys,
-    list_of_tables,
-    needed_keys,
-    numbers,
-    roots,
 )
 from hframe_post.printer.settings import (
-    PLACES,
     SHARE,
     Compensation,
     Extruder,
@@ -58,20 +44,8 @@ USUAL: dict[str, type[Any]] = {
 }  # fmt: skip
 IF_GIVEN: dict[str, type[Any]] = {"steps": Steps, "retraction": Retraction, "extruder": Extruder}
 MEASURED = ("plant", "compensation", "speed", "verified")  # tables of a model
-PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured", "cross", "moving_mass")
 # a profile without a plant: the nozzle follows the motors exactly
 NOT_MEASURED = {"Ts": TS} | {G: {"gain": 1.0, "zeros": [], "poles": []} for G in ("Gxx", "Gyy")}
-MASS = {"least": 0.05, "most": 50.0}  # kg
-FUNCTION = ("zeros", "poles", "gain")
-RESPONSE = ("deviation", "lead")
-KNOWN = ("lag", "drift", "unknown", "x", "places")  # of a response, too, if they are not 0
-PLACE = ("x", "frequency", *RESPONSE, "lag", "unknown")  # of a response at another x
-FREQUENCY = {"least": 1.0 / FARTHEST, "most": FARTHEST}
-MICRORAD = 1e-3  # rad per mm/sample² in which 1000 mm/s² during 1 ms cause 1 µrad
-DEVIATIONS = {"least": -1e6, "most": 1e6}  # µm or µrad
-LAGS = {"least": -1e3, "most": 1e3}  # ms, or µrad at 1 mm/s
-AXES = {"x": X, "y": Y}
-MAX_COUPLINGS = 16
 MAX_PROFILE_BYTES = 1 << 20  # bytes of a profile
 # a value, and the comment in which `setup` repeated it: jerk and deceleration, limits of the motors
 GUESSED = re.compile(
@@ -222,8 +196,8 @@ def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
 
 def _measured(table: dict[str, Any], limits: Limits, kinematics: Kinematics) -> dict[str, Any]:
     """Return what [plant] says: the plant, and how it is known."""
-    bed = _bed(table.get("moving_mass"), limits, kinematics)
-    plant = replace(_plant(table), bed=bed)
+    bed = read_bed(table.get("moving_mass"), limits, kinematics)
+    plant = replace(read_plant(table), bed=bed)
     if plant.Gxtheta is not None and not kinematics.racks:
         cause = f"a {kinematics.type} printer does not rack: extend a profile without this table"
         raise PrinterError(cause, "plant.Gxtheta")
@@ -282,117 +256,3 @@ def check_identified(printer: Printer) -> None:
             "without one: 'hframe-post calibrate-print' (docs/start.md)",
             source=printer.name,
         )
-
-
-def _plant(table: dict[str, Any]) -> Plant:
-    known_keys(table, (*PLANT, "Gxx", "Gyy", "Gxtheta"), "plant")
-    needed_keys(table, ("Ts", "Gxx", "Gyy", *(("x_c",) if "Gxtheta" in table else ())), "plant")
-    if table["Ts"] != TS:
-        raise PrinterError(f"must be {TS}: the clock runs in milliseconds", "plant.Ts")
-    functions = {
-        key: _linear(table[key], f"plant.{key}", rest, angle)
-        for key, rest, angle in (("Gxx", 1.0, False), ("Gyy", 1.0, False), ("Gxtheta", 0.0, True))
-        if key in table
-    }
-    racking = functions.get("Gxtheta")
-    if racking is not None and not np.append(racking.deviation, racking.lag).any():
-        racking = None
-    x_c = checked_value(float, table.get("x_c", 0.0), PLACES, "plant.x_c")
-    return Plant(functions["Gxx"], functions["Gyy"], racking, x_c, _cross(table.get("cross", [])))
-
-
-def _bed(mass: Any, limits: Limits, kinematics: Kinematics) -> Bed | None:
-    if mass is None:
-        return None
-    if not kinematics.bed_moves:
-        cause = f"the bed of a {kinematics.type} printer does not move in y: leave it out"
-        raise PrinterError(cause, "plant.moving_mass")
-    mass = checked_value(float, mass, MASS, "plant.moving_mass")
-    return Bed(mass, limits.filament_mass)
-
-
-def _cross(tables: Any) -> tuple[Coupling, ...]:
-    found = list_of_tables(tables, "plant.cross")
-    if len(found) > MAX_COUPLINGS:
-        raise PrinterError(f"must be at most {MAX_COUPLINGS}, they are {len(found)}", "plant.cross")
-    return tuple(_coupling(table, at) for at, table in found)
-
-
-def _coupling(table: dict[str, Any], key: str) -> Coupling:
-    axis_keys = ("answer", "command", "along", "centre")
-    known_keys(table, (*axis_keys, *FUNCTION, *RESPONSE, *KNOWN), key)
-    needed_keys(table, ("answer", "command", *(("centre",) if "along" in table else ())), key)
-    axes = {
-        name: AXES[checked_value(str, table[name], {"choices": tuple(AXES)}, f"{key}.{name}")]
-        for name in ("answer", "command", "along")
-        if name in table
-    }
-    if "along" not in axes and "centre" in table:
-        raise PrinterError("needs along, the axis of the lever arm", f"{key}.centre")
-    if "along" not in axes and axes["answer"] == axes["command"]:
-        cause = "is part of Gxx or Gyy, unless it has a lever arm: add along and centre"
-        raise PrinterError(cause, key)
-    centre = checked_value(float, table.get("centre", 0.0), PLACES, f"{key}.centre")
-    function = {name: value for name, value in table.items() if name not in axis_keys}
-    G = _linear(function, key, rest=0.0, angle="along" in axes)
-    return Coupling(axes["answer"], axes["command"], G, axes.get("along"), centre)
-
-
-def _linear(table: Any, key: str, rest: float, angle: bool) -> ImpulseResponse:
-    """Return a response with this gain at rest, written as such or as a transfer function.
-
-    angle: the response is one in rad, to a command in mm.
-    """
-    if not isinstance(table, dict):
-        raise PrinterError(
-            "must be a table of deviation and lead, or of zeros, poles and gain", key
-        )
-    known_keys(table, (*FUNCTION, *RESPONSE, *KNOWN), key)
-    response = any(name in table for name in (*RESPONSE, *KNOWN))
-    kind, allowed = (RESPONSE, (*RESPONSE, *KNOWN)) if response else (FUNCTION, FUNCTION)
-    for name in table:
-        if name not in allowed:
-            cause = "is of a transfer function, and deviation of a response: leave one of them out"
-            raise PrinterError(cause, f"{key}.{name}")
-    needed_keys(table, kind, key)
-    try:
-        if response:
-            return _response(table, key, rest, MICRORAD if angle else 1.0)
-        zeros, poles = (roots(table[name], f"{key}.{name}") for name in ("zeros", "poles"))
-        gain = checked_value(float, table["gain"], {}, f"{key}.gain")
-        return ImpulseResponse.from_transfer_function(TransferFunction(zeros, poles, gain), rest)
-    except ArgumentError as error:
-        raise PrinterError(str(error), key) from None
-
-
-def _response(table: dict[str, Any], key: str, rest: float, unit: float) -> ImpulseResponse:
-    deviation = numbers(table["deviation"], LONGEST, DEVIATIONS, f"{key}.deviation")
-    lead = checked_value(int, table["lead"], {}, f"{key}.lead")
-    lag = checked_value(float, table.get("lag", 0.0), LAGS, f"{key}.lag")
-    drift = checked_value(float, table.get("drift", 0.0), SHARE, f"{key}.drift")
-    unknown = np.zeros(0)
-    if "unknown" in table:
-        unknown = numbers(table["unknown"], LONGEST, DEVIATIONS, f"{key}.unknown")
-    if "x" not in table and "places" in table:
-        raise PrinterError("the key is missing: x (mm) of the response itself", f"{key}.x")
-    x = checked_value(float, table.get("x", 0.0), PLACES, f"{key}.x")
-    return ImpulseResponse(
-        deviation * unit, lead, rest, lag * unit, drift, unknown * unit, x,
-        _elsewhere(table.get("places", []), f"{key}.places", rest, unit),
-    )  # fmt: skip
-
-
-def _elsewhere(tables: Any, key: str, rest: float, unit: float) -> tuple[Elsewhere, ...]:
-    """Return the responses at other x."""
-    found = []
-    for at, table in list_of_tables(tables, key):
-        known_keys(table, PLACE, at)
-        needed_keys(table, ("x", "frequency", *RESPONSE), at)
-        x = checked_value(float, table["x"], PLACES, f"{at}.x")
-        frequency = checked_value(float, table["frequency"], FREQUENCY, f"{at}.frequency")
-        known = {name: value for name, value in table.items() if name not in ("x", "frequency")}
-        try:
-            found.append(Elsewhere(x, frequency, _response(known, at, rest, unit)))
-        except ArgumentError as error:
-            raise PrinterError(str(error), at) from None
-    return tuple(found)
