@@ -15,6 +15,7 @@ printer and of the options, ``Stages`` runs those from samples on and keeps a le
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
