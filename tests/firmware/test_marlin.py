@@ -130,7 +130,9 @@ def test_strokes_last_as_long_as_they_were_planned_to(marlin: Printer, planner: 
         stroke = mine.stroke(stroked, speed, planned, planned, *corners)
         assert stroke.seconds == pytest.approx(planned, abs=1e-3)
         assert 0.5 * speed < stroke.speed < speed
-        assert mine.stroke(stroked, speed, planned, 0.0, *corners).speed == speed
+        at_once = mine.stroke(stroked, speed, planned, 0.0, *corners)
+        assert at_once.speed == speed
+        assert (at_once.cruise > 0.0) == mine.planner.fixed_time, "mm that others do not ask for"
 
 
 def test_what_follows_a_late_stroke_is_no_faster_than_it_allows() -> None:
