@@ -165,10 +165,11 @@ class SlicedFile:
 def _parts(plan: Plan) -> Iterator[tuple[Plan, float]]:
     """Yield a plan in parts of about a piece's duration, each with its seconds."""
     seconds = plan.seconds
-    at = np.cumsum(seconds) // PIECE_S
-    if at[-1] == 0.0:
-        yield plan if not plan.marks else replace(plan, marks=NO_MARKS), float(seconds.sum())
+    passed = seconds.cumsum()
+    if passed[-1] < PIECE_S:
+        yield plan if not plan.marks else replace(plan, marks=NO_MARKS), float(passed[-1])
         return
+    at = passed // PIECE_S
     cuts = [0, *(np.flatnonzero(np.diff(at)) + 1).tolist(), len(seconds)]
     for low, high in pairwise(cuts):
         first, last = plan.ends[[low, high]].tolist()

@@ -192,7 +192,7 @@ class ItemBuilder:
         stand, at = np.flatnonzero(rows[:, CORNER] < 0.0).tolist(), 0
         for k in stand:
             before = marks.count_before(k - at + 1) if marks else 0
-            self._add_travel(start, rows[at:k], marks.rows(0, before))
+            self._add_travel(start, rows[at:k], marks.rows(0, before) if before else NO_MARKS)
             marks, at = marks.rows(before).shifted(at - k - 1) if marks else marks, k + 1
             if k > 0:
                 start = tuple(rows[k - 1, 1:5].tolist())
@@ -206,16 +206,17 @@ class ItemBuilder:
         return len(rows) > len(stand)
 
     def _add_travel(self, start: Position, rows: Array, marks: Marks) -> None:
-        if not self._count and marks:
+        if marks and not self._count:
             first = marks.count_before(1)
             self._add_marks(marks.rows(0, first))
             marks = marks.rows(first)
-        if len(rows):
+        if n := len(rows):
             self._begin(start)
             self._tabulate()
             self._tables.append(rows)
-        self._add_marks(marks)
-        self._count += len(rows)
+        if marks:
+            self._add_marks(marks)
+        self._count += n
 
     def _add_marks(self, marks: Marks) -> None:
         if self._lines:
@@ -271,8 +272,9 @@ class ItemBuilder:
 
     def flush(self, limits: FileLimits | None = None) -> None:
         """End the item that is collected. limits: of its moves; those in force by default."""
-        self._add_marks(NO_MARKS)
         marks = NO_MARKS
+        if self._lines:
+            self._add_marks(NO_MARKS)
         if self._marks:
             marks, self._marks = Marks.joined(self._marks), []
         if not self._count:

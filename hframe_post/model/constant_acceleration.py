@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,30 +13,32 @@ from hframe_post.native.planning import distance
 
 @dataclass(frozen=True, slots=True)
 class Trapezoid:
-    """A motion: length (mm), limits of speed and acceleration; v_s, v_e: speeds at its ends."""
+    """A motion: length (mm), limits of speed and acceleration; v_s, v_e: speeds at its ends.
+
+    peak: its greatest speed; seconds: how long it takes.
+    """
 
     length: float
     cruise: float
     acceleration: float
     v_s: float = 0.0
     v_e: float = 0.0
+    peak: float = field(init=False)
+    seconds: float = field(init=False)
 
-    @property
-    def peak(self) -> float:
-        mean = (self.v_s * self.v_s + self.v_e * self.v_e) / 2.0
-        return min(self.cruise, math.sqrt(self.length * self.acceleration + mean))
+    def __post_init__(self) -> None:
+        v_s, v_e, a = self.v_s, self.v_e, self.acceleration
+        reached = math.sqrt(self.length * a + (v_s * v_s + v_e * v_e) / 2.0)
+        peak = reached if reached < self.cruise else self.cruise
+        ramped = ((peak - v_s) ** 2 + (peak - v_e) ** 2) / (2.0 * a)
+        object.__setattr__(self, "peak", peak)
+        object.__setattr__(self, "seconds", (self.length + ramped) / peak)
 
     @property
     def ramps(self) -> tuple[float, float]:
         """Return how long it accelerates and brakes, s."""
         peak = self.peak
         return (peak - self.v_s) / self.acceleration, (peak - self.v_e) / self.acceleration
-
-    @property
-    def seconds(self) -> float:
-        peak, a = self.peak, self.acceleration
-        ramped = ((peak - self.v_s) ** 2 + (peak - self.v_e) ** 2) / (2.0 * a)
-        return (self.length + ramped) / peak
 
     @property
     def row(self) -> Array:

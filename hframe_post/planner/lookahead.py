@@ -239,7 +239,8 @@ class Lookahead:
 
     def _joints(self, moves: _Limited) -> Array:
         """Return the greatest speeds (n + 1,) at the ends of moves; at the first, the speed."""
-        caps = np.append(moves.caps, BELOW_CRUISE * moves.limits[-1, CRUISE])
+        caps = np.empty(len(moves.caps) + 1)
+        caps[:-1], caps[-1] = moves.caps, BELOW_CRUISE * moves.limits[-1, CRUISE]
         caps[0] = self._speed
         return caps
 
@@ -290,10 +291,15 @@ def _joined(parts: list[_Limited]) -> _Limited:
     )
 
 
-def standing(move: MoveAtRest, limits: FileLimits) -> Moves:
-    """Return a lift or a retraction as a move. limits: of the moves around it."""
+def standing(move: MoveAtRest, limits: FileLimits, like: Moves | None = None) -> Moves:
+    """Return a lift or a retraction as a move. limits: of the moves around it.
+
+    like: moves with the acceleration and the corner velocity that it has.
+    """
     points, line = np.array([move.start, move.end]), np.array([move.line])
     speed, acceleration, corner = np.array([[move.speed], [move.acceleration], [math.inf]])
+    if like is not None:
+        acceleration, corner = like.acceleration[-1:], like.corner[-1:]
     return Moves(line, points, speed, acceleration, corner, limits)
 
 

@@ -107,10 +107,7 @@ class AsSliced:
         """Return a move at rest as a move, with the limits of the moves before it."""
         if (before := self._last) is None:
             return standing(move, self._rules.others)
-        as_move = standing(move, before.limits)
-        if self._queue.joins:
-            return as_move
-        return replace(as_move, acceleration=before.acceleration[-1:], corner=before.corner[-1:])
+        return standing(move, before.limits, None if self._queue.joins else before)
 
     def _timed(self, plan: Plan) -> Plan:
         """Add the time of a plan; return it with the speeds that it reaches."""
@@ -125,7 +122,9 @@ class AsSliced:
             d = np.diff(plan.s[plan.ends])
             seconds = durations(lead, d, speed[:-1], speed[1:], cruise, plan.acceleration)
         self.seconds += float(seconds.sum())
-        return replace(plan, cruise=top, speed=speed)
+        return Plan(
+            plan.line, plan.points, plan.s, plan.ends, speed, top, plan.acceleration, plan.marks
+        )
 
 
 def _joined(parts: list[Any]) -> Any:
