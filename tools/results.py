@@ -13,10 +13,11 @@ from pathlib import Path
 import hframe_post as hp
 from examples.paper import results as paper
 from examples.paper import tables
-from tests.benchmarks import accuracy, speed
+from tests.benchmarks import accuracy, costs, speed
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "sample_gcode"
+MEASURED = next(name for name in accuracy.PROFILES if "corexy-10000" in name)
 OFF = (0.05, 0.1, 0.2)  # shares by which random printers differ from the paper's
 HEAD = """\
 # Results
@@ -81,6 +82,9 @@ def speeds() -> Iterator[str]:
     shown = len(speed.HEAD) if previous else -1
     yield table_head(*speed.HEAD[:shown])
     yield from (line(*cells[:shown]) for cells in speed.rows(accuracy.PROFILES, previous))
+    yield f"\nWhat more of a print adds, on {Path(MEASURED).stem}:\n"
+    yield table_head(*costs.HEAD)
+    yield from (line(*cells) for cells in costs.rows(MEASURED))
     yield ""
 
 

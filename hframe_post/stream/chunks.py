@@ -165,6 +165,8 @@ def _between(events: Iterable[Event], low: int, high: int, to_end: bool) -> Iter
     """Yield the events at samples low … high − 1; to_end: those that follow, too."""
     for event in events:
         if isinstance(event, Marks):
+            if not event:
+                continue
             first, last = event.index, event.last
             if first >= low and (last < high or to_end):
                 yield event
