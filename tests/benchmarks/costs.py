@@ -1,0 +1,88 @@
+"""Cost of a sample, a move, a stop and another line: differences between drawn prints.
+
+CPU time depends on the machine and on what else it does; instructions, as valgrind counts them
+where it is installed, hardly do.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from tests.benchmarks.speed import PAIRS, processor_s
+
+MOVES = 1500  # of 20 mm, at 100 mm/s: five minutes
+HEAD = ("cost of", "CPU, µs", "instructions")
+
+
+class Drawn(NamedTuple):
+    """A print of MOVES, each in ``split`` pieces, with stops and other lines before each."""
+
+    feed: int = 6000
+    split: int = 1
+    stop: bool = False
+    lines: int = 0
+
+    def text(self) -> str:
+        """Return its G-code."""
+        rows, x, y = ["G28", "M83", "G90", "G1 X100 Y100 Z0.2 F6000"], 100.0, 100.0
+        for i in range(MOVES):
+            rows += ["G1 E-0.8 F3000", "G1 E0.8 F3000"] * self.stop
+            rows += [f"M106 S{(i * self.lines + j) % 255}" for j in range(self.lines)]
+            to_x, to_y = (150.0 + 60.0 * f(2.4 * i) for f in (math.cos, math.sin))
+            d = math.hypot(to_x - x, to_y - y)
+            dx, dy = 20.0 * (to_x - x) / d, 20.0 * (to_y - y) / d
+            for k in range(1, self.split + 1):
+                way, off = k / self.split, 0.015 * math.sin(math.pi * k / self.split)
+                place = f"X{x + way * dx - off * dy:.3f} Y{y + way * dy + off * dx:.3f}"
+                rows.append(f"G1 {place} E{0.7 / self.split:.5f} F{self.feed}")
+            x, y = x + dx, y + dy
+        return "\n".join([*rows, ""])
+
+
+PLAIN = Drawn()
+# what a print has more of than the plain one, and how many
+MORE = {
+    "a sample (ms of print)": (PLAIN._replace(feed=3000), 200 * MOVES),
+    "a move": (PLAIN._replace(split=40), 39 * MOVES),
+    "a stop with a retraction": (PLAIN._replace(stop=True), MOVES),
+    "another line": (PLAIN._replace(lines=100), 100 * MOVES),
+}
+
+
+def rows(printer: str) -> Iterator[list[str]]:
+    """Yield a row for each of MORE, as HEAD names its cells; "–": not measured here."""
+    plain = costs(PLAIN, printer)
+    for name, (drawn, count) in MORE.items():
+        seconds, instructions = (
+            (b - a) / count for a, b in zip(plain, costs(drawn, printer), strict=True)
+        )
+        counted = f"{instructions:,.0f}".replace(",", " ") if instructions else "–"
+        yield [name, f"{1e6 * seconds:.2f}", counted]
+
+
+def costs(drawn: Drawn, printer: str) -> tuple[float, float]:
+    """Return CPU seconds and instructions of a conversion; 0 where these cannot be counted."""
+    with tempfile.TemporaryDirectory() as folder:
+        source, out = Path(folder) / "drawn.gcode", Path(folder) / "out.gcode"
+        source.write_text(drawn.text())
+        options = [str(source), "-o", str(out), "-q", "--force", "--jobs", "1", "-p", printer]
+        command = [sys.executable, "-m", "hframe_post", *options]
+        return min(processor_s(command) for _ in range(PAIRS)), instructions_of(command)
+
+
+def instructions_of(command: list[str]) -> float:
+    if shutil.which("valgrind") is None:
+        return 0.0
+    counting = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={os.devnull}"]
+    run = subprocess.run([*counting, *command], capture_output=True, text=True, check=True)
+    found = re.search(r"Collected : (\d+)", run.stderr)
+    return float(found[1]) if found else 0.0
