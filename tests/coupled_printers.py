@@ -1,16 +1,11 @@
-"""Printers whose modes move x and y together: as measured, and as a simulation of their motion."""
+"""Printers whose modes move x and y together, as measured."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
-from hframe_post.arrays import TS, Array, Complex
+from hframe_post.arrays import Array, Complex
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
-from hframe_post.model.plant import Coupling, Plant
-from hframe_post.model.transfer_function import TransferFunction
-from tests.plants import as_response
-from tests.simulator import RATE, STEPS
 
 BAND = (4.0, 100.0)
 HZ = np.arange(BAND[0], BAND[1], 0.125)
@@ -73,79 +68,3 @@ class Coupled:
 def _mode(s: Complex, hz: float, zeta: float) -> Complex:
     w = 2.0 * np.pi * hz
     return np.asarray(w * w / (s * s + 2.0 * zeta * w * s + w * w))
-
-
-@dataclass(frozen=True)
-class SharedMode:
-    """A resonance: what it takes of the commands in x and y, and how it moves the nozzle."""
-
-    hz: float
-    damping: float
-    command: tuple[float, float]
-    moves: tuple[float, float]
-
-    def discrete(self, rate: float) -> tuple[Array, Array, Array]:
-        """Return numerators of position and acceleration, (2, 3), and the denominator."""
-        w = 2.0 * np.pi * self.hz
-        A = np.array([[0.0, 1.0], [-w * w, -2.0 * self.damping * w]])
-        C, D = np.array([[1.0, 0.0], A[1]]), np.array([[0.0], [w * w]])
-        held = signal.cont2discrete((A, np.array([[0.0], [w * w]]), C, D), 1.0 / rate, "foh")
-        num, den = signal.ss2tf(*held[:4])
-        return num[0], num[1], den
-
-
-@dataclass(frozen=True)
-class CoupledMachine:
-    """A CoreXY of modes that may move both axes; exact for a command of straight lines of 1 ms."""
-
-    modes: tuple[SharedMode, ...]
-    kinematics: str = "corexy"
-
-    def exact(self) -> Plant:
-        """Return the plant, exactly discretised for straight lines of 1 ms."""
-        G = [[self._discrete(answer, command) for command in (0, 1)] for answer in (0, 1)]
-        cross = [
-            Coupling(answer, 1 - answer, as_response(response, 0.0))
-            for answer in (0, 1)
-            if (response := G[answer][1 - answer]) is not None
-        ]
-        assert G[0][0] is not None
-        assert G[1][1] is not None
-        return Plant(as_response(G[0][0]), as_response(G[1][1]), None, X_C, tuple(cross))
-
-    def _discrete(self, answer: int, command: int) -> TransferFunction | None:
-        taken = [
-            (mode.discrete(1.0 / TS), share)
-            for mode in self.modes
-            if (share := mode.moves[answer] * mode.command[command])
-        ]
-        if not taken:
-            return None
-        num: Array = np.zeros(1)
-        den: Array = np.ones(1)
-        for (position, _, own), share in taken:
-            num = np.asarray(np.polyadd(np.polymul(num, own), share * np.polymul(den, position)))
-            den = np.asarray(np.polymul(den, own))
-        num = np.asarray(np.trim_zeros(num, "f"))
-        zeros = np.roots(num).astype(complex)
-        zeros[np.argsort(np.abs(zeros - 1.0))[: int(answer != command)]] = 1.0
-        return TransferFunction(zeros, np.roots(den).astype(complex), float(num[0]))
-
-    def played(self, command: Array, keep: int = STEPS, step: float = 0.0) -> Array:
-        """Return x, y, their accelerations, and twice 0, as ``Machine.played`` does."""
-        assert keep in (1, STEPS)
-        assert not step
-        rate = RATE / keep
-        at = np.arange(1, (len(command) - 1) * STEPS // keep + 1) / rate
-        known = np.arange(len(command)) * TS
-        start = command[0]
-        u = np.column_stack([np.interp(at, known, one) for one in (command - start).T])
-        out = np.zeros((len(u), 6))
-        for mode in self.modes:
-            *moved, den = mode.discrete(rate)
-            taken = np.concatenate([[0.0], u @ mode.command])  # from the start on, at rest
-            for k, numerator in enumerate(moved):  # position, acceleration
-                q = signal.lfilter(numerator, den, taken)[1:]
-                out[:, 2 * k : 2 * k + 2] += np.outer(q, mode.moves)
-        out[:, :2] += start
-        return out

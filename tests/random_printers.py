@@ -20,7 +20,7 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
 from tests.native.oracles import in_motion
-from tests.simulator import Axis, Chip, Machine, Mode, Playing
+from tests.simulator import Axis, Chip, Machine, Mode
 
 BAND = (3.0, 100.0)
 CUBE = Path(__file__).parent.parent / "sample_gcode" / "cube.gcode"
@@ -39,7 +39,7 @@ BEGUN, SD = 1234.5, 2e-5  # s of print time at which the simulator's motions beg
 
 
 def recorded(
-    machine: Playing, chip: Chip, planned: Sequence[PlannedRun], seed: int, step: float = 0.0
+    machine: Machine, chip: Chip, planned: Sequence[PlannedRun], seed: int, step: float = 0.0
 ) -> list[Run]:
     """Return runs of known start. step: mm of belt that a motor step moves."""
     clock = Clock(BEGUN, sd=SD)
@@ -69,7 +69,7 @@ class Errors:
     compensated: float
 
 
-def judged(machine: Playing, profile: Printer, path: str = "rectangle") -> Errors:
+def judged(machine: Machine, profile: Printer, path: str = "rectangle") -> Errors:
     """Return the contour errors of the machine, without and with compensation by the profile."""
     lines = rectangle(profile) if path == "rectangle" else cube()
     options = Options("racking", clamp=True)

@@ -12,7 +12,7 @@ from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.resonance_search import find
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
 from tests.random_printers import drawn
-from tests.simulator import ADXL345, Chip, Machine, Playing
+from tests.simulator import ADXL345, Chip, Machine
 
 X, Y = (1.0, 0.0), (0.0, 1.0)
 BELTS = ((0.5**0.5, 0.5**0.5), (0.5**0.5, -(0.5**0.5)))
@@ -47,7 +47,7 @@ def klipper(direction: tuple[float, ...] = X, **changes: Any) -> ResonanceTest:
 
 
 def recorded(
-    machine: Playing, test: ResonanceTest, chip: Chip, mounting: int, seed: int
+    machine: Machine, test: ResonanceTest, chip: Chip, mounting: int, seed: int
 ) -> Recorded:
     """Return a recording of the machine that plays the test, begun some tenths of a second early.
 

@@ -15,7 +15,6 @@ import subprocess
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from scipy import signal
@@ -191,13 +190,6 @@ class Machine:
         return np.column_stack([A + B, A - B]) / 2.0
 
 
-class Playing(Protocol):
-    """A printer that plays commands."""
-
-    def played(self, command: Array, keep: int = STEPS, step: float = 0.0) -> Array:
-        """Return the motion as ``Machine.played`` does."""
-
-
 @dataclass(frozen=True)
 class Chip:
     """An accelerometer: gains by axis, cross-axis terms, tilt, steps, noise, uneven times.
@@ -220,7 +212,7 @@ class Chip:
     offset: tuple[float, float] = (0.0, 0.0)
     filtered: bool = False
 
-    def record(self, machine: Playing, command: Array, seed: int, step: float = 0.0) -> Recording:
+    def record(self, machine: Machine, command: Array, seed: int, step: float = 0.0) -> Recording:
         """Return its recording while the machine plays the command. step: as in ``played``."""
         rng = np.random.default_rng(seed)
         motion = machine.played(command, 1, step)
