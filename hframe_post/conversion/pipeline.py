@@ -70,7 +70,9 @@ class Chain:
     """
 
     def __init__(self, printer: Printer, options: Options) -> None:
-        self.options, self._pace = options, Pace(options.pace, *printer.fastest_path)
+        as_sliced = options.strategy == "none" or options.pace != 1.0
+        walls = 1.0 if as_sliced else printer.outer_walls
+        self.options, self._pace = options, Pace(options.pace, *printer.fastest_path, walls)
         self.sliced = firmware(printer)
         self.printer = replace(printer, limits=self._pace.limits(printer.limits))
         self.firmware = firmware(self.printer)

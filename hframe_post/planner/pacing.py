@@ -1,4 +1,4 @@
-"""Accelerations of moves times a factor, before they are planned."""
+"""Accelerations of moves times factors, before they are planned."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array
+from hframe_post.arrays import Array, E
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.features import Place, kind
 from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import Item, Moves, Passthrough, frozen
 
 NOT_RAISED = ("bridge", "ironing", "interface", "skirt")  # features
+OUTER_WALL = "outer-wall"
 FIRST_LAYERS = 1  # must stick to the bed, so they are not printed harder than in the file
 
 
@@ -23,11 +24,13 @@ class Pace:
     """A factor on what a print asks of acceleration, jerk and corners; its feed rates stay.
 
     acceleration (mm/s²), corner (mm/s through a right angle): above which no move is raised.
+    walls: another factor on the acceleration of outer walls, on which errors show.
     """
 
     factor: float = 1.0
     acceleration: float = math.inf
     corner: float = math.inf
+    walls: float = 1.0
 
     def limits(self, limits: Limits) -> Limits:
         """Return the limits of a profile at this pace."""
@@ -48,7 +51,7 @@ class Pace:
 
         First layers and what must be printed with care (NOT_RAISED) are slowed, but not raised.
         """
-        if self.factor == 1.0:
+        if self.factor == self.walls == 1.0:
             yield from items
             return
         place = Place()
@@ -67,25 +70,27 @@ class Pace:
         """Return moves at this pace, with the firmware's limits by axis among their own."""
         speed, acceleration = moves.speed.copy(), moves.acceleration.copy()
         moves.limits.lower(speed, acceleration, moves.points)
-        factor = self._factors(moves, place)
-        acceleration = self._raised(acceleration, factor, self.acceleration)
+        factor, walls = self._factors(moves, place)
+        acceleration = walls * self._raised(acceleration, factor, self.acceleration)
         corner = self._raised(moves.corner, factor, self.corner)
         return replace(
             moves, speed=frozen(speed), acceleration=frozen(acceleration), corner=frozen(corner),
             limits=replace(moves.limits, acceleration=(math.inf,) * 4),
         )  # fmt: skip
 
-    def _factors(self, moves: Moves, place: Place) -> Array:
-        """Return the factor of each move, (n,); the place passes them."""
-        factor, at = np.empty(len(moves.line)), 0
+    def _factors(self, moves: Moves, place: Place) -> tuple[Array, Array]:
+        """Return both factors of each move, (n,); the place passes them."""
+        (factor, walls), at = np.ones((2, len(moves.line))), 0
         for mark in (*moves.marks.said(), None):
-            end = len(factor) if mark is None else mark.index
-            kept = place.layer <= FIRST_LAYERS or kind(place.feature) in NOT_RAISED
+            end, feature = len(factor) if mark is None else mark.index, kind(place.feature)
+            kept = place.layer <= FIRST_LAYERS or feature in NOT_RAISED
             factor[at:end] = min(self.factor, 1.0) if kept else self.factor
+            walls[at:end] = self.walls if feature == OUTER_WALL else 1.0
             if mark is not None:
                 place.mark(mark.text)
             at = end
-        return factor
+        walls[np.diff(moves.points[:, E]) <= 0.0] = 1.0  # travel
+        return factor, walls
 
     def _at(self, value: float, most: float) -> float:
         return min(self.factor * value, max(value, most))

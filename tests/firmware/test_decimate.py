@@ -131,8 +131,8 @@ def test_the_nozzle_stays_near(paper: Printer, commands: Callable[[str], Samples
         Response(paper.plant, points[0, :2]).run(xy) for xy in (points[:, :2], written)
     )
     off = np.hypot(*(as_written - nozzle).T)
-    below(np.sqrt(np.mean(off**2)), 7e-4, "RMS distance of the nozzle to that of all samples, mm")
-    below(len(ends), 0.14 * n, "segments")
+    below(np.sqrt(np.mean(off**2)), 6e-4, "RMS distance of the nozzle to that of all samples, mm")
+    below(len(ends), n / 6, "segments")
 
 
 @pytest.mark.parametrize("rate", [20.0, 60.0, 200.0])

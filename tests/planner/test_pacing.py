@@ -5,13 +5,16 @@ import math
 import numpy as np
 import pytest
 
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Chain
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.planner.pacing import Pace
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import RACKING_WALLS, Printer
 from hframe_post.stream.features import KINDS, OTHER, kind
-from hframe_post.stream.types import Item, Moves
+from hframe_post.stream.types import Item, Moves, Plan
 from tests.planner.planning import cut
 
 PRINT = """\
@@ -74,6 +77,30 @@ def test_cuts_change_nothing() -> None:
         for name in ("speed", "acceleration", "corner", "line"):
             joined = np.concatenate([getattr(moves, name) for moves in pieces])
             np.testing.assert_array_equal(joined, getattr(whole, name))
+
+
+@pytest.mark.parametrize(
+    ("printer", "strategy", "pace", "share"),
+    [
+        ("example-hbot", "racking", 1.0, RACKING_WALLS), ("example-hbot", "none", 1.0, 1.0),
+        ("example-hbot", "racking", 2.0, 2.0), ("example-corexy", "racking", 1.0, 1.0),
+        ("paper", "racking", 1.0, 1.0),
+    ],
+)  # fmt: skip
+def test_outer_walls_are_gentle_where_racking_is_compensated(
+    printer: str, strategy: str, pace: float, share: float
+) -> None:
+    """Only what they extrude, and no other feature; a pace that is asked for replaces it."""
+    lines = [b"M204 S1000\n", b"G28\n", b"M83\n", b"G1 X0 Y0 Z0.2 F6000\n", b";LAYER:0\n"]
+    lines += [b";LAYER:1\n", b";TYPE:WALL-OUTER\n", b"G1 X20 E1\n", b"G0 X40 Y20\n"]
+    lines += [b";TYPE:FILL\n", b"G1 X60 E1\n"]
+    options = Options(strategy, pace=pace, force=True)
+    (plan,) = (
+        item for item in Chain(load(printer), options).planned(lines) if isinstance(item, Plan)
+    )
+    line = plan.line[plan.ends[:-1]]
+    asked = [plan.acceleration[line == each].max() for each in (8, 9, 11)]
+    np.testing.assert_allclose(asked, [share * 1000.0, pace * 1000.0, pace * 1000.0], rtol=1e-6)
 
 
 def test_limits_of_a_profile_at_a_pace(paper: Printer) -> None:
