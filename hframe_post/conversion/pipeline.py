@@ -57,7 +57,7 @@ from hframe_post.stream.types import Item, Moves, Passthrough, Planned, Samples
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
 
-MOVES_AHEAD = 300_000  # read before the first is planned, of 64 bytes: 20 MB
+MOVES_AHEAD = 1 << 16  # read before the first is planned, of 64 bytes: 4 MB, some 3 MB of a file
 
 # ---------------------------------------------------------------------- the stages
 

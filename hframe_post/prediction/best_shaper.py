@@ -66,8 +66,12 @@ def error(plant: Plant, shaping: Shaping, paths: Paths) -> Shaping:
 
 def quadratic_form(plant: Plant, paths: Paths) -> Array:
     """Return Q, mm², for the impulses of x and then of y, (4·REACH + 2,) squared."""
-    rows = np.concatenate([_across(plant, path, counted) for path, counted in paths])
-    return np.asarray(rows.T @ rows / max(len(rows), 1))
+    Q, count = np.zeros((4 * REACH + 2, 4 * REACH + 2)), 0
+    for path, counted in paths:  # all rows at once would take 20 MB
+        rows = _across(plant, path, counted)
+        Q += rows.T @ rows
+        count += len(rows)
+    return Q / max(count, 1)
 
 
 def _across(plant: Plant, path: Array, counted: Flags) -> Array:
