@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hframe_post.firmware.base import Firmware, Source
-from hframe_post.firmware.klipper.firmware import Klipper
-from hframe_post.firmware.marlin.firmware import Marlin
+from hframe_post.firmware.klipper.klipper_firmware import Klipper
+from hframe_post.firmware.marlin.marlin_firmware import Marlin
 from hframe_post.printer.firmware_tables import named
 from hframe_post.printer.settings import Printer
 

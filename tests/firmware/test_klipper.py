@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, Flags
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.klipper.code import KlipperCode, StreamLimits
+from hframe_post.firmware.klipper.klipper_code import KlipperCode, StreamLimits
+from hframe_post.firmware.klipper.klipper_motion import KlipperMotion
 from hframe_post.firmware.klipper.macros import BEGIN, WRAPPERS, macros
-from hframe_post.firmware.klipper.motion import KlipperMotion
 from hframe_post.firmware.motion import Way
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.firmware_tables import END_MACRO, RECORDED, KlipperTable

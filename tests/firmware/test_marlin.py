@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import NO_GAIN
 from hframe_post.errors import GcodeError, PrinterError
-from hframe_post.firmware.marlin.code import MarlinCode
-from hframe_post.firmware.marlin.motion import MarlinMotion
+from hframe_post.firmware.marlin.marlin_code import MarlinCode
+from hframe_post.firmware.marlin.marlin_motion import MarlinMotion
 from hframe_post.firmware.marlin.planner import GENERATIONS
 from hframe_post.firmware.motion import Stroke, Way
 from hframe_post.firmware.registry import firmware

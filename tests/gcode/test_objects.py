@@ -2,8 +2,8 @@
 
 import pytest
 
-from hframe_post.firmware.klipper.firmware import Klipper
-from hframe_post.firmware.marlin.firmware import Marlin
+from hframe_post.firmware.klipper.klipper_firmware import Klipper
+from hframe_post.firmware.marlin.marlin_firmware import Marlin
 from hframe_post.gcode.reader import CHANGE_OF_OBJECT, read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.stream.types import MoveAtRest, Passthrough

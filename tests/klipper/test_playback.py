@@ -12,7 +12,7 @@ from hframe_post.conversion import spans
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.conversion.whole_file import SampleStream
-from hframe_post.firmware.klipper.code import StreamLimits
+from hframe_post.firmware.klipper.klipper_code import StreamLimits
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Extruder, Printer

@@ -9,7 +9,7 @@ from hframe_post.arrays import TS
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SlicedFile
-from hframe_post.firmware.klipper.code import table_of
+from hframe_post.firmware.klipper.klipper_code import table_of
 from hframe_post.firmware.registry import firmware
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.best_shaper import error

@@ -11,7 +11,7 @@ from hframe_post.conversion.conversions import StepConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.klipper.code import StreamLimits
+from hframe_post.firmware.klipper.klipper_code import StreamLimits
 from hframe_post.model.kinematics import TYPES, Differences, Kinematics
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load, parse

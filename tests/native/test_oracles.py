@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post import native
-from hframe_post.firmware.klipper.code import StreamLimits
+from hframe_post.firmware.klipper.klipper_code import StreamLimits
 from hframe_post.firmware.marlin.planner import SteppedPlanner, make_planner
 from hframe_post.native import judging, planning, ramps
 from hframe_post.native.block_times import Timer, block_times, step_times

@@ -13,7 +13,7 @@ from hframe_post.compensation.shape import shape
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SHAPED_PIECES, SlicedFile
-from hframe_post.firmware.klipper.firmware import SHAPERS as KLIPPER
+from hframe_post.firmware.klipper.klipper_firmware import SHAPERS as KLIPPER
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.model.shapers import AxisShaping, Shaping, most_damping, shaper
 from hframe_post.prediction.best_shaper import Paths, error, guess, quadratic_form, ranked

@@ -10,7 +10,7 @@ import numpy as np
 from hframe_post.arrays import X, Y
 from hframe_post.errors import ArgumentError
 from hframe_post.firmware.base import Finding
-from hframe_post.firmware.klipper.code import table_of
+from hframe_post.firmware.klipper.klipper_code import table_of
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.hosts.klipper.kernel_file import FIGURES, LIMITS, read, signed
 from hframe_post.model.kernel import Bounds, Figures, Kernel, kernel

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.base import Finding
-from hframe_post.firmware.klipper.code import SQUARE_CORNER_VELOCITY, KlipperCode
+from hframe_post.firmware.klipper.klipper_code import SQUARE_CORNER_VELOCITY, KlipperCode
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS, RECORDED, UNUSED, USUAL_CHIP
 from hframe_post.printer.settings import Printer

@@ -17,7 +17,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.marlin.code import TRAPEZOIDS, MarlinCode
+from hframe_post.firmware.marlin.marlin_code import TRAPEZOIDS, MarlinCode
 from hframe_post.firmware.marlin.planner import GENERATIONS, Planner, make_planner
 from hframe_post.native.block_times import Timer
 from hframe_post.native.whole_steps import Blocks, most_steps, motor_steps

@@ -35,9 +35,9 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Integers, X, Y, Z
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.klipper.code import KlipperCode, StreamLimits
-from hframe_post.firmware.klipper.firmware import Klipper
-from hframe_post.firmware.klipper.motion import KlipperMotion
+from hframe_post.firmware.klipper.klipper_code import KlipperCode, StreamLimits
+from hframe_post.firmware.klipper.klipper_firmware import Klipper
+from hframe_post.firmware.klipper.klipper_motion import KlipperMotion
 from hframe_post.firmware.motion import VELOCITY_HEADROOM
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import STAMP

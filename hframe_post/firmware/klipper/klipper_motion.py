@@ -9,7 +9,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.klipper.code import StreamLimits
+from hframe_post.firmware.klipper.klipper_code import StreamLimits
 from hframe_post.firmware.motion import USED_LINES_SHARE, MotionRules, NextTo, Stroke, Way
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.native.decimate import breakpoints, fitted, too_thick

@@ -16,8 +16,8 @@ from hframe_post.firmware.dialect import (
     klipper_seconds,
     object_label,
 )
-from hframe_post.firmware.klipper.code import KlipperCode, averaged_shorter, table_of
-from hframe_post.firmware.klipper.motion import KlipperMotion
+from hframe_post.firmware.klipper.klipper_code import KlipperCode, averaged_shorter, table_of
+from hframe_post.firmware.klipper.klipper_motion import KlipperMotion
 from hframe_post.model.shapers import Shaping
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.stream.types import FileLimits

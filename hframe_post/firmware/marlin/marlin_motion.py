@@ -18,7 +18,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Flags, Integers, Z
 from hframe_post.firmware.code import plain
 from hframe_post.firmware.dialect import ExtruderLimits
-from hframe_post.firmware.marlin.code import JUNCTION_DEVIATION, TRAPEZOIDS, MarlinCode
+from hframe_post.firmware.marlin.marlin_code import JUNCTION_DEVIATION, TRAPEZOIDS, MarlinCode
 from hframe_post.firmware.marlin.planner import Planner
 from hframe_post.firmware.motion import (
     USED_LINES_SHARE,

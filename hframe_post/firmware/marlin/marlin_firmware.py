@@ -26,8 +26,8 @@ from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import FileLimits
 
 if TYPE_CHECKING:
-    from hframe_post.firmware.marlin.code import MarlinCode
-    from hframe_post.firmware.marlin.motion import MarlinMotion, MarlinMoves
+    from hframe_post.firmware.marlin.marlin_code import MarlinCode
+    from hframe_post.firmware.marlin.marlin_motion import MarlinMotion, MarlinMoves
 
 
 def _accelerations(words: Words, before: Accelerations) -> Accelerations:
@@ -62,12 +62,12 @@ class Marlin(Firmware):
 
     def motion(self, tolerance: float | None) -> MarlinMotion:
         """Return its motion. tolerance: not used, segments are as long as whole steps make them."""
-        from hframe_post.firmware.marlin.motion import MarlinMotion
+        from hframe_post.firmware.marlin.marlin_motion import MarlinMotion
 
         return MarlinMotion(self.code(), self.printer.kinematics)
 
     def code(self) -> MarlinCode:
-        from hframe_post.firmware.marlin.code import MarlinCode
+        from hframe_post.firmware.marlin.marlin_code import MarlinCode
 
         return MarlinCode.from_printer(self.printer)
 
@@ -79,7 +79,7 @@ class Marlin(Firmware):
         return replace(self.dialect, has_deviation=known, soft_endstops=endstops)
 
     def moves(self) -> MarlinMoves:
-        from hframe_post.firmware.marlin.motion import MarlinMoves
+        from hframe_post.firmware.marlin.marlin_motion import MarlinMoves
 
         return MarlinMoves(self.code(), self.printer.kinematics)
 
