@@ -241,7 +241,6 @@ class _Window:
 
     def solve(self, stop: Stop) -> None:
         around = Surroundings(self._path, self._origin, self._extruding)
-        changed = self._rows(stop.a - BESIDE, stop.b + BESIDE)
         local = stop.counted_from(self._first)
         for track in self._tracks.values():
-            track.command[changed] = track.solver.solve(around, track.command, local)
+            track.solver.solve(around, track.command, local)

@@ -16,9 +16,9 @@ BESIDE = 100  # samples before and after a dwell in which its command may change
 BEYOND = 100  # samples after these that are judged too: ringing shows there
 
 # weights of a sample's squared deviation across the path; 1 while it extrudes
-TRAVELLING = 0.03  # while it does not
-DWELLING = 0.04  # in the dwell
-ARRIVING = 1.0  # at the end of a dwell from which an extrusion begins
+# while it does not; in the dwell; at the end of a dwell from which an extrusion begins
+TRAVELLING, DWELLING, ARRIVING = 0.03, 0.04, 1.0
+SHARES = np.array([TRAVELLING, DWELLING, ARRIVING])
 SOON = 25  # samples after a dwell in which that extrusion begins
 
 
@@ -45,10 +45,12 @@ def judged(n: int) -> Integers:
 
 
 @lru_cache(maxsize=128)
-def _first_weights(n: int) -> Array:
-    """Return the weights of the judged samples around a dwell of n, if all of them extrude."""
-    dwelling = np.full(len(judged(n)) - len(BEFORE) - len(AFTER), DWELLING)
-    return np.concatenate([COUNTED_BEFORE, dwelling, COUNTED_AFTER])
+def judged_rows(n: int) -> tuple[Integers, Array, slice]:
+    """Return ``judged``, what each counts if all of them extrude, and those in the dwell."""
+    index = judged(n)
+    dwell = slice(len(BEFORE), len(index) - len(AFTER))
+    dwelling = np.full(dwell.stop - dwell.start, DWELLING)
+    return index, np.concatenate([COUNTED_BEFORE, dwelling, COUNTED_AFTER]), dwell
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,37 +81,3 @@ class Surroundings:
     path: Array
     origin: Array
     extruding: Flags
-
-
-@dataclass(frozen=True, slots=True)
-class Rows:
-    """The r judged samples around a dwell and in it, in the order of time.
-
-    path (n, 2): of the stretch; index (r,): their places in it; dwell: those in the dwell, where
-    the path is at rest; weight (r,); extruding (r,): which count as printed.
-    """
-
-    path: Array
-    index: Integers
-    dwell: slice
-    weight: Array
-    extruding: Flags
-
-    @classmethod
-    def from_stop(cls, around: Surroundings, stop: Stop) -> Rows:
-        """Return the rows of a stop with their first weights."""
-        a, n = stop.a, stop.b - stop.a
-        index = a - BESIDE + judged(n)
-        dwell = slice(len(BEFORE), len(index) - len(AFTER))
-        weight = _first_weights(n).copy()
-        if not stop.after:
-            weight[dwell.stop :] = 0.0
-        extruding = around.extruding[index]
-        extruding[dwell] = False
-        weight[~extruding] *= TRAVELLING
-        weight[(index >= stop.ends) | (index < a - stop.before)] = 0.0
-        extruding &= weight > 0.0
-        weight[dwell] = DWELLING
-        if n and around.extruding[stop.b : stop.b + SOON].any():
-            weight[dwell.stop - 1] = ARRIVING
-        return cls(around.path, index, dwell, weight, extruding)

@@ -44,9 +44,17 @@ from hframe_post.arrays import TS, Array, Integers, X, Y
 from hframe_post.model.filters import FiniteFilter, stream_filter
 from hframe_post.model.lpfbs import bsplines
 from hframe_post.model.plant import Plant
-from hframe_post.model.stop_cost import BESIDE, BEYOND, Rows, Stop, Surroundings, judged
-from hframe_post.native.linear import product
-from hframe_post.native.stop import BED, Problem, Splines, least_squares
+from hframe_post.model.stop_cost import (
+    BESIDE,
+    BEYOND,
+    SHARES,
+    SOON,
+    Stop,
+    Surroundings,
+    judged,
+    judged_rows,
+)
+from hframe_post.native.stop import Splines, solve_stop
 
 USABLE = 0.8  # share of the belts' acceleration to use: firmware needs the rest to be in time
 AT_DWELL = 0.5  # share of that next to the dwell, where firmware stops within one segment
@@ -78,39 +86,28 @@ class StopSolver:
         self.around = AroundStops(plant, self._N_before, self._N_after)
         self._splines = lru_cache(maxsize=32)(self._usable_splines)
 
-    def solve(self, around: Surroundings, command: Array, stop: Stop) -> Array:
-        """Return the command (n, 2) of samples a − BESIDE … b + BESIDE − 1, from the origin.
+    def solve(self, around: Surroundings, command: Array, stop: Stop) -> None:
+        """Replace the command of samples a − BESIDE … b + BESIDE − 1.
 
-        command: of the whole stretch, so far. The path must be known for NEAREST samples more on
-        either side, and for BEYOND after; the command for ``around.memory`` samples before, and
-        for ``around.ahead`` after that.
+        command (n, 2): of the whole stretch, so far, from the origin. The path must be known for
+        NEAREST samples more on either side, and for BEYOND after; the command for
+        ``around.memory`` samples before, and for ``around.ahead`` after that.
         """
-        rows, n, first = Rows.from_stop(around, stop), stop.b - stop.a, stop.a - BESIDE
-        begun = first - self.around.memory
-        held = command[stop.a]
+        n, origin = stop.b - stop.a, around.origin
+        begun = stop.a - BESIDE - self.around.memory
         dwelling = command[begun : stop.b + BESIDE + BEYOND + self.around.ahead].copy()
-        dwelling[stop.a - begun : stop.b - begun] = held
-        known, levers = self.around.known(dwelling, rows, n, around.origin)
+        dwelling[stop.a - begun : stop.b - begun] = command[stop.a]
+        rows = judged_rows(n)
+        path = around.path[stop.a - BESIDE + rows[0]] + origin
+        known, levers = self.around.known(dwelling, path, n, origin)
         reach = bisect_right(self._reach, stop.before), bisect_right(self._reach, stop.after)
-        node = self.around.node(float(around.path[stop.a, X] + around.origin[X]))
+        node = self.around.node(float(around.path[stop.a, X] + origin[X]))
         splines = self._splines(*reach, stop.movable, n, node)
-        # with two samples more on either side for second differences, and a shortened dwell
-        sequence = np.empty((len(splines.N), 2))
-        sequence[: BESIDE + 2] = command[first - 2 : stop.a]
-        sequence[BESIDE + 2 : -BESIDE - 2] = held
-        sequence[-BESIDE - 2 :] = command[stop.b : stop.b + BESIDE + 2]
-        bounds = self._bounds.copy()
-        bounds[BED] -= np.tile(around.origin, 2)
-        problem = Problem(
-            rows.path, rows.index, rows.dwell, rows.weight, rows.extruding, known, levers,
-            self.around.axes, splines, sequence, bounds,
+        numbers = stop.a, stop.b, stop.before, stop.after, stop.ends
+        solve_stop(
+            around.path, around.extruding, command, rows, numbers, BESIDE, SHARES, SOON, known,
+            levers, self.around.axes, splines, self._bounds, origin,
         )  # fmt: skip
-        sequence += product(least_squares(problem).T, splines.by_column).T
-        solved = np.empty((n + 2 * BESIDE, 2))
-        solved[:BESIDE] = sequence[2 : BESIDE + 2]
-        solved[BESIDE : BESIDE + n] = sequence[BESIDE + 2]
-        solved[BESIDE + n :] = sequence[-BESIDE - 2 : -2]
-        return solved
 
     def _usable_splines(self, before: int, after: int, movable: bool, n: int, node: int) -> Splines:
         """Return the splines of a stop.
@@ -177,11 +174,11 @@ class AroundStops:
         functions = plant.Gxx, plant.Gyy, *(c.G for c in plant.couplings)
         return [stream_filter(G, self.ahead) for G in functions]
 
-    def known(self, command: Array, rows: Rows, n: int, origin: Array) -> tuple[Array, Array]:
+    def known(self, command: Array, path: Array, n: int, origin: Array) -> tuple[Array, Array]:
         """Return the nozzle (r, 2) without p, and lever arms (couplings, r), at the judged samples.
 
         command: from ``memory`` + BESIDE samples before a dwell of n samples to BESIDE + BEYOND +
-        ahead after it, from the origin (2,), mm on the bed, as the rows' path.
+        ahead after it, from the origin (2,), mm on the bed; path (r, 2): there.
         """
         u, at, couplings = np.ascontiguousarray(command.T), judged(n) + self.ahead, self._couplings
         place = u[X, self.memory - self.ahead : len(command) - self.ahead] + origin[X]
@@ -191,7 +188,6 @@ class AroundStops:
         ]
         nozzle, levers = np.empty((len(at), 2)), np.ones((len(couplings), len(at)))
         nozzle[:, X], nozzle[:, Y] = outputs[:2]
-        path = rows.path[rows.index] + origin if couplings else nozzle
         for coupling, output, lever in zip(couplings, outputs[2:], levers, strict=True):
             lever[:] = coupling.lever(path)
             nozzle[:, coupling.answer] += lever * output

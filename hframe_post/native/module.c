@@ -25,12 +25,12 @@
     EACH(junctions)                                                                           \
     EACH(klipper_durations)                                                                   \
     EACH(klipper_feeds)                                                                       \
-    EACH(least_squares)                                                                       \
     EACH(finite_filter)                                                                       \
     EACH(limit_moves)                                                                         \
     EACH(lower_moves)                                                                         \
     EACH(run_seconds)                                                                         \
     EACH(smoothed_runs)                                                                       \
+    EACH(solve_stop)                                                                          \
     EACH(line_pieces)                                                                         \
     EACH(marlin_block_times)                                                                  \
     EACH(marlin_blocks)                                                                       \

@@ -483,37 +483,98 @@ WIDE static int search(const struct problem *q, struct room *room, vector *best)
     return 1;
 }
 
-/* p (k, 2) of a stop; bounds: effort (2), belts (2, 2), the least and the greatest place (2, 2),
- * and the belts' limit where nothing lowers it. Return whether there is room for it. */
-static int64_t least_squares(const double *path, const int64_t *index, int64_t r, int64_t held_from,
-                             int64_t held_to, const double *weight, const uint8_t *extruding,
-                             const double *known, const double *levers, const int64_t *axes,
-                             int64_t couplings, const double *by_p, const int64_t *first, int64_t k,
-                             const double *command, int64_t q,
-                             const double *N, const double *D, const int64_t *bands, const double *limit,
-                             const double *bounds, int64_t reach, int64_t searches,
-                             int64_t emphases, int64_t trials, int64_t hard_trials,
-                             const struct rules *rules, double *room, double *p)
+/* A stop in a stretch of samples; see model/stop_cost.py. */
+struct stop {
+    int64_t a, b, before, after, ends;
+};
+struct shares { /* weights of samples in travel, in a dwell, and at its end if it extrudes soon */
+    double travelling, dwelling, arriving;
+};
+
+/* The judged rows with their weights; weight (r) is that of rows that extrude. */
+static void weigh(const struct stop *stop, const uint8_t *extrudes, const int64_t *index, int64_t r,
+                  int64_t held_from, int64_t held_to, const struct shares *share, int64_t soon,
+                  double *weight, uint8_t *extruding)
 {
-    struct problem problem = {
-        *rules, searches, emphases, trials, hard_trials, (const vector *)path, index, r, held_from,
-        held_to, weight, extruding, (const vector *)known,
-        levers, axes, couplings, by_p, first, k, q, (const vector *)command, N, D, bands,
-        limit, bounds, bounds + 2, bounds + 6, bounds + 8, bounds[10],
-    };
-    (void)reach;
-    if (r > MOST_ROWS || k > MOST_SPLINES || q > MOST_SAMPLES)
-        return 0;
-    room += (64 - (uintptr_t)room % 64) % 64 / sizeof(double); /* to a line of the cache */
-    return search(&problem, (struct room *)room, (vector *)p);
+    for (int64_t i = 0; i < r; i++) {
+        int held = i >= held_from && i < held_to;
+        extruding[i] = !held && extrudes[index[i]];
+        if (!extruding[i])
+            weight[i] *= share->travelling;
+        if ((!stop->after && i >= held_to) || index[i] >= stop->ends || index[i] < stop->a - stop->before)
+            weight[i] = 0.0;
+        extruding[i] &= weight[i] > 0.0;
+        if (held)
+            weight[i] = share->dwelling;
+    }
+    for (int64_t i = 0; i < soon && held_to > held_from; i++)
+        if (extrudes[stop->b + i])
+            weight[held_to - 1] = share->arriving;
 }
 
-LOOP(least_squares, FLOATS(0, 2 * PIECES), INDICES(1, FEW(2), NEAREST, ITEMS(0) / 2 - NEAREST), FEW(2),
-     WHOLE(3), WHOLE(4), FLOATS(5, FEW(2)), BYTES(6, FEW(2)), FLOATS(7, 2 * FEW(2)),
-     FLOATS(8, FEW(2) * FEW(10)), INDICES(9, 2 * FEW(10), X, Z), FEW(10),
-     FLOATS(11, (2 + FEW(10)) * FEW(2) * FEW(13)), INTEGERS(12, FEW(13)), FEW(13), FLOATS(14, 2 * FEW(15)),
-     FEW(15), FLOATS(16, FEW(15) * FEW(13)), FLOATS(17, (FEW(15) - 2) * FEW(13)),
-     INDICES(18, 2 * FEW(15), 0, FEW(13) + 1), FLOATS(19, FEW(15) - 2), FLOATS(20, 11),
-     WITHIN(21, NEAREST, NEAREST), FEW(22), FEW(23), FEW(24), FEW(25), (const struct rules *)FLOATS(26, RULES),
-     OUT_FLOATS(27, (int64_t)(sizeof(struct room) / sizeof(double) + LINE)),
-     OUT_FLOATS(28, 2 * FEW(13)))
+/* Write the command (n, 2) around a stop into the command of its stretch. known (r, 2): the nozzle
+ * without p; bounds: effort (2), belts (2, 2), the least and the greatest place (2, 2), and the belts'
+ * limit where nothing lowers it. q: samples of the command with two more on either side, and at most
+ * two of the dwell. Return whether there is room for it. */
+static int64_t solve_stop(const double *path, const uint8_t *extrudes, int64_t n, double *command,
+                          const int64_t *judged, const double *first_weight, int64_t r,
+                          int64_t held_from, int64_t held_to, const struct stop *stop, int64_t beside,
+                          const struct shares *share, int64_t soon, const double *known,
+                          const double *levers, const int64_t *axes, int64_t couplings,
+                          const double *by_p, const int64_t *first, int64_t k, const double *N,
+                          const double *D, const int64_t *bands, const double *limit, int64_t q,
+                          const double *bounds, const double *origin, const int64_t *at_most,
+                          const struct rules *rules, int64_t reach, double *room)
+{
+    int64_t index[MOST_ROWS], a = stop->a, b = stop->b, dwell = q - 2 * beside - 4;
+    double weight[MOST_ROWS], own[11];
+    uint8_t extruding[MOST_ROWS];
+    vector sequence[MOST_SAMPLES], p[MOST_SPLINES], *u = (vector *)command;
+    (void)reach;
+    if (r > MOST_ROWS || k > MOST_SPLINES || q > MOST_SAMPLES || dwell < 0 || b < a || dwell > b - a
+        || held_to > r || a < beside + 2 || b + beside + 2 > n || b + soon > n)
+        return 0;
+    for (int64_t i = 0; i < r; i++) {
+        index[i] = a - beside + judged[i], weight[i] = first_weight[i];
+        if (index[i] < NEAREST || index[i] >= n - NEAREST)
+            return 0;
+    }
+    weigh(stop, extrudes, index, r, held_from, held_to, share, soon, weight, extruding);
+    for (int c = 0; c < 11; c++)
+        own[c] = c >= 6 && c < 10 ? bounds[c] - origin[c % 2] : bounds[c];
+    memcpy(sequence, u + a - beside - 2, sizeof(vector) * (size_t)(beside + 2));
+    for (int64_t i = 0; i < dwell; i++)
+        memcpy(sequence[beside + 2 + i], u[a], sizeof(vector));
+    memcpy(sequence + beside + 2 + dwell, u + b, sizeof(vector) * (size_t)(beside + 2));
+    struct problem problem = {
+        *rules, at_most[0], at_most[1], at_most[2], at_most[3], (const vector *)path, index, r, held_from,
+        held_to, weight, extruding, (const vector *)known, levers, axes, couplings, by_p, first, k, q,
+        (const vector *)sequence, N, D, bands, limit, own, own + 2, own + 6, own + 8, own[10],
+    };
+    room += (64 - (uintptr_t)room % 64) % 64 / sizeof(double); /* to a line of the cache */
+    if (k > 0 && !search(&problem, (struct room *)room, p))
+        return 0;
+    for (int64_t i = 0; i < q; i++)
+        for (int axis = 0; axis < 2; axis++) {
+            double sum = 0.0;
+            for (int64_t c = bands[2 * i]; c < bands[2 * i + 1]; c++)
+                sum += p[c][axis] * N[i * k + c];
+            sequence[i][axis] += sum;
+        }
+    memcpy(u + a - beside, sequence + 2, sizeof(vector) * (size_t)beside);
+    for (int64_t i = a; i < b; i++)
+        memcpy(u[i], sequence[beside + 2], sizeof(vector));
+    memcpy(u + b, sequence + q - beside - 2, sizeof(vector) * (size_t)beside);
+    return 1;
+}
+
+LOOP(solve_stop, FLOATS(0, 2 * COUNT(2)), BYTES(1, COUNT(2)), COUNT(2), OUT_FLOATS(3, 2 * COUNT(2)),
+     INTEGERS(4, FEW(6)), FLOATS(5, FEW(6)), FEW(6), FEW(7), FEW(8),
+     (const struct stop *)INTEGERS(9, sizeof(struct stop) / sizeof(int64_t)), FEW(10),
+     (const struct shares *)FLOATS(11, sizeof(struct shares) / sizeof(double)), FEW(12),
+     FLOATS(13, 2 * FEW(6)), FLOATS(14, FEW(6) * FEW(16)), INDICES(15, 2 * FEW(16), X, Z), FEW(16),
+     FLOATS(17, (2 + FEW(16)) * FEW(6) * FEW(19)), INTEGERS(18, FEW(19)), FEW(19),
+     FLOATS(20, FEW(24) * FEW(19)), FLOATS(21, (FEW(24) - 2) * FEW(19)),
+     INDICES(22, 2 * FEW(24), 0, FEW(19) + 1), FLOATS(23, FEW(24) - 2), FEW(24), FLOATS(25, 11),
+     FLOATS(26, 2), INTEGERS(27, 4), (const struct rules *)FLOATS(28, RULES),
+     WITHIN(29, NEAREST, NEAREST), OUT_FLOATS(30, (int64_t)(sizeof(struct room) / sizeof(double) + LINE)))

@@ -6,6 +6,7 @@ x and y alternate, so that a row in time has a prefix of columns only.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,27 +29,25 @@ EXCESS_COST = 0.2  # mm² for exceeding a bound by as much again, next to the sq
 HARD_COST = 100.0  # mm² for exceeding HARDEST by as much again at one sample
 SHORT2 = 1e-14  # mm², squared length up to which a vector has no direction
 ROOM = 45_000  # numbers that the compiled loop needs to work in; C takes no fewer
-BED = slice(6, 10)  # of a problem's bounds: the bed's edges
 CLEARANCE = 0.02  # mm to the bed's edge for a command that would leave it
 RULES = np.array([
     ALONG, FAR, EMPHASIS, MOST_EMPHASIS, TARGET, EASY, RAISED, MOST_RAISED, HARDEST,
     EXCESS_COST, HARD_TARGET, HARD_COST, SHORT2, CLEARANCE,
 ])  # fmt: skip
+AT_MOST = np.array([SEARCHES, EMPHASES, TRIALS, HARD_TRIALS])
 
 
 @dataclass(frozen=True, slots=True)
 class Splines:
     """The usable ones of all splines and the dwell.
 
-    N (q, k): the command by p, from two samples before to two after; by_column (k, q): the same;
-    D (q − 2, k): its second differences; bands (q, 2): each row of N has nonzero values from one
-    column to before another; by_p (2 + couplings, r, k): outputs of the plant's filters by a half
-    of p; first (k,): the row at which each spline begins to act; limit (q − 2,): bounds of the
-    belts' second difference.
+    N (q, k): the command by p, from two samples before to two after; D (q − 2, k): its second
+    differences; bands (q, 2): each row of N has nonzero values from one column to before another;
+    by_p (2 + couplings, r, k): outputs of the plant's filters by a half of p; first (k,): the row
+    at which each spline begins to act; limit (q − 2,): bounds of the belts' second difference.
     """
 
     N: Array
-    by_column: Array
     D: Array
     bands: Integers
     by_p: Array
@@ -65,44 +64,31 @@ class Splines:
         bands = np.ascontiguousarray(np.column_stack([over, begun]))
         acts = (by_p != 0.0).any(axis=0).argmax(axis=0)
         first = np.minimum.accumulate(acts[::-1])[::-1].copy()
-        by_column = np.ascontiguousarray(N.T)
-        return cls(N, by_column, np.diff(N, n=2, axis=0), bands, by_p, first, limit)
+        return cls(N, np.diff(N, n=2, axis=0), bands, by_p, first, limit)
 
 
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """A stop's least squares at r judged samples, the rows.
+def solve_stop(
+    path: Array, extruding: Flags, command: Array, rows: tuple[Integers, Array, slice],
+    stop: Sequence[int], beside: int, shares: Array, soon: int, known: Array, levers: Array,
+    axes: Integers, splines: Splines, bounds: Array, origin: Array,
+) -> None:  # fmt: skip
+    """Write the command around a stop into the command (n, 2) of its stretch.
 
-    path (n, 2): of a stretch; index (r,): the rows' places in it; dwell: those in the dwell, where
-    the path is at rest; weight (r,); extruding (r,): which count as printed. known (r, 2): the
-    nozzle without p; levers (couplings, r); axes (couplings, 2): where these respond, and their
-    command; command (q, 2): without p; bounds (11,): effort of x and y; from x, y to the belts, by
-    rows; the least and then the greatest command; the belts' limit where nothing lowers it.
+    path (n, 2), extruding (n,): of the stretch. rows: the r judged samples, counted from ``beside``
+    before the stop, with their weights if all extrude, and which of them are in the dwell. stop: a,
+    b, before, after, ends, see ``stop_cost.Stop``. shares (3,), soon: weights of samples in travel
+    and in the dwell, and at its end if it extrudes within so many samples. known (r, 2): the nozzle
+    without p; levers (couplings, r); axes (couplings, 2): where these respond, and their command.
+    bounds (11,): effort of x and y; from x, y to the belts, by rows; the least and then the
+    greatest place on the bed, where the path's origin (2,) is; the belts' limit where nothing
+    lowers it.
     """
-
-    path: Array
-    index: Integers
-    dwell: slice
-    weight: Array
-    extruding: Flags
-    known: Array
-    levers: Array
-    axes: Integers
-    splines: Splines
-    command: Array
-    bounds: Array
-
-
-def least_squares(problem: Problem) -> Array:
-    """Return p (k, 2)."""
-    if not (k := len(problem.splines.first)):
-        return np.zeros((0, 2))
-    q, splines, p = problem, problem.splines, np.empty((k, 2))
-    fits = kernels.least_squares(
-        q.path, q.index, len(q.index), q.dwell.start, q.dwell.stop, q.weight, q.extruding, q.known,
-        q.levers, q.axes, len(q.axes), splines.by_p, splines.first, k, q.command, len(q.command),
-        splines.N, splines.D, splines.bands, splines.limit, q.bounds, NEAREST, SEARCHES,
-        EMPHASES, TRIALS, HARD_TRIALS, RULES, np.empty(ROOM), p,
+    judged, weight, dwell = rows
+    s = splines
+    fits = kernels.solve_stop(
+        path, extruding, len(path), command, judged, weight, len(judged), dwell.start, dwell.stop,
+        np.array(stop), beside, shares, soon, known, levers, axes, len(axes), s.by_p, s.first,
+        len(s.first), s.N, s.D, s.bands, s.limit, len(s.N), bounds, origin, AT_MOST, RULES, NEAREST,
+        np.empty(ROOM),
     )  # fmt: skip
     assert fits
-    return p
