@@ -145,17 +145,17 @@ class Report(Ledger):
             return []  # a shaper could not print as fast as this
         before, ours = (self.contour[name].expected for name in ("none", self.strategy))
         shaper = self.contour[SHAPER].expected if SHAPER in self.contour else math.inf
-        text = ""
         if ours >= before:
-            text = "this print is better as sliced"
-        elif ours > NO_GAIN * shaper:
-            text = (
-                "the best input shaper does as well: use it instead ('hframe-post simulate "
-                "--shapers' prints its settings)"
+            return [Row("advice", "this print is better as sliced")]
+        texts = list[str]()
+        if before < VISIBLE:
+            texts.append("hardly worth it: errors as small as these are not seen on a print")
+        if ours > NO_GAIN * shaper:
+            texts.append(
+                f"the best input shaper does {'better' if ours > shaper else 'as well'}: use it "
+                "instead ('hframe-post simulate --shapers' prints its settings)"
             )
-        elif before < VISIBLE:
-            text = "hardly worth it: errors as small as these are not seen on a print"
-        return [Row("advice", text)]
+        return [Row("advice", "; ".join(texts))]
 
     def _figures(self) -> list[Row]:
         read, peaks, written, steps = self.read, self.peaks, self.written, self.steps
@@ -214,15 +214,16 @@ class Report(Ledger):
 
     def _width(self) -> Row:
         """Return how far the printed line's width is off, if anything is extruded."""
+        said = {self.strategy: "as converted", "none": "as sliced"}
         shares = ", ".join(
-            f"{self.label(name)} {100.0 * self.width[name].rms:.1f} %"
+            f"{100.0 * self.width[name].rms:.1f} % {said.get(name) or self.label(name)}"
             for name in STRATEGIES
             if name in self.width and self.width[name].count
         )
         known = {
             name: self.width[name].percents() for name in self.strategies if name in self.width
         }
-        text = f"off by {shares} RMS, on {PIECE:g} mm of line" if shares else ""
+        text = f"off by {shares} (RMS, on {PIECE:g} mm of line)" if shares else ""
         return Row("line width", text, {"line_width_error_percent": known})
 
     # ------------------------------------------------------------------ warnings
