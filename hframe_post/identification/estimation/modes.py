@@ -29,7 +29,7 @@ RINGS = 0.3  # damping ratio below which a mode visibly rings
 LISTED = 0.03  # of the motion at rest: modes that contribute less are not listed
 LATE = 2e-3  # s by which their delay may differ from the response's lag
 STEPS = 401  # of the delays that are tried: 10 µs
-HALF_POWER = 0.5**0.5  # of a peak's height, at which its relative width is twice the damping
+NEAR = 0.1  # of the response's resonance, within which the measured peak is
 
 
 def ringing(found: Estimated) -> list[Mode]:
@@ -71,16 +71,13 @@ def listed(found: Estimated, measured: FrequencyResponse, late: float) -> list[t
         counting = [mode for mode, size in zip(modes, sizes.tolist(), strict=True) if size > LISTED]
         known = sorted((mode.omega / (2.0 * np.pi * TS), mode.zeta) for mode in counting)
     else:
-        known = [_resonance(found)]
+        known = [_resonance(found, measured)]
     return [(hz, zeta) for hz, zeta in known if zeta < RINGS and hz <= measured.hz[-1]]
 
 
-def _resonance(found: Estimated) -> tuple[float, float]:
-    """Return Hz and damping ratio of the peak at the resonance, by its width at half the power."""
-    hz = np.arange(0.05, 2.0 * found.resonance_hz, 0.05)
-    size = np.abs(found.G.response(2.0 * np.pi * TS * hz))
+def _resonance(found: Estimated, measured: FrequencyResponse) -> tuple[float, float]:
+    """Return Hz and damping ratio of the measured peak at the resonance, whose height is 1/2ζ."""
+    near = np.abs(measured.hz / found.resonance_hz - 1.0) < NEAR
+    size = np.abs(measured.H / found.gain) * near
     peak = int(size.argmax())
-    low = hz[:peak][size[:peak] < HALF_POWER * size[peak]]
-    high = hz[peak:][size[peak:] < HALF_POWER * size[peak]]
-    width = high.min(initial=hz[-1]) - low.max(initial=0.0)
-    return float(hz[peak]), float(width / (2.0 * hz[peak]))
+    return float(measured.hz[peak]), float(0.5 / size[peak])
