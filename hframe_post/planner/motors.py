@@ -18,9 +18,9 @@ from hframe_post.printer.settings import CORNER_S, Limits, Motors
 from hframe_post.stream.types import FileLimits, Item, Moves, frozen
 
 SHARE = 0.6  # of the belts' acceleration: with 0.75, slices had to be clamped a fifth of the time
-# Slices on measured printers, two CoreXY and an H-bot, ask for 0.60 to 0.70 of the hardest that
+# Slices on measured printers, two CoreXY and an H-bot, ask for 0.60 to 0.71 of the hardest that
 # commands become for any path
-LIKELY = 0.7
+LIKELY = 0.72
 
 # mm/s in a ramp to all of that. With motors of 6000 mm/s², commands for a measured Voron were cut
 # for 2.0 s of 290 at 18 mm/s, for 1.0 s at 26 mm/s, never at this; strong motors need no such limit
