@@ -18,7 +18,7 @@ from hframe_post.printer.settings import CORNER_S, Limits, Motors
 from hframe_post.stream.types import FileLimits, Item, Moves, frozen
 
 SHARE = 0.6  # of the belts' acceleration: with 0.75, slices had to be clamped a fifth of the time
-# Slices on measured printers, two CoreXY and an H-bot, ask for 0.60 to 0.71 of the hardest that
+# Slices on measured printers, two CoreXY and an H-bot, ask for 0.60 to 0.70 of the hardest that
 # commands become for any path
 LIKELY = 0.72
 
