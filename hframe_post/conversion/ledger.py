@@ -132,8 +132,8 @@ class Ledger:
 
     @property
     def duration(self) -> float:
-        """Return how long the motion takes."""
-        return self.samples * TS
+        """Return how long the motion takes, s."""
+        return self.samples * TS + self.written.late
 
 
 class FileNotes:

@@ -103,6 +103,22 @@ INSIDE void find_speeds(const struct ramped *r, const double *T, int64_t rounds,
     }
 }
 
+/* Lower the speeds between segments, joint (k + 1), to those that their accelerations reach. */
+INSIDE void reach(const struct ramped *r, double *restrict joint)
+{
+    const double *d = r->d, *a = r->a;
+    for (int64_t i = 0; i < r->k; i++) {
+        double most = joint[i] * joint[i] + 2.0 * a[i] * d[i];
+        if (joint[i + 1] * joint[i + 1] > most)
+            joint[i + 1] = sqrt(most);
+    }
+    for (int64_t i = r->k; i-- > 0;) {
+        double most = joint[i + 1] * joint[i + 1] + 2.0 * a[i] * d[i];
+        if (joint[i] * joint[i] > most)
+            joint[i] = sqrt(most);
+    }
+}
+
 /* taken (k): the times that segments take at speeds v (k). joint (k + 1), top (k): room. */
 INSIDE void find_durations(const struct ramped *r, const double *v, double *restrict joint,
                            double *restrict top, double *restrict taken)
@@ -111,10 +127,14 @@ INSIDE void find_durations(const struct ramped *r, const double *v, double *rest
     for (int64_t i = 0; i < r->k; i++)
         top[i] = lesser(v[i], r->top[i]);
     join(r, top, joint);
+    reach(r, joint);
     for (int64_t i = 0; i < r->k; i++) {
-        double up = top[i] - joint[i], down = top[i] - joint[i + 1];
+        double v_s = joint[i], v_e = joint[i + 1];
+        double most = (v_s * v_s + v_e * v_e) / 2.0 + a[i] * d[i];
+        double peak = top[i] * top[i] > most ? sqrt(most) : top[i];
+        double up = peak - v_s, down = peak - v_e;
         double ramps = (up * up + down * down) / (2.0 * a[i]);
-        taken[i] = (d[i] + ramps) / top[i];
+        taken[i] = (d[i] + ramps) / peak;
     }
 }
 

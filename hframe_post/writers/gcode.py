@@ -37,11 +37,15 @@ TEXT_AT_ONCE = 1 << 16  # bytes
 
 @dataclass(frozen=True, slots=True)
 class GcodeSummary:
-    """Numbers of a stream: lines, lines of motion in the busiest second, filament (mm)."""
+    """Numbers of a stream: lines, lines of motion in the busiest second, filament (mm).
+
+    late: seconds by which the machine takes longer than the samples.
+    """
 
     lines: int = 0
     busiest_second: int = tallied(0, max)
     filament: float = 0.0
+    late: float = 0.0
 
 
 class GcodeWriter:
@@ -83,8 +87,9 @@ class GcodeWriter:
     @property
     def summary(self) -> GcodeSummary:
         """Return the numbers of the whole stream, once it has been written."""
-        ledger = self._machine.ledger
-        return GcodeSummary(self._lines, ledger.busiest, ledger.written)
+        ledger, timing = self._machine.ledger, self._timing
+        late = timing.lost + timing.lag
+        return GcodeSummary(self._lines, ledger.busiest, ledger.written, late)
 
 
 def _joined(output: Iterable[Output]) -> Iterator[Output]:

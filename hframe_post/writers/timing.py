@@ -67,14 +67,14 @@ class Timing:
 
     steady: segments over which time is kept inside a motion, too; 0: over a batch. It takes an F
     with many digits. ``lag``: seconds by which the machine is late, as far as rounding tells; the
-    next motion makes up for it.
+    next motion makes up for it. ``lost``: those that none made up for.
     """
 
     def __init__(self, rules: MotionRules, units: Units, steady: int = 0) -> None:
         self._rules, self._units, self._steady = rules, units, steady or rules.steady
         self._per_feed = units.per_feed
         self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it rests
-        self.lag = 0.0
+        self.lag = self.lost = 0.0
         self._fresh = True  # nothing has moved since the machine was taken over
         # last segment of a batch: places, speed, whether from rest, speed of the one before it
         self._ending: tuple[Array, Array, bool, float] | None = None
@@ -98,6 +98,7 @@ class Timing:
                     yield from self._stop(command.samples)
                 case LimitChange():
                     yield command
+                    self.lost += self.lag
                     self.lag, self._fresh = 0.0, True  # lateness does not matter any more
 
     def _motion(self, motion: Motion) -> Iterator[TimedCommand]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, Z, lengths
 from hframe_post.native.planning import junction_speeds
-from hframe_post.native.ramps import LATE, MADE_UP, durations, speeds, whole_feeds
+from hframe_post.native.ramps import LATE, MADE_UP, ends, speeds, whole_feeds
 
 
 def reachable_speed(v0: Array, length: Array, acceleration: Array, jerk: float) -> Array:
@@ -88,7 +88,19 @@ class Ramped:
         return speeds(self.d, T, self.a, self.caps, before)
 
     def durations(self, v: Array, before: float) -> Array:
-        return durations(self.d, np.minimum(v, self.top), self.a, self.caps, before)
+        """Return the seconds (k,), with no speed that the accelerations do not reach."""
+        d, a, top = self.d, self.a, np.minimum(v, self.top)
+        v_s, v_e = ends(top, self.caps, before)
+        joint = np.append(v_s, v_e[-1:])
+        for i in range(len(d)):
+            joint[i + 1] = min(joint[i + 1], np.sqrt(joint[i] * joint[i] + 2.0 * a[i] * d[i]))
+        for i in reversed(range(len(d))):
+            most = joint[i + 1] * joint[i + 1] + 2.0 * a[i] * d[i]
+            joint[i] = min(joint[i], np.sqrt(most))
+        v_s, v_e = joint[:-1], joint[1:]
+        peak = np.minimum(top, np.sqrt((v_s * v_s + v_e * v_e) / 2.0 + a * d))
+        up, down = peak - v_s, peak - v_e
+        return np.asarray((d + (up * up + down * down) / (2.0 * a)) / peak)
 
 
 def _made_up(T: Array, late: Array) -> Array:
