@@ -16,10 +16,11 @@ from hframe_post.prediction.best_shaper import error
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.conftest import SAMPLES
-from tests.gcode_tools import hops
+from tests.gcode_tools import converted, hops
 from tests.klipper.host import play
 from tests.quantities import near
 
+OWNERS = Path(__file__).parents[1] / "benchmarks" / "owners"
 pytestmark = pytest.mark.klipper
 
 
@@ -68,3 +69,24 @@ def test_it_has_klippers_cruise_ratio_and_lifts(lines: list[bytes], tmp_path: Pa
     path.write_bytes(b"".join(lines))
     played = play(path, workdir=tmp_path / "host")
     near(own.seconds, played.duration, 0.004 * played.duration, "print time, s")
+
+
+def test_a_print_takes_as_long_as_told_where_a_command_swings_in_a_wipe(tmp_path: Path) -> None:
+    """Klipper limits the filament's acceleration in moves that retract, by segments."""
+    printer = load(str(OWNERS / "hbot-3000.toml"))
+    lines = [b"G28\n", b"G92 X0 Y0 Z0\n", b"M83\n", b"M204 S5000\n", b"G1 X140 Y140 Z0.3 F6000\n"]
+    for k in range(20):
+        y = 140 + k % 2
+        lines += [b"G1 X%d Y%d E0.5 F7200\n" % (x, y) for x in (150, 140)]
+        lines += [b"G1 X142 Y%d E-0.228 F10000\n" % y, b"G1 E0.228 F1800\n"]
+    text, report = converted(lines, printer)
+    path = tmp_path / "converted.gcode"
+    path.write_bytes(text)
+    table = table_of(printer)
+    limits = {"max_velocity": table.velocity, "max_accel": table.acceleration}
+    extruder = (
+        f"\n[extruder]\nmax_extrude_only_velocity: {printer.limits.extruder_velocity}\n"
+        f"max_extrude_only_accel: {printer.limits.extruder_acceleration}\n"
+    )
+    played = play(path, limits=limits, workdir=tmp_path / "host", sections=extruder)
+    near(report.duration, played.duration, 0.005 * played.duration, "print time, s")
