@@ -31,8 +31,8 @@ OWNERS = """\
 The profiles are as `identify` wrote them: two CoreXY printers with Klipper, of published
 recordings, whose max_accel is 3 000 and 10 000 mm/s²; a simulated bed-slinger with Marlin and
 500 mm/s²; a simulated H-bot with Klipper and 3 000 mm/s², which racks as the paper's. *cube* is
-in `sample_gcode`; `make results SLICES="a.gcode b.gcode"` adds other prints: here slices by
-owners with OrcaSlicer and SuperSlicer, which are not part of this project.
+in `sample_gcode`; `make results SLICES="a.gcode b.gcode"` adds other prints: here a slice by
+an owner with OrcaSlicer, which is not part of this project.
 
 Contour error while extruding, RMS µm. *None* and *best shaper*: the file as sliced, as the
 firmware plays it by itself, without and with the input shaper that leaves least on this printer.

@@ -45,7 +45,7 @@ STRONGEST_HZ = (18.0, 95.0)  # in which f₀ is sought
 LEAD, LENGTH = 32, 440  # samples of the result
 FIT_HZ = 125.0, 0.25  # up to which, and how densely, the result is fitted
 SLOW_HZ = 5.0  # of strokes as long as a bed
-FIT_WEIGHT = 3000.0  # of the result, beside its kernel
+FIT_WEIGHT = 3000.0  # of the result against its kernel
 
 
 def estimated(measured: FrequencyResponse) -> Estimated:
