@@ -15,10 +15,10 @@ from hframe_post.arrays import TS, X, Y
 from hframe_post.cli.main import main
 from hframe_post.model.nozzle import nozzle
 from hframe_post.printer.profile import load
-from tests.matrix.owners import OWNERS, PROFILE, settle
+from tests.owners.owners import FILES, OWNERS
 from tests.recordings import Sensor, spline, write_klipper
 
-OWN = Path(__file__).parent / "owners"
+OWN, PROFILE = Path(__file__).parent / "owners", "printer.toml"
 HBOT_CFG = """\
 [printer]
 kinematics: corexy
@@ -82,8 +82,12 @@ def _run(*words: str) -> None:
 
 if __name__ == "__main__":
     with TemporaryDirectory() as folder:
-        settle(OWNERS["marlin500"], bed := Path(folder) / "bed", records=True)
+        owner = OWNERS["marlin500"]
+        shutil.copytree(FILES / "marlin500", bed := Path(folder) / "bed")
         with chdir(bed):
+            _run("setup", owner.configuration)
+            _run("measure", "-p", PROFILE, "-q", "-o", "m.gcode")
+            owner.record("m.*.csv", "recordings")
             _run("identify", "recordings", "-p", PROFILE, "-o", PROFILE)
         keep(bed, "bedslinger-500")
         (home := Path(folder) / "hbot").mkdir()

@@ -18,7 +18,7 @@ from tests.gcode_tools import sliced
 from tests.quantities import below
 from tests.simulator import Axis, Machine, Mode
 
-OWNERS = Path(__file__).parent.parent / "matrix" / "owners"
+OWNERS = Path(__file__).parent.parent / "owners"
 LAYER = sliced(1)  # of a cube
 
 
