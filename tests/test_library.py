@@ -74,13 +74,13 @@ def test_strokes_get_as_much_rest_as_compensation_can_use(name: str, acceleratio
 
 def test_contour_error_is_the_distance_to_the_path_and_rests_do_not_count() -> None:
     xy = stroke((0, 0), (30, 40), 200)
-    beside = xy + 0.1 * np.array([-0.8, 0.6])
+    aside = xy + 0.1 * np.array([-0.8, 0.6])
     late = np.concatenate([xy[:1], xy[:-1]])
     far = np.full((50, 2), 1e3)
-    np.testing.assert_allclose(hp.contour_error(beside, xy), 0.1, atol=1e-9)
+    np.testing.assert_allclose(hp.contour_error(aside, xy), 0.1, atol=1e-9)
     np.testing.assert_allclose(hp.contour_error(late, xy), 0.0, atol=1e-9)
     np.testing.assert_allclose(
-        hp.contour_error(np.concatenate([far, beside, far]), xy), 0.1, atol=1e-9
+        hp.contour_error(np.concatenate([far, aside, far]), xy), 0.1, atol=1e-9
     )
 
 

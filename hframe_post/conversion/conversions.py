@@ -70,7 +70,7 @@ class GcodeConversion:
         own, ledger, options = self._chain.firmware, self._ledger, self._chain.options
         report, code = self._source.report(ledger), own.code()
         return replace(
-            report, advance=self._source.advance(ledger),
+            report, extruder_limit=own.printer.limits.extruder_acceleration,
             lines_per_second=own.motion(options.tolerance).lines_per_second,
             notices=(*report.notices, *code.notices), when_stopped=code.when_stopped,
         )  # fmt: skip

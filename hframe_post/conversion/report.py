@@ -7,24 +7,39 @@ import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, NamedTuple
 
 from hframe_post.compensation.shape import SHAPER
 from hframe_post.conversion.ledger import Ledger
-from hframe_post.conversion.rows import AdvanceReport, PrintTime, Row, percent, range_as_text
+from hframe_post.conversion.rows import Row, percent, range_as_text
 from hframe_post.gcode.reader import CHANGE_OF_OBJECT, START_OF_FILE
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.error_meter import PIECE
+from hframe_post.writers.print_time import duration
 
 TOOL = re.compile(r"T[1-9]\d*")
 VISIBLE = 0.012  # mm RMS; ringing below it shows on no wall, whatever the light
 NO_GAIN = 0.9  # share of the best shaper's error from which on compensation is not worth its stream
 FASTER = 0.02  # of the print's time: won by a speed that was asked for, and so is worth a stream
+WORTH_SAYING = 5e-3  # of the print's time, which no owner notices
+OUTRUN = 1.05  # times its limit, the acceleration of an extruder is worth a line
 REMEDIES = {  # of extrusion that is not compensated, by causes other than commands
     START_OF_FILE: "because its place is not known: begin with a move to X, Y and Z",
     CHANGE_OF_OBJECT: "because an object begins without a travel to it",
 }
+
+
+class PrintTime(NamedTuple):
+    """Duration of the print, s: as the firmware plays the sliced file, and as converted."""
+
+    before: float
+    after: float
+
+    @property
+    def change(self) -> float:
+        """Return by which share the print takes longer."""
+        return self.after / self.before - 1.0 if self.before else 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,12 +47,13 @@ class Report(Ledger):
     """What one conversion did: its ledger, and what must be known of the printer to read it.
 
     speed: rows on how accuracy was traded for speed. notices: warnings of the printer's profile.
-    capped: see ``PrintTime``. other_tools: commands after which the plant is not that of the tool
-    that prints; None if the profile does not say. advance: pressure advance, if there is any.
-    couples: whether a coupling, such as racking, is compensated. shaping: the best input shaper,
-    whose errors stand among the others. predicted_sliced: share of the print whose errors as
-    sliced are predicted. lines_per_second: that the firmware takes. when_stopped: what to send
-    after the print was stopped midway.
+    capped: whether limits of the profile bind what the file asks. other_tools: commands after which
+    the plant is not that of the tool that prints; None if the profile does not say. extruder_limit:
+    acceleration in the profile, mm/s²; None where no firmware plays the output. couples: whether a
+    coupling, such as racking, is compensated. shaping: the best input shaper, whose errors stand
+    among the others. predicted_sliced: share of the print whose errors as sliced are predicted.
+    lines_per_second: that the firmware takes. when_stopped: what to send after the print was
+    stopped midway.
     """
 
     strategy: str
@@ -47,7 +63,7 @@ class Report(Ledger):
     other_tools: tuple[str, ...] | None = None
     shaping: Shaping | None = None
     couples: bool = True
-    advance: AdvanceReport | None = None
+    extruder_limit: float | None = None
     predicted_sliced: float = 1.0
     lines_per_second: float = math.inf
     when_stopped: str = ""
@@ -55,8 +71,7 @@ class Report(Ledger):
     @property
     def time(self) -> PrintTime:
         """Return the duration of the print."""
-        before, after = self.sliced_s + self.elsewhere, self.duration + self.elsewhere
-        return PrintTime(before, after, self.slowed, self.capped)
+        return PrintTime(self.sliced_s + self.elsewhere, self.duration + self.elsewhere)
 
     @property
     def predicted(self) -> float:
@@ -111,7 +126,20 @@ class Report(Ledger):
             result += range_as_text(found[self.strategy])
             if SHAPER in found:
                 result += f"; the best input shaper would leave {1e3 * found[SHAPER].expected:.1f}"
-        return [Row("result", result), self.time.as_row(), self._uncompensated()]
+        return [Row("result", result), self._print_time(), self._uncompensated()]
+
+    def _print_time(self) -> Row:
+        """Return both times, and which limits cost the difference if it is worth a word."""
+        before, after = self.time
+        text = f"{duration(before)} → {duration(after)} ({100.0 * self.time.change:+.1f} %)"
+        if self.time.change >= WORTH_SAYING and self.slowed:
+            text += f": the limits in [motors] slow down {percent(self.slowed)} of the path"
+        elif self.time.change >= WORTH_SAYING and self.capped:
+            text += ": the limits in the profile are lower than the file's"
+        return Row("print time", text, {
+            "print_time_s": {"before": round(before, 3), "after": round(after, 3)},
+            "slowed_for_motors_percent": round(100.0 * self.slowed, 2),
+        })  # fmt: skip
 
     def _uncompensated(self) -> Row:
         """Return how much is not compensated, and after which commands."""
@@ -173,7 +201,7 @@ class Report(Ledger):
                 "filament_mm": {k: round(mm, 5) for k, mm in filament.items() if mm is not None},
             }),
             self._predicted(), self._width(),
-            *(self.advance.as_rows() if self.advance else ()),
+            *self._advance(),
             Row("belts", f"at most {peaks.belt_velocity:.0f} mm/s, "
                 f"{peaks.belt_acceleration:.0f} mm/s²", {
                 "peak_belt_speed": round(peaks.belt_velocity, 3),
@@ -211,6 +239,36 @@ class Report(Ledger):
             "predicted_as_sliced_percent": round(100.0 * sliced, 1),
             "against": against,
         })  # fmt: skip
+
+    def _advance(self) -> list[Row]:
+        """Return a row on pressure advance, and one on what the extruder cannot follow."""
+        found, limit = self.advancing, self.extruder_limit
+        if limit is None or not found.most:
+            return []
+        slowed, to = self.following or (0.0, math.inf)
+        values = f"{found.least:.3g}" + f" to {found.most:.3g}" * (found.most != found.least)
+        computed, extruder = self.following is not None, ""
+        how = "the firmware's own"
+        if computed:
+            how = "computed into E; the firmware's own is off while the file moves"
+        if slowed:
+            extruder = (
+                f"{percent(slowed)} of the lines accelerate by less, from {to:.0f} mm/s² on, so "
+                "that it can follow its advance"
+            )
+        elif found.hardest > OUTRUN * limit:
+            extruder = (
+                f"its advance asks for up to {found.hardest:.0f} mm/s², more than "
+                f"limits.extruder_acceleration ({limit:g}): if it skips, raise "
+                "extruder.stream_smooth_time or lower limits.acceleration"
+            )
+        known = {
+            "least": found.least, "most": found.most, "computed": computed,
+            "extruder_mm_s2": round(found.hardest, 1) or None,
+            "slowed_path_percent": round(100.0 * slowed, 3),
+        }  # fmt: skip
+        advance = Row("advance", f"{values} s, {how}", {"pressure_advance_s": known})
+        return [advance, Row("extruder", extruder)]
 
     def _width(self) -> Row:
         """Return how far the printed line's width is off, if anything is extruded."""

@@ -11,7 +11,6 @@ from hframe_post.conversion.ledger import FileNotes, Ledger
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain, Stages, read_ahead
 from hframe_post.conversion.report import Report
-from hframe_post.conversion.rows import AdvanceReport
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError
@@ -80,18 +79,6 @@ class PlannedFile:
     @property
     def _judges_today(self) -> bool:
         return "none" in (self._options.predict or ()) and self._options.strategy != "none"
-
-    def advance(self, ledger: Ledger) -> AdvanceReport | None:
-        """Return what was done about pressure advance, if there is any."""
-        found, limits = ledger.advancing, self._chain.printer.limits
-        if not found.most:
-            return None
-        computed = self._following is not None
-        share, least = self.ledger.following or (0.0, math.inf)
-        return AdvanceReport(
-            found.least, found.most, computed, found.hardest, limits.extruder_acceleration, share,
-            least,
-        )  # fmt: skip
 
     def check_filament(self, written: float, late: float = 0.0) -> None:
         """Raise HframeError unless all filament read was written, both in mm.

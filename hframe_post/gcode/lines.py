@@ -81,7 +81,7 @@ class Input:
         return self._opened()
 
     def beginning(self, size: int) -> Iterator[bytes]:
-        """Yield the first lines, of so many bytes at least. Raises ArgumentError as ``again``."""
+        """Yield lines until they have a number of bytes. Raises ArgumentError as ``again``."""
         for text in self.again():
             yield text
             if (size := size - len(text)) <= 0:
@@ -169,7 +169,7 @@ class Lines:
         return True
 
     def _raw(self, after: int) -> bytes:
-        """Return the line that begins so many bytes after the next one; empty at the end."""
+        """Return the line that begins a number of bytes after the next; empty at the end."""
         if self._offset + after >= len(self._text) and not self._read_block():
             return b""
         begin = self._offset + after

@@ -284,7 +284,7 @@ class ImpulseResponse:
         return replace(self, deviation=deviation, lead=lead, lag=lag, unknown=unknown, written=None)
 
     def damped(self, factor: float) -> ImpulseResponse:
-        """Return the response, here, whose modes have so many times as high a damping ratio.
+        """Return the response, here, with the damping ratio of its modes times a factor.
 
         One rate of decay stands for those of all modes: half the inverse of the time around which
         the squared response lies, as for a single mode. The lag stays.

@@ -110,7 +110,7 @@ class Lpfbs:
     """
 
     def __init__(self, G: ImpulseResponse, window: Window, lead: int = 0, reach: int = 0) -> None:
-        """Solve the window, with at least this lead and so many control points of the past."""
+        """Solve the window, with at least this lead and a number of past control points."""
         self.window, self.lead = window, max(G.ahead, lead)
         self._basis = np.asfortranarray(uniform_basis(window.L, window.degree))
         K_target, K_past, step_past = _solve(G, window, self.lead, reach)

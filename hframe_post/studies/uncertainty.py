@@ -56,7 +56,7 @@ def _moved(
 
 
 def _stretched(G: ImpulseResponse, frequency: float, damping: float) -> ImpulseResponse:
-    """Return a response whose frequencies are so many times as high, and whose modes decay faster.
+    """Return a response with other frequencies and decays of its modes, each times a factor.
 
     The lag is a damper's, too.
     """

@@ -71,8 +71,7 @@ def test_the_summary_tells_where_klipper_outruns_the_extruder(extruder: float, t
     printer = replace(paper, extruder=Extruder(0.05), limits=limits)
     _, report = converted(sample("rectangle.gcode"), printer)
     assert ("more than limits.extruder_acceleration (2000)" in report.as_text()) == told
-    assert report.advance is not None
-    assert 2500.0 < report.advance.hardest < 3500.0
+    assert 2500.0 < report.advancing.hardest < 3500.0
 
 
 @pytest.mark.slow

@@ -371,12 +371,12 @@ def test_advance_is_computed_into_e_and_said(marlin: Printer) -> None:
     """A line's filament is that of the file at both ends; in between E is ahead of it."""
     lines = [b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X160 E2\n", b"G1 X100 E2\n"]
     plain, advanced = (converted(lines, with_own(marlin, linear_advance=K)) for K in (0.0, 0.05))
-    assert advanced[1].advance is not None
+    assert advanced[1].advancing.most
     said = (
         "advance          0.05 s, computed into E; the firmware's own is off while the file moves"
     )
     assert said in advanced[1].as_text()
-    assert plain[1].advance is None
+    assert not plain[1].advancing.most
     fed = [np.array(re.findall(rb"E(-?[\d.]+)", text), float) for text, _ in (plain, advanced)]
     assert fed[0].min() >= 0.0
     assert fed[1].min() < -0.01  # where it brakes

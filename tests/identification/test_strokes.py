@@ -90,9 +90,9 @@ def test_equal_settings_give_an_equal_motion_and_other_places_another(paper: Pri
     place = (140.0, 147.5)
     first, second = (command(paper, place, seconds=5.0) for _ in range(2))
     assert np.array_equal(first, second)
-    beside = command(paper, (141.0, 147.5), seconds=5.0)
-    n = min(len(first), len(beside))
-    assert np.abs((first - first[0])[:n] - (beside - beside[0])[:n]).max() > 5.0
+    aside = command(paper, (141.0, 147.5), seconds=5.0)
+    n = min(len(first), len(aside))
+    assert np.abs((first - first[0])[:n] - (aside - aside[0])[:n]).max() > 5.0
 
 
 def test_figures_are_drawn_by_a_sequence_that_never_changes() -> None:

@@ -231,5 +231,5 @@ def test_pressure_advance_is_what_the_width_is_predicted_with(tmp_path: Path) ->
     near(place[-1] - place[0], filament[-1] - filament[0], fed.size, "filament, mm")
     ours, own = (b"SET_PRESSURE_ADVANCE SMOOTH_TIME=%s\n" % each for each in (b"0.02", b"0.03"))
     assert run.text.index(ours) < run.text.index(own)
-    assert run.report.advance is not None
-    assert not run.report.advance.computed
+    assert run.report.advancing.most
+    assert run.report.following is None

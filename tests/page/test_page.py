@@ -99,7 +99,7 @@ def test_controls_change_what_they_should(browser: Browser, paper: Printer, tmp_
 
 
 @pytest.mark.slow
-def test_the_nozzle_beside_the_path_is_magnified_and_the_canvas_lets_the_page_scroll(
+def test_the_nozzle_next_to_the_path_is_magnified_and_the_canvas_lets_the_page_scroll(
     browser: Browser, paper: Printer, tmp_path: Path
 ) -> None:
     path = tmp_path / "report.html"
@@ -112,15 +112,15 @@ def test_the_nozzle_beside_the_path_is_magnified_and_the_canvas_lets_the_page_sc
 
     browser.value("state.strategy = 0")
     corner = browser.value("path.error[0].indexOf(Math.max(...path.error[0]))")
-    beside = []
+    apart = []
     for times in (1, 20):
         browser.value(f"magnified = $('magnified'); magnified.value = {times}; "
                       "magnified.dispatchEvent(new Event('change'))")  # fmt: skip
         x, y = browser.value(f"nozzle({corner})")
         near_x, near_y = min(max(x, 100.0), 140.0), min(max(y, 100.0), 130.0)
-        beside.append(float(np.hypot(x - near_x, y - near_y)))
-    assert beside[1] == pytest.approx(20.0 * beside[0], abs=0.2)
-    assert beside[1] > 0.5
+        apart.append(float(np.hypot(x - near_x, y - near_y)))
+    assert apart[1] == pytest.approx(20.0 * apart[0], abs=0.2)
+    assert apart[1] > 0.5
 
     top = browser.value("canvas.scrollIntoView({block: 'center'}), scrollY")
     left, upper, width, height = browser.value(BOX)

@@ -274,7 +274,9 @@ def test_a_lift_passes_from_motion_and_into_it() -> None:
         ([LIFT, there(50.0)], 0.0, 0.0),  # a stretch begins, for which the command settles
     ],
 )
-def test_a_lift_beside_anything_else_rests(items: list[Item], entry: float, leaving: float) -> None:
+def test_a_lift_next_to_anything_else_rests(
+    items: list[Item], entry: float, leaving: float
+) -> None:
     lift, _, _ = lift_of(items)
     assert (lift.entry, lift.leaving) == pytest.approx((entry, leaving))
 

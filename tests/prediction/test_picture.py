@@ -39,7 +39,7 @@ def test_pieces_lie_on_the_path_at_lines_of_the_file(paper: Printer) -> None:
     assert np.hypot(np.diff(x), np.diff(y)).max() <= 2 * picture_module.FINEST
 
 
-def test_the_nozzle_is_beside_the_path_by_its_error(paper: Printer) -> None:
+def test_the_nozzle_is_off_the_path_by_its_error(paper: Printer) -> None:
     """And the nearest place on the path, from which its way is magnified, is on the path."""
     picture, _ = taken(paper)
     pieces = picture.pieces()
@@ -48,7 +48,7 @@ def test_the_nozzle_is_beside_the_path_by_its_error(paper: Printer) -> None:
     assert far.max() > 0.5 * pieces.error.max()
     nearest = pieces.xy[:, None] + pieces.nozzle - pieces.off
     ends = pieces.xy[pieces.begins == 0]
-    assert max(beside(place, ends) for place in nearest[::7].reshape(-1, 2)) < 0.03
+    assert max(distance_to(place, ends) for place in nearest[::7].reshape(-1, 2)) < 0.03
 
 
 def test_a_long_print_is_coarser(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -67,11 +67,11 @@ def test_a_long_print_is_coarser(paper: Printer, monkeypatch: pytest.MonkeyPatch
         np.testing.assert_allclose(there, here)
     length, near = picture.finest
     for place in fine.xy[fine.begins == 0]:
-        assert beside(place, coarse.xy) <= 2.0 * near
+        assert distance_to(place, coarse.xy) <= 2.0 * near
     assert np.hypot(*np.diff(coarse.xy, axis=0).T)[coarse.begins[1:] == 0].max() <= length
 
 
-def beside(place: np.ndarray, path: np.ndarray) -> float:
+def distance_to(place: np.ndarray, path: np.ndarray) -> float:
     """How far it is from a polyline."""
     way = np.diff(path, axis=0)
     square = np.maximum((way**2).sum(axis=1), 1e-12)
