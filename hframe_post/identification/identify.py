@@ -8,14 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from itertools import pairwise
 
 import numpy as np
 
-from hframe_post.arrays import Flags, X
+from hframe_post.arrays import Flags
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
-from hframe_post.identification.coupling import Crossed, MeasuredCoupling, crossed, find_coupling
 from hframe_post.identification.estimation.axes import (
     Fit,
     Measured,
@@ -70,7 +69,6 @@ class Identified:
     the kinematics can rack. racking_below_noise: racking was looked for and is less than its
     noise. mode_shift: how Gxx changes along x. repetitions: by name, of axes that were recorded
     more than once at one place, the share of the response that each recording has of its own.
-    couplings: what x and y do to each other.
     """
 
     measured: dict[str, Measured]
@@ -81,7 +79,6 @@ class Identified:
     racking_below_noise: bool
     mode_shift: ModeShift | None
     repetitions: dict[str, float]
-    couplings: list[MeasuredCoupling]
 
     @property
     def along_x(self) -> dict[str, ImpulseResponse]:
@@ -153,8 +150,7 @@ class Identified:
             found[name] = replace(G, drift=DRIFT if len(G.unknown) else DRIFT_ALONE)
         known = x_c if self.x_c is None else self.x_c
         Gxx, Gyy = (found.get(name, RIGID) for name in AXIS)
-        cross = chain.from_iterable(one.terms for one in self.couplings)
-        return Plant(Gxx, Gyy, found.get("Gxtheta"), known, tuple(cross))
+        return Plant(Gxx, Gyy, found.get("Gxtheta"), known)
 
 
 SAME_PLACE = 5.0  # mm
@@ -182,11 +178,9 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
     warnings = _late_start(runs)
     repeated = {name: _repetition(measured[name], settings) for name in groups}
     repetitions = {name: one for name, one in repeated.items() if one is not None}
-    couplings = [_coupling(name, group, fits, x_c, settings) for name, group in groups.items()]
     return Identified(
         measured, fits, x_c, warnings, settings.racks, sought and racking is None,
         moving.get("Gxx"), repetitions,
-        [one for one in couplings if one is not None],
     )  # fmt: skip
 
 
@@ -273,28 +267,6 @@ def _most_repeated(places: Sequence[float]) -> Flags:
     """Flag the runs at the place (mm) that has most of them."""
     at = np.array(places)
     return max((np.abs(at - place) < SAME_PLACE for place in at), key=np.count_nonzero)
-
-
-def _coupling(
-    name: str,
-    group: RunGroup,
-    fits: Mapping[str, Fit],
-    x_c: float | None,
-    settings: MeasurementSettings,
-) -> MeasuredCoupling | None:
-    """Return what a command in an axis does to the other, if enough recordings tell of it."""
-    along = fits[name].measured
-    if group.resonance_hz is None:
-        return None
-    runs, known = crossed(tuple(AXIS).index(name), group, settings.band_hz), 0
-    if name == "Gxx" and x_c is not None:
-        runs, known = [_without_racking(run, fits["Gxtheta"], x_c) for run in runs], 1
-    return find_coupling(AXIS[name], runs, along, known) if len(runs) > known + 1 else None
-
-
-def _without_racking(run: Crossed, racking: Fit, x_c: float) -> Crossed:
-    turned = (run.place[X] - x_c) * racking.response(run.across.hz)
-    return replace(run, across=replace(run.across, H=run.across.H - turned))
 
 
 def _late_start(runs: Sequence[Run]) -> list[str]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Complex, X, Y
-from hframe_post.identification.coupling import MeasuredCoupling
+from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.estimation.axes import Fit, Measured
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.identify import AXIS
@@ -44,11 +43,6 @@ def identification_page(report: IdentificationReport, name: str) -> bytes:
     profiles = {"Gxx": plant.Gxx, "Gyy": plant.Gyy, "Gxtheta": plant.Gxtheta}
     sections = [
         Section(TITLES[G], _charts(G, measured[G], found, profiles[G])) for G, found in fits.items()
-    ]
-    sections += [
-        Section(f"Coupling: what {one.axis} does to {one.other}", [_coupling_chart(one)])
-        for one in identified.couplings
-        if one.size
     ]
     facts = [(G, _fact(measured[G], found)) for G, found in fits.items()]
     facts += report.gathered.rows()
@@ -132,23 +126,6 @@ def uncertain(G: ImpulseResponse, hz: Array) -> Array:
     """Return the standard deviation of |G| at ``hz`` (k,), by drift and by what is not known."""
     doubts = [np.abs(_at(one, hz)) ** 2 for one in G.doubts]
     return np.asarray(np.sqrt(np.sum(doubts, axis=0)))
-
-
-def _coupling_chart(coupling: MeasuredCoupling) -> Chart:
-    """Return the recorded couplings, and at each place what is compensated, if anything is."""
-    hz, gain = coupling.runs[0].across.hz, coupling.gain
-    at = [f"at x = {run.place[X]:.0f}, y = {run.place[Y]:.0f} mm" for run in coupling.runs]
-    lines = [
-        Curve(f"recording {k} {where}", hz, decibel(run.across.H / gain))
-        for k, (where, run) in enumerate(zip(at, coupling.runs, strict=True), 1)
-    ]
-    for where, run in dict(zip(at, coupling.runs, strict=True)).items():
-        place = np.array([run.place])
-        parts = [term.lever(place) * _at(term.G, hz) for term in coupling.terms]
-        if parts:
-            known, colour = decibel(np.sum(parts, axis=0)), "var(--racking)"
-            lines.append(Curve(f"compensated {where}", hz, known, colour, strong=True, dashed=True))
-    return Chart("Magnitude", "frequency, Hz", "dB (mm/mm)", lines, (True, False))
 
 
 def decibel(H: Complex) -> Array:

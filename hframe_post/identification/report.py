@@ -94,7 +94,6 @@ class IdentificationReport:
                 f"Gxx varies by {100 * along_x:.0f} % between the gantry's positions; one model "
                 "cannot describe all of them" + self._uncompensated(along_x)
             )
-        messages += [text for one in identified.couplings for text in one.warnings()]
         racks = identified.racks and "Gxx" in identified.fits
         if racks and not (identified.racking_below_noise or "Gxtheta" in identified.fits):
             messages.append(
@@ -150,7 +149,6 @@ class IdentificationReport:
         error = f"whole model, with day-to-day change: ±{100.0 * self.identified.model_error:.1f} %"
         rows.append(("uncertainty", error))
         rows += [("repeats", text) for text in self._repetitions()]
-        rows += [("coupling", one.as_text()) for one in self.identified.couplings]
         rows += self.compensation.rows() if self.compensation else []
         rows += [("note", text) for text in self.notes()]
         rows += [("WARNING", text) for text in self.warnings()]
@@ -170,7 +168,6 @@ class IdentificationReport:
             "functions": {name: self._function(name) for name in identified.fits},
             "x_c": {"mm": round(self.plant.x_c, 3), "measured": identified.x_c is not None},
             "uncertainty": {"share": round(identified.model_error, 5)},
-            "coupling": [one.as_json() for one in identified.couplings],
             "repeats": {name: round(share, 4) for name, share in identified.repetitions.items()},
             "sensor_gain": {axis: round(gain, 5) for axis, gain in identified.gains.items()},
             **(self.compensation.as_json() if self.compensation else {}),

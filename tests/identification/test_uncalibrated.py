@@ -15,17 +15,13 @@ from hframe_post.identification.estimation.uncalibrated import (
     direction,
     uncalibrated_responses,
 )
-from hframe_post.identification.gather import Gathered, from_folders
+from hframe_post.identification.gather import from_folders
 from hframe_post.identification.identify import Identified, MeasurementSettings, Run, identify
-from hframe_post.identification.pages import identification_page
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
 from hframe_post.identification.recordings.clock import Clock, acceleration, self_aligned
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
-from hframe_post.identification.report import IdentificationReport
 from hframe_post.printer.settings import Travel
 from tests.conftest import few
-from tests.coupled_printers import Coupled
-from tests.page.pages import data_of
 from tests.recordings import write_klipper
 from tests.resonance_recordings import (
     BELTS,
@@ -193,47 +189,34 @@ def test_belts_of_2023_by_a_slow_sensor_whose_stamps_wander(tmp_path: Path) -> N
 @pytest.mark.slow
 def test_a_mode_that_x_and_y_share_is_found_where_it_is_no_clear_peak() -> None:
     """At 42 Hz y answers with an eighth of its motion only; the rest is at 58 Hz."""
-    printer = Coupled((42.0, 58.0), (0.05, 0.05), np.radians(20.0))
     result = identify(
-        [coupled_run(printer, direction) for direction in (X, Y)],
+        [shared_run(direction) for direction in (X, Y)],
         MeasurementSettings((3.0, 100.0), racks=False),
     )
     for name in ("Gxx", "Gyy"):
         modes = result.fits[name].modes
-        for hz in printer.hz:
+        for hz in SHARED_HZ:
             assert min(abs(one / hz - 1.0) for one, _ in modes) < 0.01
 
 
-def coupled_run(printer: Coupled, direction: tuple[float, float], seed: int = 1) -> Run:
+SHARED_HZ = 42.0, 58.0  # of two modes at right angles, 20° from x and y
+
+
+def shared_run(direction: tuple[float, float]) -> Run:
     test = short(direction)
     command = np.pad(acceleration(test.command() @ direction), 1000)
-    hz = np.asarray(np.fft.rfftfreq(len(command), TS), dtype=np.float64)
-    answer = (printer.response(hz) @ direction).T * np.fft.rfft(command)
+    s = 2j * np.pi * np.fft.rfftfreq(len(command), TS)
+    w = 2.0 * np.pi * np.array(SHARED_HZ)[:, None]
+    modes = np.exp(-1.5e-3 * s) * w**2 / (s * s + 0.1 * w * s + w**2)
+    c, d = np.cos(np.radians(20.0)), np.sin(np.radians(20.0))
+    shapes = np.array([[c, d], [-d, c]])
+    moved = (shapes @ direction)[:, None] * modes
+    answer = shapes.T @ moved * np.fft.rfft(command)
     a = np.column_stack([*np.fft.irfft(answer, len(command)), np.full(len(command), GRAVITY)])
-    a += 10.0 * np.random.default_rng(seed).standard_normal(a.shape)
+    a += 10.0 * np.random.default_rng(1).standard_normal(a.shape)
     t = np.asarray(np.arange(len(a)) * TS, dtype=np.float64)
     recording = Recording(t, np.asarray(a, dtype=np.float64), False)
     return Run("test", test.command(), recording, Clock(1.0))
-
-
-@pytest.mark.slow
-def test_only_what_two_recordings_share_is_compensated() -> None:
-    machine = Coupled((46.0, 33.0), (0.05, 0.08), 0.2, delay=0.0)
-    settings = MeasurementSettings((3.0, 100.0), racks=False)
-    x, again = (coupled_run(machine, X, seed=seed) for seed in (1, 2))
-    assert not identify([x], settings).plant(140.0).cross
-    found = identify([x, again, coupled_run(machine, Y)], settings)
-    (cross,) = found.plant(140.0).cross
-    assert (cross.answer, cross.command) == (1, 0)
-    hz = np.arange(10.0, 90.0)
-    true = machine.response(hz)[:, 1, 0]
-    off = np.abs(cross.G.response(2.0 * np.pi * TS * hz) - true)
-    assert off.max() < 0.1 * np.abs(true).max()
-    report = IdentificationReport(found, found.plant(140.0), None, Gathered([], []))
-    shown = data_of(identification_page(report, "a printer"))["sections"][2]
-    assert shown["title"] == "Coupling: what x does to y"
-    labels = [line["label"].split(" at ")[0] for line in shown["charts"][0]["lines"]]
-    assert labels == ["recording 1", "recording 2", "compensated"]
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ is a straight line over p: its slope is Gxθ, whatever ψ; its offset gives x_c 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,11 +54,6 @@ class Run:
     def axes(self) -> tuple[int, ...]:
         """Return the axes that move, of X and Y."""
         return tuple(np.flatnonzero(np.ptp(self.command, axis=0) > 0.0).tolist())
-
-    @property
-    def point(self) -> tuple[float, float]:
-        """Return the mean place, x and y in mm."""
-        return float(self.command[:, X].mean()), float(self.command[:, Y].mean())
 
     def on_command_clock(self) -> Array:
         """Return what the nozzle's sensor shows of a motion whose start is known, (m, 3) in mm/s².
@@ -113,27 +108,22 @@ class RunResponse:
     """Frequency responses of one run.
 
     response: along the swept axis. y: along y, which shows racking. place: x of the sensor, mm.
-    across: of the other axis. direction: unit vector of the motion; both responses are per motion
-    along the axis. point: x and y of the sensor, mm.
+    direction: unit vector of the motion; both responses are per motion along the axis.
     """
 
     place: float
     response: FrequencyResponse
     y: FrequencyResponse
-    across: FrequencyResponse | None = None
     direction: tuple[float, float] | None = None
-    point: tuple[float, float] = (0.0, 0.0)
 
     def advanced(self, seconds: float) -> RunResponse:
         """Return the responses as if the recording had begun ``seconds`` later."""
-        return self._changed(lambda response: advanced(response, seconds))
+        response, y = advanced(self.response, seconds), advanced(self.y, seconds)
+        return replace(self, response=response, y=y)
 
     def scaled(self, gain: float) -> RunResponse:
-        return self._changed(lambda response: replace(response, H=response.H * gain))
-
-    def _changed(self, change: Callable[[FrequencyResponse], FrequencyResponse]) -> RunResponse:
-        across = self.across and change(self.across)
-        return replace(self, response=change(self.response), y=change(self.y), across=across)
+        response, y = (replace(one, H=one.H * gain) for one in (self.response, self.y))
+        return replace(self, response=response, y=y)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,13 +131,12 @@ class RunGroup:
     """Runs of one axis on one delay.
 
     known_start: whether they are of strokes. Of uncalibrated runs also between which frequencies
-    they are excited, the lowest strong resonance, and that of all axes which the same sensor felt.
+    they are excited, and the lowest strong resonance.
     """
 
     runs: list[RunResponse]
     excited_hz: tuple[float, float] = (0.0, np.inf)
     resonance_hz: float | None = None
-    lowest_hz: float = 0.0
     known_start: bool = False
 
 
@@ -243,12 +232,9 @@ def stroke_responses(runs: Sequence[Run], settings: MeasurementSettings) -> dict
     for run in runs:
         responses = _responses(run, settings, segment)
         for axis in run.axes:
-            along, across = responses[axis][axis], responses[axis][1 - axis]
-            x, y = (at + off for at, off in zip(run.point, settings.offset, strict=True))
-            response = RunResponse(
-                x, along, responses[axis][Y], across, (1.0 - axis, float(axis)), (x, y)
-            )  # fmt: skip
-            found[axis].append(response)
+            along, y = responses[axis][axis], responses[axis][Y]
+            x = run.place + settings.offset[X]
+            found[axis].append(RunResponse(x, along, y, (1.0 - axis, float(axis))))
     return {axis: RunGroup(made, known_start=True) for axis, made in found.items() if made}
 
 

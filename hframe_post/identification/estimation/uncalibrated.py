@@ -205,11 +205,8 @@ def _group(
     low = max(one.seen.excited_hz[0] for one in chosen)
     high = min(one.seen.excited_hz[1] for one in chosen)
     resonance = float(np.median([one.seen.resonance_hz for one in chosen]))
-    # a mode that x and y share may be a clear peak in one of them only
-    felt = (other for other in located if _mounted_alike(chosen[0], other))
-    lowest = min(resonance, *(other.seen.resonance_hz for other in felt))
     runs = _with_common_gain(responses, low, resonance)
-    return RunGroup(runs, (low, high), resonance, lowest)
+    return RunGroup(runs, (low, high), resonance)
 
 
 def _run_response(
@@ -218,12 +215,10 @@ def _run_response(
     x, y = (_response(one.aligned, seen, settings) for seen in _axes(one, located))
     share = float(one.commanded[axis])
     alone = share > 1.0 - 1e-6  # a diagonal does not show racking alone
-    along, across = (x, y) if axis == X else (y, x)
-    px, py = (one.run.command.mean(axis=0) + settings.offset).tolist()
-    found = RunResponse(
-        px, along, y if alone else along, across,
-        (float(one.commanded[X]), float(one.commanded[Y])), (px, py),
-    )  # fmt: skip
+    along = x if axis == X else y
+    direction = float(one.commanded[X]), float(one.commanded[Y])
+    place = one.run.place + settings.offset[X]
+    found = RunResponse(place, along, y if alone else along, direction)
     return found.scaled(1.0 / share).advanced(one.seen.delay)
 
 
