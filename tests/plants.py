@@ -5,8 +5,7 @@ from scipy.signal import sosfilt
 
 from examples.paper.tables import transfer_functions
 from hframe_post.arrays import Array, Complex
-from hframe_post.model.filters import FiniteFilter
-from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.model.transfer_function import TransferFunction
 
 

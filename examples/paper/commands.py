@@ -26,8 +26,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.model.filters import FiniteFilter
-from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.model.lpfbs import Window, bsplines, window_splines
 from hframe_post.model.plant import Plant
 
@@ -174,7 +173,7 @@ class _Filtered:
         p_P: past control points of the axis that drives this one.
         """
         known = np.append(self._past.state, self._nothing)
-        return self._past.output(known, self._nothing) + self.N_P @ p_P
+        return self._past.output(known, len(self._nothing)) + self.N_P @ p_P
 
     def advance(self, p_P: Array, p_C: Array) -> Array:
         """Advance the state over the kept control points; return their command (stride,)."""

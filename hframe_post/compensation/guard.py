@@ -68,8 +68,7 @@ def max_deviation(plant: Plant, limits: Limits) -> float:
     """
     omega = 2.0 * np.pi * SLOW_HZ
     lead = 0.0
-    each = [(plant.Gxx.at(x), plant.Gyy.at(x)) for x in plant.places]
-    for G in chain.from_iterable(each):
+    for G in (plant.Gxx, plant.Gyy):
         response = complex(G.response(np.array([omega * TS]))[0])
         lag, compliance = -response.imag / omega, abs(1.0 - response.real) / omega**2
         lead = max(lead, abs(lag) * limits.velocity + compliance * limits.acceleration)

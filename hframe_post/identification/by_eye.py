@@ -25,8 +25,7 @@ from scipy.signal import find_peaks
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.identification.tower import LAYER, LAYERS, SIDE, Band
-from hframe_post.model.filters import FiniteFilter
-from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 
 RULER = 0.3  # mm by which a distance may be read wrong
 MISCOUNT = 0.6  # waves by which their number may be

@@ -135,10 +135,6 @@ def drift(old: ImpulseResponse, response: FrequencyResponse, unseen: tuple[Array
             f"leaves {100 * left[1]:.0f} % of the motion unexplained. Identify again"
         )
     G = replace(found.G, drift=DRIFT)
-    if old.elsewhere:
-        by = before[0] / now[0]
-        there = tuple(replace(one, G=one.G.stretched(by)) for one in old.elsewhere)
-        G = replace(G, x=old.x, elsewhere=there)
     hz, height = zip(before, now, strict=True)
     return Drift(G, (left[0], left[1]), apart, G.lag - old.lag, hz, height)
 

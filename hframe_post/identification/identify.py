@@ -37,10 +37,11 @@ from hframe_post.identification.estimation.uncalibrated import uncalibrated_resp
 from hframe_post.identification.places import (
     DAY_TO_DAY,
     MOST,
+    SAME_PLACE,
     ModeShift,
+    at_the_middle,
     find_mode_shift,
     find_racking,
-    fit_places,
 )
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
@@ -79,11 +80,6 @@ class Identified:
     racking_below_noise: bool
     mode_shift: ModeShift | None
     repetitions: dict[str, float]
-
-    @property
-    def along_x(self) -> dict[str, ImpulseResponse]:
-        """Return the responses that change along x, by name."""
-        return {name: found.G for name, found in self.fits.items() if found.G.elsewhere}
 
     @property
     def model_error(self) -> float:
@@ -153,8 +149,6 @@ class Identified:
         return Plant(Gxx, Gyy, found.get("Gxtheta"), known)
 
 
-SAME_PLACE = 5.0  # mm
-
 __all__ = ["Identified", "Measured", "MeasurementSettings", "Run", "identify"]
 
 
@@ -168,7 +162,7 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
     measured = {name: _measured(group, settings) for name, group in groups.items()}
     fits = _fit_all(measured, settings)
     moving = _moving(measured, fits)
-    fits |= _along_x(moving, measured, fits, settings)
+    fits |= _at_the_middle(moving, measured, settings)
     racking, sought = None, False
     if "Gxx" in groups:
         racking, sought = find_racking(groups["Gxx"], fits, settings, "Gxx" in moving)
@@ -193,19 +187,15 @@ def _moving(measured: Mapping[str, Measured], fits: Mapping[str, Fit]) -> dict[s
     return {name: shift for name, shift in shifts.items() if shift is not None}
 
 
-def _along_x(
-    shifts: Iterable[str],
-    measured: Mapping[str, Measured],
-    fits: Mapping[str, Fit],
-    settings: MeasurementSettings,
+def _at_the_middle(
+    shifts: Iterable[str], measured: Mapping[str, Measured], settings: MeasurementSettings
 ) -> dict[str, Fit]:
-    """Return the fits of axes that shift, with the response of each place, if starts are known."""
-    known = [name for name in shifts if measured[name].resonance_hz is None]
-    found = {}
-    for name in known:
-        places = [(x, run.within(settings.band_hz)) for x, run in measured[name].places]
-        found[name] = fit_places(fits[name], places)
-    return found
+    """Return the fits of the middle place for axes that shift, if starts are known."""
+    known = [name for name in shifts if measured[name].known_start]
+    return {
+        name: fit_known_start(at_the_middle(measured[name].places).within(settings.band_hz))
+        for name in known
+    }
 
 
 def _groups(runs: Sequence[Run], settings: MeasurementSettings) -> dict[str, RunGroup]:

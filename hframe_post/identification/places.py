@@ -2,30 +2,27 @@
 
 Modes may change with the gantry's position, since a belt's free length, and with it its stiffness,
 changes along x. The response of all places together is stretched to what each shows; where that
-moves, an axis has the response of each place. Racking is what the nozzle does in y while x moves,
-which grows with the distance from x_c. It is seen at several places at once, so what was measured
-there is first moved to common frequencies, by the factors of x.
+moves, an axis has the response of the middle. Racking is what the nozzle does in y while x moves,
+which grows with the distance from x_c.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
-from hframe_post.arrays import TS, Array
+from hframe_post.arrays import TS
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation.axes import (
     Fit,
     Measured,
-    fit_known_start,
     fit_racking,
 )
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
-    advanced,
     average,
     lowest,
     share_left,
@@ -38,11 +35,7 @@ from hframe_post.identification.estimation.measured import (
     centre,
     line,
 )
-from hframe_post.model.impulse_response import (
-    MOST_PLACES,
-    Elsewhere,
-    ImpulseResponse,
-)
+from hframe_post.model.impulse_response import ImpulseResponse
 
 DAY_TO_DAY = 0.05  # relative change of a printer as belts, bearings and temperature change
 MOST = 0.2  # a model that scatters by more is wrong in another way
@@ -111,96 +104,14 @@ def _log_factor(G: ImpulseResponse, measured: FrequencyResponse) -> float:
 
 
 SAME_PLACE = 5.0  # mm
-DIGITS = 4  # of factors
-LEAST_ARM = 20.0  # mm; nearer to x_c, racking does not tell its size
-
-Places = Sequence[tuple[float, FrequencyResponse]]
 
 
-def fit_places(found: Fit, places: Places) -> Fit:
-    """Return the fit of the middle place, whose response knows those of the others.
-
-    found: the fit of all of them together. places: x (mm) and what was measured there, its start
-    known up to the recording's delay in ``found``. Raises IdentificationError.
-    """
-    at = _together(places)
-    middle = min(at, key=lambda x: (abs(x - (min(at) + max(at)) / 2.0), x))
-    fits = {
-        x: fit_known_start(advanced(response, found.recording_delay)) for x, response in at.items()
-    }
-    own = fits[middle].G
-    elsewhere = [
-        Elsewhere(x, round(float(np.exp(_log_factor(own, at[x]))), DIGITS), one.G)
-        for x, one in fits.items()
-        if x != middle
-    ]
-    G = replace(own, x=middle, elsewhere=tuple(elsewhere))
-    return replace(fits[middle], G=G).begun(found.recording_delay)
-
-
-def factor(G: ImpulseResponse, place: float) -> float:
-    """Return the frequencies at a place (mm), relative to those at the response's own."""
-    if not G.elsewhere:
-        return 1.0
-    known = sorted([(G.x, 1.0), *((one.x, one.frequency) for one in G.elsewhere)])
-    x, frequency = zip(*known, strict=True)
-    return float(np.interp(place, x, frequency))
-
-
-def at_common_frequencies(
-    response: FrequencyResponse, G: ImpulseResponse, place: float
-) -> FrequencyResponse:
-    """Return the response at a place (mm) as it would be where G itself holds.
-
-    The frequencies are those that are known of all places.
-    """
-    by, every = factor(G, place), [1.0, *(one.frequency for one in G.elsewhere)]
-    hz = response.hz
-    hz = hz[(hz * min(every) >= hz[0]) & (hz * max(every) <= hz[-1])]
-
-    def there(values: Array) -> Array:
-        return np.asarray(np.interp(hz * by, response.hz, values))
-
-    H = there(response.H.real) + 1j * there(response.H.imag)
-    coherence, power = there(response.coherence), there(response.power)
-    return replace(response, hz=hz, H=H, coherence=coherence, power=power)
-
-
-def racking_along_x(
-    racking: ImpulseResponse,
-    along: ImpulseResponse,
-    slope: FrequencyResponse,
-    measured: Sequence[tuple[float, float, FrequencyResponse]],
-) -> ImpulseResponse:
-    """Return racking that changes along x as the response along it does, ``along``.
-
-    Its frequencies have the same factors, and its size is that which was measured. slope: what
-    ``racking`` is the model of. measured: place and lever arm (mm), and what the nozzle did in y,
-    at common frequencies.
-    """
-    own = replace(racking, x=along.x)
-    power = float((slope.power * np.abs(slope.H) ** 2).sum())
-    elsewhere: list[Elsewhere] = []
-    for place, arm, response in measured:
-        taken = [own.x, *(one.x for one in elsewhere)]
-        if abs(arm) < LEAST_ARM or min(abs(place - x) for x in taken) < SAME_PLACE:
-            continue
-        size = float((slope.power * slope.H.conj() * response.H).sum().real) / (power * arm)
-        frequency = factor(along, place)
-        there = own.stretched(1.0 / frequency)
-        there = replace(there, deviation=size * there.deviation, lag=size * own.lag)
-        elsewhere.append(Elsewhere(round(place, 2), round(frequency, DIGITS), there))
-    return replace(own, elsewhere=tuple(elsewhere))
-
-
-def _together(places: Places) -> dict[float, FrequencyResponse]:
-    """Return the mean response at each place (mm), of as many as a profile holds."""
-    groups: dict[float, list[FrequencyResponse]] = {}
-    for place, response in sorted(places, key=lambda one: one[0]):
-        near = [x for x in groups if abs(x - place) < SAME_PLACE]
-        groups.setdefault(near[0] if near else round(float(place), 2), []).append(response)
-    every = -(-len(groups) // MOST_PLACES)
-    return {x: average(each) for x, each in list(groups.items())[::every]}
+def at_the_middle(places: Sequence[tuple[float, FrequencyResponse]]) -> FrequencyResponse:
+    """Return the mean response of the runs nearest to the middle of all places (mm)."""
+    at = [place for place, _ in places]
+    middle = (min(at) + max(at)) / 2.0
+    nearest = min(at, key=lambda place: abs(place - middle))
+    return average([response for place, response in places if abs(place - nearest) < SAME_PLACE])
 
 
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions
@@ -225,25 +136,15 @@ def find_racking(
     fits: of the axes. shifts: whether modes shift along x. Raises IdentificationError if what the
     runs show is not racking.
     """
-    G, runs = fits["Gxx"].G, group.runs
-    moves = G if G.elsewhere else None
-    if moves is not None:
-        runs = [_unmoved(run, moves) for run in runs]
-    arm = _lever_arm(runs, settings, shifts)
+    arm = _lever_arm(group.runs, settings, shifts)
     if arm is None:
         return None, False
-    if moves is not None:
-        arm = _by_the_middle(arm, runs)
     if arm.over_noise <= NOISE:
         return None, True
     measured = Measured(arm.by_place, arm.slope, arm.off, arm.off)
-    along = average([run.response for run in runs])
+    along = average([run.response for run in group.runs])
     x_c, _ = centre(arm, along.H)
-    fit = _fitted(measured, group, fits, settings)
-    if moves is not None:
-        turned = [(run.place, run.place - x_c, run.y) for run in runs]
-        fit = replace(fit, G=racking_along_x(fit.G, moves, measured.mean, turned))
-    return Racking(measured, fit, x_c), True
+    return Racking(measured, _fitted(measured, group, fits, settings), x_c), True
 
 
 def _fitted(
@@ -255,21 +156,6 @@ def _fitted(
     calibrated = group.resonance_hz is None
     gain = fits["Gyy" if calibrated and "Gyy" in fits else "Gxx"].gain
     return fit_racking(seen, fits["Gxx"], gain, calibrated)
-
-
-def _unmoved(run: RunResponse, moves: ImpulseResponse) -> RunResponse:
-    """Return the run as if its frequencies were those where the response itself holds."""
-    response, y = (at_common_frequencies(one, moves, run.place) for one in (run.response, run.y))
-    return replace(run, response=response, y=y)
-
-
-def _by_the_middle(arm: LineOverPlaces, runs: Sequence[RunResponse]) -> LineOverPlaces:
-    """Return the line with what was measured nearest the middle instead of the mean.
-
-    Where modes move, the outer places may rack differently, and would pull x_c to one side.
-    """
-    run = min(runs, key=lambda run: abs(run.place - arm.middle))
-    return replace(arm, middle=run.place, at_middle=run.y.H)
 
 
 def _lever_arm(

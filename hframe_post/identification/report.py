@@ -9,7 +9,6 @@ from hframe_post.identification import verdict
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identify import AXIS, Identified, MeasurementSettings, identify
 from hframe_post.identification.recommend import Recommendation, recommend
-from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
 
@@ -38,13 +37,6 @@ def functions_table(identified: Identified) -> list[str]:
             f"{round(found.lag * 1e3, 2) + 0.0:7.2f} ms   {modes or 'none'}"
         )
     return lines
-
-
-def _moves(name: str, G: ImpulseResponse) -> str:
-    """Return how a response changes along x."""
-    known = sorted([(G.x, 1.0), *((one.x, one.frequency) for one in G.elsewhere)])
-    changes = ", ".join(f"{100.0 * (f - 1.0):+.1f} % at {x:.0f} mm" for x, f in known if x != G.x)
-    return f"{name}: frequencies change by {changes}, from x = {G.x:.0f} mm; the profile follows"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +76,11 @@ class IdentificationReport:
                     "for friction, play and loose parts" + self._uncompensated(share)
                 )
         along_x = identified.measured["Gxx"].spread if "Gxx" in identified.measured else 0.0
-        moves = "Gxx" in identified.along_x
-        if identified.mode_shift is not None and not moves:
+        if identified.mode_shift is not None:
             messages.append(
                 f"{identified.mode_shift.message}. The profile's one model is that of the middle"
             )
-        elif along_x > verdict.PLACES and not moves and "Gxx" not in identified.repetitions:
+        elif along_x > verdict.PLACES and "Gxx" not in identified.repetitions:
             messages.append(
                 f"Gxx varies by {100 * along_x:.0f} % between the gantry's positions; one model "
                 "cannot describe all of them" + self._uncompensated(along_x)
@@ -119,14 +110,6 @@ class IdentificationReport:
     def notes(self) -> list[str]:
         missing = [axis for axis in "xy" if axis not in self.identified.gains]
         notes = list[str]()
-        at = (
-            {place for place, _ in self.identified.measured["Gyy"].places} if not missing else set()
-        )
-        if self.identified.along_x and len(at) == 1:
-            notes.append(
-                "modes of x move along x. Those of y were recorded at one place: where they move, "
-                "too, record y at three places (--position), and what y keeps falls"
-            )
         if missing:
             notes.append(f"{missing[0]} was not recorded, so the profile compensates nothing in it")
         elif self.identified.racking_below_noise:
@@ -143,8 +126,6 @@ class IdentificationReport:
         rows = []
         if "Gxtheta" in self.identified.fits:
             rows.append(("x_c", f"{self.plant.x_c:.2f} mm"))
-        moving = self.identified.along_x
-        rows += [("along x", _moves(name, G)) for name, G in moving.items()]
         rows.append(("sensor", self._sensor()))
         error = f"whole model, with day-to-day change: ±{100.0 * self.identified.model_error:.1f} %"
         rows.append(("uncertainty", error))

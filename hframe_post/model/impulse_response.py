@@ -13,46 +13,27 @@ The nozzle is at rest·c − lag·v + q ∗ a, so G(z) = rest − lag·(1 − 1/
 rest v and a are zero and G is ``rest`` exactly; at a constant speed the nozzle is ``lag`` samples
 late, by a damper between axis and frame or by a delay. One mode of ω rad/sample has
 q = −sin(ω j)/ω.
-
-A response may change along x, as a belt's free length does. It is then measured at several places,
-and in between each neighbour is stretched to the frequency there before both are mixed: a mode
-moves, and does not become two.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import ArgumentError
 from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.native.judging import finite_filter
 
 LONGEST = 4000  # samples of a response: a bed at 18 Hz whose damping is 0.03 rings for 3400
 SETTLED = 1e-3  # of a mode's largest deviation: what is less has settled
 ENDED = 1e-5  # share of all deviation after the end: 0.01 µm of a strong acceleration's
 AROUND = 4  # samples on either side from which one in between is interpolated
-MOST_PLACES = 16
 BLOCK = 64  # samples whose frequency response is summed at once
-FARTHEST = 2.0  # factor between the frequencies of two places, at most
-FINE = 0.01  # relative change of frequencies from node to node; mixing two costs 3 % of a peak
-FEWEST = 4  # nodes from one place to the next
 GAIN_TOLERANCE = {1.0: 1e-4, 0.0: 1e-9}  # of axes, whose roots may be rounded, and couplings
-BEYOND = 60.0  # mm beyond the outermost places to which their change goes on
-
-
-@dataclass(frozen=True)
-class Elsewhere:
-    """A response at another x (mm), and its frequencies relative to those at the first place."""
-
-    x: float
-    frequency: float
-    G: ImpulseResponse
 
 
 @dataclass(frozen=True)
@@ -64,11 +45,9 @@ class ImpulseResponse:
     rest: gain at rest, 1 for an axis and 0 for a coupling. lag: samples. drift: standard deviation
     of the factor by which all frequencies will have changed when something is printed. unknown
     (k,): a filter like ``deviation`` without lead, whose gain at each frequency is the standard
-    deviation of what is not known of Q there. x, elsewhere: where it holds (mm), and what it is at
-    other x, if it changes along x; see ``nodes``. All else but these two holds at x. written: the
-    transfer function that all this was computed from, if any. Raises ArgumentError unless the
-    numbers are finite, 1 ≤ m ≤ LONGEST, k ≤ LONGEST, 0 ≤ lead < m, 0 ≤ drift < 1, and places
-    differ by a millimetre at least.
+    deviation of what is not known of Q there. written: the transfer function that all this was
+    computed from, if any. Raises ArgumentError unless the numbers are finite, 1 ≤ m ≤ LONGEST,
+    k ≤ LONGEST, 0 ≤ lead < m and 0 ≤ drift < 1.
     """
 
     deviation: Array
@@ -77,8 +56,6 @@ class ImpulseResponse:
     lag: float = 0.0
     drift: float = 0.0
     unknown: Array = field(default_factory=lambda: np.zeros(0))
-    x: float = 0.0
-    elsewhere: tuple[Elsewhere, ...] = ()
     written: TransferFunction | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -102,22 +79,6 @@ class ImpulseResponse:
                 f"lead must be from 0 to {len(deviation) - 1}, the last sample of the response; "
                 f"it is {self.lead}"
             )
-        self._check_places()
-
-    def _check_places(self) -> None:
-        if len(self.elsewhere) > MOST_PLACES:
-            raise ArgumentError(f"a response is known at {MOST_PLACES} other places at most")
-        places = sorted([self.x, *(one.x for one in self.elsewhere)])
-        if self.elsewhere and not np.diff(places).min() >= 1.0:
-            raise ArgumentError("the x of two places must differ by 1 mm at least")
-        for one in self.elsewhere:
-            if not 1.0 / FARTHEST <= one.frequency <= FARTHEST:
-                raise ArgumentError(
-                    f"frequency must be {1.0 / FARTHEST:g} to {FARTHEST:g} times that of the first "
-                    f"place, it is {one.frequency:g}"
-                )
-            if one.G.elsewhere or one.G.rest != self.rest:
-                raise ArgumentError("a place has one response, with the same gain at rest")
 
     @classmethod
     def from_mode(cls, hz: float, damping: float) -> ImpulseResponse:
@@ -166,54 +127,13 @@ class ImpulseResponse:
         The acceleration of a sample contains the next one, so this is one more than the lead,
         unless the deviation begins with zeros.
         """
-        if self.elsewhere:
-            return max(G.ahead for _, G in self.nodes)
         moving = np.flatnonzero(self.deviation)
         return max(self.lead + 1 - int(moving[0]), 0) if len(moving) else 0
 
     @cached_property
     def memory(self) -> int:
         """Return how many samples of the command before a sample its response depends on."""
-        return 2 + max(len(G.deviation) for _, G in self.nodes)
-
-    @cached_property
-    def nodes(self) -> tuple[tuple[float, ImpulseResponse], ...]:
-        """Return responses that are the same all along x, by ascending x (mm).
-
-        Between two nodes, their outputs are mixed in proportion; beyond the outermost the response
-        stays. A response that does not change along x has one.
-        """
-        if not self.elsewhere:
-            return ((self.x, self),)
-        known = [Elsewhere(self.x, 1.0, replace(self, elsewhere=()))]
-        for one in self.elsewhere:
-            unknown = one.G.unknown if len(one.G.unknown) else self.unknown
-            known.append(replace(one, G=replace(one.G, drift=self.drift, unknown=unknown)))
-        known.sort(key=lambda one: one.x)
-        nodes = []
-        for k, (left, right) in enumerate(pairwise(known)):
-            change = abs(np.log(right.frequency / left.frequency))
-            count = max(int(np.ceil(change / FINE)), FEWEST)
-            step = (right.x - left.x) / count
-            beyond = int(BEYOND / step) if step < BEYOND else 1
-            first = -beyond if k == 0 else 0
-            last = count + beyond + 1 if k == len(known) - 2 else count
-            nodes += [_between(left, right, j / count) for j in range(first, last)]
-        return tuple(nodes)
-
-    def at(self, x: float) -> ImpulseResponse:
-        """Return the response of the node that is nearest to x (mm)."""
-        return self.nodes[self.node(x)][1]
-
-    def node(self, x: float) -> int:
-        """Return the number of the node that is nearest to x (mm)."""
-        return int(np.searchsorted(self._borders, x))
-
-    @cached_property
-    def _borders(self) -> Array:
-        """Return the x (mm) at which the nearest node changes."""
-        x = np.array([place for place, _ in self.nodes])
-        return np.asarray((x[1:] + x[:-1]) / 2.0)
+        return 2 + len(self.deviation)
 
     @property
     def dc_gain(self) -> float:
@@ -233,7 +153,7 @@ class ImpulseResponse:
             changed = q - t * np.gradient(q) if len(q) > 1 else q
             doubts.append(replace(
                 self, deviation=self.drift * changed, rest=0.0, lag=self.drift * self.lag,
-                drift=0.0, unknown=np.zeros(0), elsewhere=(), written=None,
+                drift=0.0, unknown=np.zeros(0), written=None,
             ))  # fmt: skip
         if len(self.unknown):
             doubts.append(ImpulseResponse(self.unknown, 0, rest=0.0))
@@ -276,15 +196,13 @@ class ImpulseResponse:
         """
         if factor == 1.0:
             return self
-        if self.elsewhere:
-            return self.everywhere(lambda G: G.stretched(factor))
         deviation, lead = _stretched(self.deviation, self.lead, factor)
         unknown = _stretched(self.unknown, 0, factor)[0] if len(self.unknown) else self.unknown
         lag = factor * self.lag
         return replace(self, deviation=deviation, lead=lead, lag=lag, unknown=unknown, written=None)
 
     def damped(self, factor: float) -> ImpulseResponse:
-        """Return the response, here, with the damping ratio of its modes times a factor.
+        """Return the response with the damping ratio of its modes times a factor.
 
         One rate of decay stands for those of all modes: half the inverse of the time around which
         the squared response lies, as for a single mode. The lag stays.
@@ -304,39 +222,9 @@ class ImpulseResponse:
         """
         if self.written is not None:
             new = ImpulseResponse.from_transfer_function(self.written.heavier(factor), self.rest)
-            return replace(new, drift=self.drift, unknown=self.unknown, x=self.x)
+            return replace(new, drift=self.drift, unknown=self.unknown)
         longer = math.sqrt(factor)
-        return self.everywhere(
-            lambda one: replace(one.stretched(longer).damped(1.0 / longer), lag=one.lag)
-        )
-
-    def everywhere(self, change: Callable[[ImpulseResponse], ImpulseResponse]) -> ImpulseResponse:
-        """Return the response with the same change at all its places."""
-        elsewhere = tuple(replace(one, G=change(one.G)) for one in self.elsewhere)
-        return replace(change(replace(self, elsewhere=())), elsewhere=elsewhere)
-
-
-def _between(left: Elsewhere, right: Elsewhere, share: float) -> tuple[float, ImpulseResponse]:
-    """Return the node at a share of the way from one place to another, which may be beyond them.
-
-    Beyond, it is the nearer place's, stretched. A lag is a damper's or a delay's, and stays.
-    """
-    x = left.x + share * (right.x - left.x)
-    frequency = left.frequency + share * (right.frequency - left.frequency)
-    frequency = min(max(frequency, 0.5 * left.frequency), 2.0 * left.frequency)
-    part = min(max(share, 0.0), 1.0)
-    nearer = left.G if part < 0.5 else right.G
-    if part in (0.0, 1.0):
-        place = left if part == 0.0 else right
-        return x, replace(place.G.stretched(place.frequency / frequency), lag=place.G.lag, x=x)
-    both = [one.G.stretched(one.frequency / frequency) for one in (left, right)]
-    lead = max(G.lead for G in both)
-    shifted = [np.pad(G.deviation, (lead - G.lead, 0)) for G in both]
-    m = max(map(len, shifted))
-    first, second = (np.pad(q, (0, m - len(q))) for q in shifted)
-    deviation = ((1.0 - part) * first + part * second)[:LONGEST]
-    lag = (1.0 - part) * left.G.lag + part * right.G.lag
-    return x, replace(nearer, deviation=deviation, lead=lead, lag=lag, x=x)
+        return replace(self.stretched(longer).damped(1.0 / longer), lag=self.lag)
 
 
 def _stretched(q: Array, lead: int, factor: float) -> tuple[Array, int]:
@@ -355,3 +243,27 @@ def _stretched(q: Array, lead: int, factor: float) -> tuple[Array, int]:
                 weight *= (part - other) / (node - other)
         stretched += weight * q[whole + node + AROUND + 1]
     return stretched, new
+
+
+class FiniteFilter:
+    """An impulse response applied to a stream, its output ``late`` samples late, at least G.ahead.
+
+    state (memory,): the latest samples of the input. Acceleration is filtered, which at rest is
+    zero.
+    """
+
+    def __init__(self, G: ImpulseResponse, late: int) -> None:
+        self._taps = np.ascontiguousarray(G.taps(late)[::-1])  # that of the oldest sample first
+        self._rest, self._lag, self._late = G.rest, G.lag, late
+        self.memory = max(len(self._taps), late) + 1
+        self.state = np.zeros(self.memory)
+
+    def run(self, u: Array) -> Array:
+        """Return the output (n,) at the next samples of the input u (n,)."""
+        known = np.concatenate([self.state, u])
+        self.state = known[len(u) :].copy()
+        return self.output(known, len(u))
+
+    def output(self, known: Array, n: int) -> Array:
+        """Return the output (n,) at the last samples of the input known (memory or more + n,)."""
+        return finite_filter(self._taps, known, n, self._late, self._rest, self._lag)

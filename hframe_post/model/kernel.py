@@ -119,13 +119,11 @@ def played(c: Array) -> Array:
 def kernel(plant: Plant, kinematics: Kinematics, bounds: Bounds) -> tuple[Kernel, Figures]:
     """Return the kernel of a plant, as mild as the belts need, and its figures.
 
-    Of a plant that changes along x it is that at ``bounds.place``. Raises ArgumentError if the
-    command outruns the belts at any effort.
+    Raises ArgumentError if the command outruns the belts at any effort.
     """
-    plant, path = plant.at(bounds.place[X]), strokes(bounds)
+    path = strokes(bounds)
     most_v, most_a = bounds.belt_velocity, bounds.belt_acceleration
-    each = plant.Gxx, plant.Gyy, *(coupling.G for coupling in plant.couplings)
-    G = tuple(map(Spectrum.of, each))
+    G = tuple(map(Spectrum.of, plant.responses))
     measured, couplings = any(each.variance.any() for each in G), plant.couplings
     for effort in MEASURED_EFFORTS if measured else EFFORTS:
         added = [taps(G[of.command], D, effort) for of, D in zip(couplings, G[2:], strict=True)]

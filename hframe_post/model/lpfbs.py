@@ -30,9 +30,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.errors import ArgumentError, HframeError
-from hframe_post.model.filters import FiniteFilter
-from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.errors import ArgumentError
+from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.native.linear import product, pseudo_inverse, recursion, windows_product
 
 CONDITION = 1e12  # greatest condition number of a window that can be solved
@@ -109,11 +108,10 @@ class Lpfbs:
     ``radius``, the spectral radius of one step's map of the past, must be below one.
     """
 
-    def __init__(self, G: ImpulseResponse, window: Window, lead: int = 0, reach: int = 0) -> None:
-        """Solve the window, with at least this lead and a number of past control points."""
-        self.window, self.lead = window, max(G.ahead, lead)
+    def __init__(self, G: ImpulseResponse, window: Window) -> None:
+        self.window, self.lead = window, G.ahead
         self._basis = np.asfortranarray(uniform_basis(window.L, window.degree))
-        K_target, K_past, step_past = _solve(G, window, self.lead, reach)
+        K_target, K_past, step_past = _solve(G, window)
         # its transpose is multiplied, window by window, and needs no copy then
         self._K_past = np.asfortranarray(K_past)
         self._by_target = np.ascontiguousarray(K_target.T)
@@ -135,20 +133,8 @@ class Lpfbs:
         """
         if np.ndim(x_d) != 1:
             raise ArgumentError(f"x_d must be (n,), it is {np.shape(x_d)}")
-        if not len(x_d):
-            return np.zeros(0)
-        x_dm, _ = self.run(self.whole(np.pad(x_d - x_d[0], (self.lead, 0))), self.rest)
-        return np.asarray(x_d[0] + x_dm[: len(x_d)])
-
-    def whole(self, target: Array) -> Array:
-        """Return the target in whole windows, at rest after its end.
-
-        It is ``lead`` samples late, so the command of its last ``lead`` samples is not needed.
-        """
-        w = self.window
-        n = len(target) - self.lead
-        length = n + -n % w.stride + w.L_C - w.stride
-        return np.pad(target, (0, max(length - len(target), 0)), mode="edge")[:length]
+        pieces = Pieces(self)
+        return np.asarray(x_d[:1] + np.concatenate([pieces.feed(x_d - x_d[:1]), pieces.finish()]))
 
     def run(self, x_d: Array, s: Array) -> tuple[Array, Array]:
         """Return the command x_dm (W·stride,) for W whole windows of x_d, and the next s.
@@ -169,7 +155,40 @@ class Lpfbs:
         return command, control[-len(s) :].copy()
 
 
-def _solve(G: ImpulseResponse, w: Window, lead: int, reach: int) -> tuple[Array, Array, Array]:
+class Pieces:
+    """The command of one axis for a target that comes in pieces of any length, from rest at 0."""
+
+    def __init__(self, lpfbs: Lpfbs) -> None:
+        self._lpfbs, self._s = lpfbs, lpfbs.rest
+        self._preview = lpfbs.window.L_C - lpfbs.window.stride
+        self._target = np.zeros(lpfbs.lead)  # for which the command is not final
+
+    def feed(self, target: Array) -> Array:
+        """Take more of the target (n,); return the command as far as the preview allows, (k,)."""
+        self._target = np.concatenate([self._target, target])
+        following = max(self._preview, self._lpfbs.lead)
+        return self._windows((len(self._target) - following) // self._lpfbs.window.stride)
+
+    def finish(self) -> Array:
+        """Return what is left of the command; the target is at rest after its end."""
+        n, stride = len(self._target) - self._lpfbs.lead, self._lpfbs.window.stride
+        windows = -(-n // stride)
+        missing = windows * stride + self._preview - len(self._target)
+        if n and missing > 0:
+            self._target = np.pad(self._target, (0, missing), mode="edge")
+        return self._windows(windows)[:n]
+
+    def _windows(self, count: int) -> Array:
+        """Return the command of the next windows."""
+        if count <= 0:
+            return np.zeros(0)
+        n = count * self._lpfbs.window.stride
+        x_dm, self._s = self._lpfbs.run(self._target[: n + self._preview], self._s)
+        self._target = self._target[n:].copy()  # a view would keep the whole array alive
+        return x_dm
+
+
+def _solve(G: ImpulseResponse, w: Window) -> tuple[Array, Array, Array]:
     """Return the gains of a window, p_C = K_target x_d + K_past s, and the step of s to the next.
 
     Minimises ‖x_d − Ñ_C p_C − Ñ_P s‖² + λ‖D(N_C p_C + N_P s)‖², D the second difference: eq. 39
@@ -182,11 +201,11 @@ def _solve(G: ImpulseResponse, w: Window, lead: int, reach: int) -> tuple[Array,
     first = bsplines(
         w.L * np.arange(w.degree + 2, dtype=float), w.degree, np.arange(w.L * (w.degree + 1.0))
     )
-    filters = [FiniteFilter(each, max(each.ahead, lead)) for each in (G, *G.doubts)]
+    filters = [FiniteFilter(each, max(each.ahead, G.ahead)) for each in (G, *G.doubts)]
     padded = [np.pad(first[:, 0], (0, f.memory)) for f in filters]
     filtered = [f.run(u) for f, u in zip(filters, padded, strict=True)]
     longest = max(map(len, filtered))
-    past = max(-(-longest // w.L) - 1, w.degree + 1, reach)
+    past = max(-(-longest // w.L) - 1, w.degree + 1)
     since = np.arange(w.L_C)[:, None] - w.L * np.arange(-past, w.n_C)
     since[(since < 0) | (since > longest)] = longest  # before a spline begins, as after its end
     N_filtered = np.vstack([np.pad(f, (0, longest + 1 - len(f)))[since] for f in filtered])
@@ -210,52 +229,3 @@ def _gains(
     pinv = pinv[: w.n_up]
     free = np.vstack([past_filtered, weight * D_past])
     return pinv[:, : w.L_C], -product(pinv, free)
-
-
-# ----------------------------------------------------------------------
-# An axis whose response changes along x has a solver for each node of the response. A window is
-# solved for the response at its place, with the exact past. That the response changes within the
-# window is corrected in rounds: what the previous command misses, by the full sum over the nodes,
-# is added to the target.
-
-
-class SolversAlongX:
-    """Solvers by place, each made when it is first needed. Raises ArgumentError as ``Lpfbs`` does.
-
-    memory: samples of the command before a window that its response depends on.
-    """
-
-    def __init__(self, G: ImpulseResponse, window: Window) -> None:
-        self.G, self.window, self.lead = G, window, G.ahead
-        self.memory = max(self._memory(node) for _, node in G.nodes)
-        doubts = [self._memory(doubt) for _, node in G.nodes for doubt in node.doubts]
-        longest = max([self.memory, *doubts]) + window.L * (window.degree + 1)
-        self._reach = -(-longest // window.L)
-        self._made: dict[int, tuple[Lpfbs, FiniteFilter]] = {}
-        for k in (0, len(G.nodes) - 1, G.node(G.x)):
-            self.rest = self._at(k)[0].rest
-
-    def window_command(self, target: Array, u: Array, x: float, s: Array) -> tuple[Array, Array]:
-        """Return the command (stride,) of a window, and the next s.
-
-        target (L_C,): less what a command u does, by the whole plant, ``lead`` samples late. u
-        (memory + L_C,): that command. x: mm, where the nozzle is meanwhile. Raises HframeError if
-        the window does not suit the response there.
-        """
-        try:
-            solver, response = self._at(self.G.node(x))
-        except ArgumentError as error:
-            raise HframeError(f"at x = {x:.0f} mm, {error}") from None
-        response.state = u[self.memory - response.memory : self.memory]
-        return solver.run(target + response.run(u[self.memory :]), s)
-
-    def _memory(self, G: ImpulseResponse) -> int:
-        return FiniteFilter(G, max(G.ahead, self.lead)).memory
-
-    def _at(self, k: int) -> tuple[Lpfbs, FiniteFilter]:
-        """Return the solver and the response of a node."""
-        if k not in self._made:
-            node = self.G.nodes[k][1]
-            solver = Lpfbs(node, self.window, self.lead, self._reach)
-            self._made[k] = solver, FiniteFilter(node, self.lead)
-        return self._made[k]

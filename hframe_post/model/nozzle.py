@@ -7,64 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y
-from hframe_post.model.filters import FiniteFilter, stream_filter
-from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.plant import Coupling, Plant
-from hframe_post.native import judging as native
-from hframe_post.native.judging import Couplings, sum_of
-
-STIFF = ImpulseResponse(np.zeros(1), 0)
-
-
-class Filters:
-    """Filters side by side, each ``late`` samples late; ``along_x``: whether one changes along x.
-
-    couplings: the last filters'.
-    """
-
-    def __init__(
-        self, direct: Sequence[ImpulseResponse], couplings: Sequence[Coupling], late: int
-    ) -> None:
-        functions = (*direct, *(coupling.G for coupling in couplings))
-        self.each = [stream_filter(G, late) for G in functions]
-        self.late, self.along_x = late, any(G.elsewhere for G in functions)
-        axes = [(c.answer, c.command, -1 if c.along is None else c.along) for c in couplings]
-        centres = np.array([coupling.centre for coupling in couplings])
-        self.couplings = Couplings(np.array(axes, np.int64).reshape(-1, 3), centres)
-
-    @classmethod
-    def of_plant(cls, plant: Plant, late: int) -> Filters:
-        return cls((plant.Gxx, plant.Gyy), plant.couplings, late)
-
-    @property
-    def commands(self) -> list[int]:
-        """Return the axis of the command of each coupling."""
-        commands: list[int] = self.couplings.axes[:, 1].tolist()
-        return commands
-
-
-class Coupled:
-    """What couplings add to the nozzle in one axis, under commands that come in pieces.
-
-    late: samples by which the result comes later than the commands.
-    """
-
-    def __init__(self, couplings: Sequence[Coupling], origin: Array) -> None:
-        self.late = max(coupling.G.ahead for coupling in couplings)
-        self._filters, self._origin = Filters((), couplings, self.late), origin
-
-    def run(self, path: Array, x_dm: Array, y_dm: Array) -> Array:
-        """Return the sum (n,) at samples of the path (n, 2), which lag behind the commands (n,).
-
-        All are relative to the origin. The lever arms are those of the path.
-        """
-        filters, couplings, commands = self._filters, self._filters.couplings, (x_dm, y_dm)
-        place = path + self._origin
-        outputs = [
-            G.run(commands[axis], place[:, X])
-            for G, axis in zip(filters.each, filters.commands, strict=True)
-        ]
-        return sum_of(outputs, couplings, place)
+from hframe_post.model.impulse_response import FiniteFilter
+from hframe_post.model.plant import Plant
 
 
 class Response:
@@ -76,11 +20,9 @@ class Response:
 
     def __init__(self, plant: Plant, origin: Array, late: int | None = None) -> None:
         self.late = plant.ahead if late is None else late
-        self._filters = Filters.of_plant(plant, self.late)
-        self._origin = origin
-        # where responses change along x, the command tells x: the nozzle is within half a mm of it
-        self._x = FiniteFilter(STIFF, self.late) if self._filters.along_x else None
-        self._from_x = float(origin[X])
+        self._couplings, self._origin = plant.couplings, origin
+        self._filters = [FiniteFilter(G, self.late) for G in plant.responses]
+        self._axes = X, Y, *(coupling.command for coupling in plant.couplings)
 
     def run(self, command: Array, out: Array | None = None) -> Array:
         """Return the nozzle's x, y (n, 2) at samples that lag behind those of command (n, 2).
@@ -91,16 +33,21 @@ class Response:
 
     def motion(self, command: Array) -> tuple[Array, Array]:
         """Return the nozzle's x, y (n, 2), and what each coupling's G gives, (n, couplings)."""
-        both = self._motion(command, np.empty((len(command), len(self._filters.each))))
+        both = self._motion(command, np.empty((len(command), len(self._filters))))
         return both[:, :2], both[:, 2:]
 
     def _motion(self, command: Array, motion: Array) -> Array:
-        filters, couplings = self._filters, self._filters.couplings
         u = np.subtract(command.T, self._origin[:, None], order="C")
-        x = u[X] if self._x is None else self._x.run(u[X]) + self._from_x
-        axes = X, Y, *filters.commands
-        outputs = [f.run(u[axis], x) for f, axis in zip(filters.each, axes, strict=True)]
-        return native.nozzle(outputs, couplings, self._origin, motion)
+        outputs = [f.run(u[axis]) for f, axis in zip(self._filters, self._axes, strict=True)]
+        for axis in (X, Y):
+            np.add(outputs[axis], self._origin[axis], out=motion[:, axis])
+        if self._couplings:
+            place = motion[:, :2].copy()  # lever arms are those without any coupling
+            for coupling, output in zip(self._couplings, outputs[2:], strict=True):
+                motion[:, coupling.answer] += coupling.lever(place) * output
+        for k, output in enumerate(outputs[2 : motion.shape[1]], 2):
+            motion[:, k] = output
+        return motion
 
 
 def nozzle(plant: Plant, origin: Array, command: Array) -> Array:

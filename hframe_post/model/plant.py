@@ -82,35 +82,19 @@ class Plant:
         return Coupling(Y, X, self.Gxtheta, X, self.x_c), *self.cross
 
     @property
+    def responses(self) -> tuple[ImpulseResponse, ...]:
+        """Return those of x, of y and of all couplings."""
+        return self.Gxx, self.Gyy, *(coupling.G for coupling in self.couplings)
+
+    @property
     def ahead(self) -> int:
         """Return how many samples of a command after a sample the nozzle's place depends on."""
-        each = self.Gxx, self.Gyy, *(coupling.G for coupling in self.couplings)
-        return max(G.ahead for G in each)
+        return max(G.ahead for G in self.responses)
 
     @property
     def memory(self) -> int:
         """Return how many samples of a command before a sample the nozzle's place depends on."""
-        each = self.Gxx, self.Gyy, *(coupling.G for coupling in self.couplings)
-        return max(G.memory for G in each)
-
-    @property
-    def along_x(self) -> bool:
-        """Return whether a response changes along x."""
-        return len(self.places) > 1
-
-    @property
-    def places(self) -> tuple[float, ...]:
-        """Return x (mm) of all nodes between which responses change; one, if none changes."""
-        each = self.Gxx, self.Gyy, *(coupling.G for coupling in self.couplings)
-        moving = [G for G in each if G.elsewhere]
-        return tuple(sorted({x for G in moving for x, _ in G.nodes})) or (0.0,)
-
-    def at(self, x: float) -> Plant:
-        """Return the plant as it is near this x (mm), all along x."""
-        Gxtheta = None if self.Gxtheta is None else self.Gxtheta.at(x)
-        cross = tuple(replace(each, G=each.G.at(x)) for each in self.cross)
-        Gxx, Gyy = self.Gxx.at(x), self.Gyy.at(x)
-        return replace(self, Gxx=Gxx, Gyy=Gyy, Gxtheta=Gxtheta, cross=cross)
+        return max(G.memory for G in self.responses)
 
     def decoupled(self) -> Plant:
         """Return the plant without couplings."""

@@ -17,26 +17,20 @@ from hframe_post.model.plant import Coupling, Plant
 
 LEFT = 0.03  # share of the first error that rounds may leave
 FEWEST, MOST = 2, 4  # rounds
-# where responses change along x; a fourth changes nothing if frequencies change by 12 % over 140 mm
-ROUNDS_ALONG_X = 3
 
 
-def order(
-    couplings: Sequence[Coupling], rounds: int, along_x: tuple[bool, bool] = (False, False)
-) -> tuple[int, ...]:
+def order(couplings: Sequence[Coupling], rounds: int) -> tuple[int, ...]:
     """Return the axes to solve in turn.
 
     An axis that couplings act on comes after the one whose command they act by. Only where x and y
-    act on each other or on themselves, more rounds are needed. along_x: whether the axes' own
-    responses change along x, which takes rounds, too.
+    act on each other or on themselves, more rounds are needed.
     """
     acting = {(coupling.command, coupling.answer) for coupling in couplings}
-    x, y = ((axis,) * (ROUNDS_ALONG_X if along_x[axis] else 1) for axis in (X, Y))
     if acting <= {(X, Y)}:
-        return x + y
+        return X, Y
     if acting == {(Y, X)}:
-        return y + x
-    return (X, Y) * (max(rounds, ROUNDS_ALONG_X) if any(along_x) else rounds)
+        return Y, X
+    return (X, Y) * rounds
 
 
 def rounds_needed(plant: Plant, windows: tuple[Window, Window]) -> int:
@@ -56,7 +50,6 @@ def contraction(plant: Plant, windows: tuple[Window, Window], place: Array) -> f
     """
     if len(order(plant.couplings, FEWEST)) == 2:  # one round is exact
         return 0.0
-    plant = plant.at(float(place[X]))
     omega = np.pi / windows[X].L * np.linspace(0.01, 1.0, 300)
     effort = np.abs(1.0 - np.exp(-1j * omega)) ** 4
     S_x, S_y = (

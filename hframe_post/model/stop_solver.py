@@ -41,7 +41,7 @@ from functools import lru_cache
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Integers, X, Y
-from hframe_post.model.filters import FiniteFilter, stream_filter
+from hframe_post.model.impulse_response import FiniteFilter
 from hframe_post.model.lpfbs import bsplines
 from hframe_post.model.plant import Plant
 from hframe_post.model.stop_cost import (
@@ -99,17 +99,16 @@ class StopSolver:
         dwelling[stop.a - begun : stop.b - begun] = command[stop.a]
         rows = judged_rows(n)
         path = around.path[stop.a - BESIDE + rows[0]] + origin
-        known, levers = self.around.known(dwelling, path, n, origin)
+        known, levers = self.around.known(dwelling, path, n)
         reach = bisect_right(self._reach, stop.before), bisect_right(self._reach, stop.after)
-        node = self.around.node(float(around.path[stop.a, X] + origin[X]))
-        splines = self._splines(*reach, stop.movable, n, node)
+        splines = self._splines(*reach, stop.movable, n)
         numbers = stop.a, stop.b, stop.before, stop.after, stop.ends
         solve_stop(
             around.path, around.extruding, command, rows, numbers, BESIDE, SHARES, SOON, known,
             levers, self.around.axes, splines, self._bounds, origin,
         )  # fmt: skip
 
-    def _usable_splines(self, before: int, after: int, movable: bool, n: int, node: int) -> Splines:
+    def _usable_splines(self, before: int, after: int, movable: bool, n: int) -> Splines:
         """Return the splines of a stop.
 
         before, after: how many it may use on either side; movable: whether its own place may
@@ -124,7 +123,7 @@ class StopSolver:
         N[2 + BESIDE + dwell : -2, k + 1 :] = self._N_after
         limit = np.full(len(N) - 2, self._limit)
         limit[BESIDE:-BESIDE] *= AT_DWELL
-        by_p = self.around.by_splines(n, node)
+        by_p = self.around.by_splines(n)
         return Splines.from_matrices(N[:, columns], by_p[..., columns], limit)
 
 
@@ -160,31 +159,26 @@ class AroundStops:
     """
 
     def __init__(self, plant: Plant, N_before: Array, N_after: Array) -> None:
-        self._plant, self._N_before, self._N_after = plant, N_before, N_after
+        self._N_before, self._N_after = N_before, N_after
         self.ahead = plant.ahead
-        self._filters = self._filters_of(plant)
+        self._filters = [FiniteFilter(G, self.ahead) for G in plant.responses]
         self.memory = max(f.memory for f in self._filters)
         self._couplings = plant.couplings
-        self._places = np.array(plant.places)
         axes = [(coupling.answer, coupling.command) for coupling in plant.couplings]
         self.axes: Integers = np.array(axes, np.int64).reshape(-1, 2)
         self.by_splines = lru_cache(maxsize=32)(self._by_splines)
 
-    def _filters_of(self, plant: Plant) -> list[FiniteFilter]:
-        functions = plant.Gxx, plant.Gyy, *(c.G for c in plant.couplings)
-        return [stream_filter(G, self.ahead) for G in functions]
-
-    def known(self, command: Array, path: Array, n: int, origin: Array) -> tuple[Array, Array]:
+    def known(self, command: Array, path: Array, n: int) -> tuple[Array, Array]:
         """Return the nozzle (r, 2) without p, and lever arms (couplings, r), at the judged samples.
 
         command: from ``memory`` + BESIDE samples before a dwell of n samples to BESIDE + BEYOND +
-        ahead after it, from the origin (2,), mm on the bed; path (r, 2): there.
+        ahead after it, from the origin; path (r, 2): there, mm on the bed.
         """
         u, at, couplings = np.ascontiguousarray(command.T), judged(n) + self.ahead, self._couplings
-        place = u[X, self.memory - self.ahead : len(command) - self.ahead] + origin[X]
         axes = X, Y, *(coupling.command for coupling in couplings)
         outputs = [
-            f.output(u[axis], place)[at] for f, axis in zip(self._filters, axes, strict=True)
+            f.output(u[axis], len(command) - self.memory)[at]
+            for f, axis in zip(self._filters, axes, strict=True)
         ]
         nozzle, levers = np.empty((len(at), 2)), np.ones((len(couplings), len(at)))
         nozzle[:, X], nozzle[:, Y] = outputs[:2]
@@ -193,22 +187,16 @@ class AroundStops:
             nozzle[:, coupling.answer] += lever * output
         return nozzle, levers
 
-    def node(self, x: float) -> int:
-        """Return the number of the place near x (mm) for which matrices are computed."""
-        return int(np.argmin(np.abs(self._places - x)))
-
-    def _by_splines(self, n: int, node: int) -> Array:
+    def _by_splines(self, n: int) -> Array:
         """Return the filters' outputs (2 + couplings, r, 2k + 1) by splines and by a dwell of n."""
-        plant = self._plant.at(float(self._places[node])) if self._plant.along_x else self._plant
         k, end = self._N_before.shape[1], BESIDE + n
         commands = np.zeros((2 * k + 1, end + BESIDE + BEYOND + self.ahead))
         commands[:k, :BESIDE] = self._N_before.T
         commands[k, BESIDE:end] = 1.0
         commands[k + 1 :, end : end + BESIDE] = self._N_after.T
-        filters = self._filters_of(plant)
-        outputs = np.zeros((len(filters), 2 * k + 1, len(judged(n))))
-        for f, of_filter in zip(filters, outputs, strict=True):
+        outputs = np.zeros((len(self._filters), 2 * k + 1, len(judged(n))))
+        for f, of_filter in zip(self._filters, outputs, strict=True):
             for command, output in zip(commands, of_filter, strict=True):
                 known = np.pad(command, (f.memory, 0))
-                output[:] = f.output(known, command)[judged(n) + self.ahead]
+                output[:] = f.output(known, len(command))[judged(n) + self.ahead]
         return outputs.transpose(0, 2, 1)

@@ -28,9 +28,8 @@ import numpy as np
 
 from hframe_post.arrays import Array, X, Y, moved
 from hframe_post.errors import ArgumentError, HframeError
-from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.lpfbs import Lpfbs, SolversAlongX, Window
-from hframe_post.model.nozzle import Coupled
+from hframe_post.model.impulse_response import FiniteFilter
+from hframe_post.model.lpfbs import Lpfbs, Pieces, Window
 from hframe_post.model.plant import HEAVIER, Coupling, Plant
 from hframe_post.model.rounds import order, rounds_needed
 
@@ -43,7 +42,7 @@ class Compensator:
 
     def __init__(self, plant: Plant, windows: tuple[Window, Window]) -> None:
         self.plant = plant
-        self.x, self.y = _solver(plant.Gxx, windows[X]), _solver(plant.Gyy, windows[Y])
+        self.x, self.y = Lpfbs(plant.Gxx, windows[X]), Lpfbs(plant.Gyy, windows[Y])
         self.rounds = rounds_needed(plant, windows)
         self._latest: tuple[int, Compensator] = 0, self
 
@@ -61,7 +60,7 @@ class Compensator:
         loaded = copy(self)
         try:
             loaded.plant = self.plant.loaded(load)
-            loaded.y = _solver(loaded.plant.Gyy, self.y.window)
+            loaded.y = Lpfbs(loaded.plant.Gyy, self.y.window)
             loaded.rounds = rounds_needed(loaded.plant, (self.x.window, self.y.window))
         except ArgumentError as error:
             percent = 100.0 * math.expm1(HEAVIER * load)
@@ -116,10 +115,9 @@ class FilteredSplines:
         couplings = compensator.plant.couplings if coupled else ()
         self._origin, solvers = origin, (compensator.x, compensator.y)
         self._path = np.zeros((0, 2))  # from the origin, where the command is not final
-        moving = tuple(isinstance(each, SolversAlongX) for each in solvers)
         self._stages = [
             _Stage(axis, solvers[axis], [c for c in couplings if c.answer == axis], origin)
-            for axis in order(couplings, compensator.rounds, (moving[X], moving[Y]))
+            for axis in order(couplings, compensator.rounds)
         ]
 
     def feed(self, xy: Array) -> Array:
@@ -145,22 +143,16 @@ class FilteredSplines:
 class _Stage:
     """Solves one axis, from commands that the couplings on it depend on.
 
-    What the axis' own earlier command does counts as a coupling, if its response changes along x.
+    Samples are counted from the first whose command is not final.
     """
 
     def __init__(
-        self, axis: int, solvers: Lpfbs | SolversAlongX, couplings: Sequence[Coupling],
-        origin: Array,
-    ) -> None:  # fmt: skip
-        self.axis, self._origin = axis, origin
-        self._solver: _Axis | _AlongX
-        if isinstance(solvers, SolversAlongX):
-            self._solver = _AlongX(solvers)
-            couplings = [*couplings, Coupling(axis, axis, solvers.G)]
-        else:
-            self._solver = _Axis(solvers)
-        self._coupled = Coupled(couplings, origin) if couplings else None
-        self._taken = 0  # samples of which the solver knows the target
+        self, axis: int, lpfbs: Lpfbs, couplings: Sequence[Coupling], origin: Array
+    ) -> None:
+        self.axis, self._couplings, self._origin = axis, couplings, origin
+        self._late = max((coupling.G.ahead for coupling in couplings), default=0)
+        self._filters = [FiniteFilter(coupling.G, self._late) for coupling in couplings]
+        self._pieces = Pieces(lpfbs)
         self._fed = 0  # samples of which the couplings know the commands
         self._solved = np.zeros(0)
 
@@ -169,126 +161,30 @@ class _Stage:
 
         commands: the latest ones of x and y, from the same sample on. last: the path ends here.
         """
-        target = path[self._taken :, self.axis]
-        if self._coupled:
-            target = self._less_coupled(self._coupled, path, commands, last)
-        self._taken += len(target)
-        self._solved = np.concatenate([self._solved, self._solver.feed(target)])
+        if last:  # the commands are at rest after their end
+            commands = [_longer(each, self._late) for each in commands]
+        target = self._less_coupled(path, commands)
+        self._solved = np.concatenate([self._solved, self._pieces.feed(target)])
         if last:
-            self._solved = np.concatenate([self._solved, self._solver.finish()])
+            self._solved = np.concatenate([self._solved, self._pieces.finish()])
         return self._solved
 
-    def _less_coupled(
-        self, coupled: Coupled, path: Array, commands: Sequence[Array], last: bool
-    ) -> Array:
-        """Return the target by eq. 19, with the lever arm of Remark 2.1, as far as it is known."""
-        start, known = self._fed - coupled.late, min(map(len, commands))
-        if last:  # the commands are at rest after their end
-            commands = [_longer(each, coupled.late) for each in commands]
-            known += coupled.late
-        commands = [each[self._fed : known] for each in commands]
-        if isinstance(self._solver, _AlongX):
-            x = _longer(path[:, X], coupled.late)[self._fed : known] + self._origin[X]
-            self._solver.take(commands[self.axis], x)
+    def _less_coupled(self, path: Array, commands: Sequence[Array]) -> Array:
+        """Return more of the target by eq. 19, with the lever arm of Remark 2.1."""
+        known, late = min(map(len, commands)), self._late
+        path = path[max(self._fed - late, 0) : max(known - late, 0)]
+        added = np.zeros(len(path))
+        for coupling, G in zip(self._couplings, self._filters, strict=True):
+            output = G.run(commands[coupling.command][self._fed : known])
+            lever = coupling.lever(path + self._origin)
+            added += lever * output[len(output) - len(path) :]  # the first are before the path
         self._fed = known
-        early = min(max(-start, 0), len(commands[X]))  # samples before the path, at its origin
-        place = path[max(start, 0) :][: len(commands[X]) - early]
-        at_origin = np.zeros((early, 2))
-        added = coupled.run(np.concatenate([at_origin, place]), *commands)[early:]
-        return np.asarray(place[:, self.axis] - added)
+        return np.asarray(path[:, self.axis] - added)
 
     def forget(self, n: int) -> None:
         """Drop the first samples, whose command is final in both axes."""
-        self._taken -= n
         self._fed -= n
         self._solved = self._solved[n:].copy()
-
-
-class _Axis:
-    """Feeds one axis' solver, which needs whole windows, from pieces of any length."""
-
-    def __init__(self, lpfbs: Lpfbs) -> None:
-        self._lpfbs, self._s = lpfbs, lpfbs.rest
-        self._preview = lpfbs.window.L_C - lpfbs.window.stride
-        self._target = np.zeros(lpfbs.lead)  # for which the command is not final
-
-    def feed(self, target: Array) -> Array:
-        """Return the command as far as the preview allows."""
-        self._target = np.concatenate([self._target, target])
-        stride, following = self._lpfbs.window.stride, max(self._preview, self._lpfbs.lead)
-        final = (len(self._target) - following) // stride * stride
-        if final <= 0:
-            return np.zeros(0)
-        x_dm, self._s = self._lpfbs.run(self._target[: final + self._preview], self._s)
-        self._target = self._target[final:].copy()  # a view would keep the whole array alive
-        return x_dm
-
-    def finish(self) -> Array:
-        """Return what is left of the command; the target is at rest after its end."""
-        n = len(self._target) - self._lpfbs.lead
-        if not n:
-            return np.zeros(0)
-        x_dm, self._s = self._lpfbs.run(self._lpfbs.whole(self._target), self._s)
-        return x_dm[:n]
-
-
-class _AlongX:
-    """Feeds the solvers of an axis whose response changes along x, window by window.
-
-    Targets are less what the previous round's command does, which ``take`` tells.
-    """
-
-    def __init__(self, solvers: SolversAlongX) -> None:
-        self._solvers, self._s = solvers, solvers.rest
-        self._target = np.zeros(solvers.lead)  # for which the command is not final
-        self._u = np.zeros(solvers.memory)  # the previous command, and as much before
-        self._x = np.zeros(0)  # the path, from the first sample on whose command is not final
-
-    def take(self, u: Array, x: Array) -> None:
-        """Take more of the previous command, relative to the origin, and of the path's x, mm."""
-        self._u, self._x = np.concatenate([self._u, u]), np.concatenate([self._x, x])
-
-    def feed(self, target: Array) -> Array:
-        """Return the command as far as the preview allows."""
-        self._target = np.concatenate([self._target, target])
-        window = self._solvers.window
-        following = max(window.L_C - window.stride, self._solvers.lead)
-        return self._windows(max(len(self._target) - following, 0) // window.stride)
-
-    def finish(self) -> Array:
-        """Return what is left of the command; the target is at rest after its end."""
-        n, window = len(self._target) - self._solvers.lead, self._solvers.window
-        if not n:
-            return np.zeros(0)
-        count = -(-n // window.stride)
-        length = (count - 1) * window.stride + window.L_C
-        self._target, self._x = (
-            _longer(each, max(length - len(each), 0)) for each in (self._target, self._x)
-        )
-        self._u = _longer(self._u, max(self._solvers.memory + length - len(self._u), 0))
-        return self._windows(count)[:n]
-
-    def _windows(self, count: int) -> Array:
-        """Return the command of the next windows."""
-        solvers, w = self._solvers, self._solvers.window
-        made = [np.zeros(0)]
-        for a in range(0, count * w.stride, w.stride):
-            target, u = self._target[a : a + w.L_C], self._u[a : a + solvers.memory + w.L_C]
-            x = float(self._x[a + w.stride // 2])
-            command, self._s = solvers.window_command(target, u, x, self._s)
-            made.append(command)
-        n = count * w.stride
-        self._target, self._u, self._x = (
-            each[n:].copy() for each in (self._target, self._u, self._x)
-        )
-        return np.concatenate(made)
-
-
-def _solver(G: ImpulseResponse, window: Window) -> Lpfbs | SolversAlongX:
-    """Return the solver of an axis, or those along x."""
-    if G.elsewhere:
-        return SolversAlongX(G, window)
-    return Lpfbs(G, window)
 
 
 def _longer(u: Array, n: int) -> Array:

@@ -178,7 +178,7 @@ def _lines(printer: Printer, notes: Sequence[str]) -> Iterator[str]:
     no_racking = ImpulseResponse(np.zeros(1), 0, rest=0.0)
     functions = {"Gxx": plant.Gxx, "Gyy": plant.Gyy, "Gxtheta": plant.Gxtheta or no_racking}
     for name, G in functions.items():
-        yield f"\n[plant.{name}]\n{_linear(G, f'plant.{name}', angle=name == 'Gxtheta')}"
+        yield f"\n[plant.{name}]\n{_linear(G, angle=name == 'Gxtheta')}"
     yield from map(_coupling, plant.cross)
 
 
@@ -187,16 +187,11 @@ def _coupling(coupling: Coupling) -> str:
     axes = f'answer = "{names[coupling.answer]}"\ncommand = "{names[coupling.command]}"\n'
     if coupling.along is not None:
         axes += f'along = "{names[coupling.along]}"\ncentre = {coupling.centre!r}\n'
-    return (
-        f"\n[[plant.cross]]\n{axes}{_linear(coupling.G, 'plant.cross', coupling.along is not None)}"
-    )
+    return f"\n[[plant.cross]]\n{axes}{_linear(coupling.G, coupling.along is not None)}"
 
 
-def _linear(G: ImpulseResponse, table: str, angle: bool) -> str:
-    """Return the lines of a response; angle: one in rad.
-
-    table: its name in the profile.
-    """
+def _linear(G: ImpulseResponse, angle: bool) -> str:
+    """Return the lines of a response; angle: one in rad."""
     unit, name = (MICRORAD, "µrad") if angle else (1.0, "µm")
     comment = f"{name} at each ms, by a pulse of 1000 mm/s² for 1 ms"
     lines = f"lead = {G.lead}\n"
@@ -207,11 +202,7 @@ def _linear(G: ImpulseResponse, table: str, angle: bool) -> str:
             late = f"{name} behind at 1 mm/s"
             meaning = late if key == "lag" else "standard deviation of all frequencies"
             lines += f"{key} = {value!r}  # {meaning}\n"
-    lines += f"x = {G.x!r}  # mm, where it holds\n" if G.elsewhere else ""
     lines += _list("deviation", _rounded(G.deviation, unit), comment)
-    for one in G.elsewhere:
-        lines += f"\n[[{table}.places]]\nx = {one.x!r}\nfrequency = {one.frequency!r}\n"
-        lines += _linear(one.G, table, angle)
     return lines
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from hframe_post.arrays import TS, X, Y
 from hframe_post.errors import ArgumentError, PrinterError
-from hframe_post.model.impulse_response import FARTHEST, LONGEST, Elsewhere, ImpulseResponse
+from hframe_post.model.impulse_response import LONGEST, ImpulseResponse
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Bed, Coupling, Plant
 from hframe_post.model.transfer_function import TransferFunction
@@ -26,9 +26,7 @@ PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured", "cross", "moving_ma
 MASS = {"least": 0.05, "most": 50.0}  # kg
 FUNCTION = ("zeros", "poles", "gain")
 RESPONSE = ("deviation", "lead")
-KNOWN = ("lag", "drift", "unknown", "x", "places")  # of a response, too, if they are not 0
-PLACE = ("x", "frequency", *RESPONSE, "lag", "unknown")  # of a response at another x
-FREQUENCY = {"least": 1.0 / FARTHEST, "most": FARTHEST}
+KNOWN = ("lag", "drift", "unknown")  # of a response, too, if they are not 0
 MICRORAD = 1e-3  # rad per mm/sample² in which 1000 mm/s² during 1 ms cause 1 µrad
 DEVIATIONS = {"least": -1e6, "most": 1e6}  # µm or µrad
 LAGS = {"least": -1e3, "most": 1e3}  # ms, or µrad at 1 mm/s
@@ -127,26 +125,4 @@ def _response(table: dict[str, Any], key: str, rest: float, unit: float) -> Impu
     unknown = np.zeros(0)
     if "unknown" in table:
         unknown = numbers(table["unknown"], LONGEST, DEVIATIONS, f"{key}.unknown")
-    if "x" not in table and "places" in table:
-        raise PrinterError("the key is missing: x (mm) of the response itself", f"{key}.x")
-    x = checked_value(float, table.get("x", 0.0), PLACES, f"{key}.x")
-    return ImpulseResponse(
-        deviation * unit, lead, rest, lag * unit, drift, unknown * unit, x,
-        _elsewhere(table.get("places", []), f"{key}.places", rest, unit),
-    )  # fmt: skip
-
-
-def _elsewhere(tables: Any, key: str, rest: float, unit: float) -> tuple[Elsewhere, ...]:
-    """Return the responses at other x."""
-    found = []
-    for at, table in list_of_tables(tables, key):
-        known_keys(table, PLACE, at)
-        needed_keys(table, ("x", "frequency", *RESPONSE), at)
-        x = checked_value(float, table["x"], PLACES, f"{at}.x")
-        frequency = checked_value(float, table["frequency"], FREQUENCY, f"{at}.frequency")
-        known = {name: value for name, value in table.items() if name not in ("x", "frequency")}
-        try:
-            found.append(Elsewhere(x, frequency, _response(known, at, rest, unit)))
-        except ArgumentError as error:
-            raise PrinterError(str(error), at) from None
-    return tuple(found)
+    return ImpulseResponse(deviation * unit, lead, rest, lag * unit, drift, unknown * unit)

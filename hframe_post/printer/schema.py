@@ -143,6 +143,7 @@ def digest_of(settings: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
+ONE_PLACE = "one response holds all along x: keep lead, lag and deviation, delete x and places"
 OLD_KEYS = {
     **{f"sweep.{key}": STROKES for key in ("start_hz", "stroke", "sway", "quiet")},
     **dict.fromkeys(("limits.min_layer_time", "limits.min_print_speed"), FEED_RATES),
@@ -153,6 +154,7 @@ OLD_KEYS = {
     **dict.fromkeys(
         ("limits.travel_velocity", "limits.travel_acceleration"), "slicers have both for travel"
     ),
+    **{f"plant.{G}.{key}": ONE_PLACE for G in ("Gxx", "Gyy", "Gxtheta") for key in ("x", "places")},
     "speed.avoid": "in the slicer, give outer walls a speed at which the motors shake less",
 }
 

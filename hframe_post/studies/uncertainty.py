@@ -50,17 +50,9 @@ def perturbed(plant: Plant, factors: Array) -> Plant:
 def _moved(
     G: ImpulseResponse, frequency: float, damping: float, gain: float = 1.0
 ) -> ImpulseResponse:
-    return _stretched(G, frequency, damping).everywhere(
-        lambda one: replace(one, deviation=gain * one.deviation, lag=gain * one.lag)
-    )
-
-
-def _stretched(G: ImpulseResponse, frequency: float, damping: float) -> ImpulseResponse:
     """Return a response with other frequencies and decays of its modes, each times a factor.
 
     The lag is a damper's, too.
     """
-    if G.elsewhere:
-        return G.everywhere(lambda one: _stretched(one, frequency, damping))
-    moved = G.stretched(1.0 / frequency)
-    return replace(moved.damped(damping), lag=damping * moved.lag)
+    moved = G.stretched(1.0 / frequency).damped(damping)
+    return replace(moved, deviation=gain * moved.deviation, lag=gain * (damping * moved.lag))

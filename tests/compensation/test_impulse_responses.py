@@ -11,8 +11,7 @@ from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import ArgumentError
-from hframe_post.model.filters import stream_filter
-from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.model.lpfbs import Lpfbs, Window
 from hframe_post.model.nozzle import Plants, nozzle
 from hframe_post.model.plant import Bed, Coupling, Plant
@@ -92,7 +91,7 @@ def test_a_filter_is_the_definition_wherever_cut(rest: float, late: int, lag: fl
     cuts = np.sort(rng.integers(0, len(u), 30))
 
     def run(pieces: list[Array]) -> Array:
-        f = stream_filter(G, late)
+        f = FiniteFilter(G, late)
         return np.concatenate([f.run(piece) for piece in pieces])
 
     whole = run([u])
@@ -112,7 +111,7 @@ def test_a_filter_is_the_definition_wherever_cut(rest: float, late: int, lag: fl
     ],
 )
 def test_a_settled_filter_stands_still(G: ImpulseResponse, late: int) -> None:
-    f = stream_filter(G, late)
+    f = FiniteFilter(G, late)
     f.state[:] = 12.5
     standing = f.run(np.full(50, 12.5))
     assert np.abs(standing - 12.5).max() < 1e-12  # mm
@@ -164,7 +163,7 @@ def infill() -> Array:
 
 
 def squared_error(response: ImpulseResponse, command: Array, target: Array | float) -> float:
-    off = stream_filter(response, 40).run(np.pad(command, (0, 40), mode="edge"))[40:] - target
+    off = FiniteFilter(response, 40).run(np.pad(command, (0, 40), mode="edge"))[40:] - target
     return float(np.square(1e3 * off).mean())  # µm²
 
 
