@@ -1,7 +1,5 @@
 """One test an equation or figure of the paper, beyond those of the modules that use them."""
 
-from time import thread_time
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from examples.paper.commands import WholeTrajectory, basis, knots, lifted, windo
 from examples.paper.tables import transfer_functions
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import compensate
-from hframe_post.errors import GcodeError
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.nozzle import Response
 from hframe_post.model.plant import Plant
@@ -50,13 +47,6 @@ def short_path(n: int) -> Array:
 
 def test_tables_i_and_ii_round_to_the_printed_digits() -> None:
     assert max(tables.coefficients_off().values()) <= 1.0
-
-
-def test_tables_i_and_ii_as_printed_are_unstable() -> None:
-    """Why the model is not the printed coefficients, even with the signs corrected."""
-    for _, denominator in tables.PRINTED.values():
-        poles = np.roots(np.array(denominator.split(), dtype=float))
-        assert np.abs(poles).max() > 1.05
 
 
 def test_fig_4_racking_resonates_and_vanishes_at_rest(plant: Plant) -> None:
@@ -164,20 +154,6 @@ def test_eq_23_equals_eq_25_for_n_equal_to_E(plant: Plant) -> None:
     np.testing.assert_allclose(whole.decoupled(), inverse, atol=1e-6 * scale)
 
 
-@pytest.mark.slow
-def test_eq_26_and_27_decoupled_is_faster_than_coupled(plant: Plant, rectangle: Array) -> None:
-    """At every n from 0.05 E on: a ratio of the processor's times, taken by turns."""
-    for share in (0.05, 0.15, 0.25):
-        whole = WholeTrajectory(plant, rectangle, round(share * (len(rectangle) - 1)))
-        times: dict[str, list[float]] = {"decoupled": [], "coupled": []}
-        for _ in range(5):
-            for name, solve in (("decoupled", whole.decoupled), ("coupled", whole.coupled)):
-                start = thread_time()
-                solve()
-                times[name].append(thread_time() - start)
-        assert min(times["decoupled"]) < min(times["coupled"])
-
-
 # ---------------------------------------------------------------------- Appendix B, C
 
 
@@ -198,15 +174,6 @@ def test_eq_42_follows_at_least_as_well_as_eq_43(plant: Plant) -> None:
         command = windowed(plant, windows, xy, coupled)
         squares.append(np.square(Response(plant, xy[0]).run(command) - xy).sum())
     assert squares[0] <= 1.01 * squares[1]
-
-
-def test_eq_42_and_43_are_one_where_nothing_racks(plant: Plant) -> None:
-    """Two independent axes: the block matrix of eq. 42 falls apart."""
-    still = Plant(plant.Gxx, plant.Gyy, None, plant.x_c)
-    windows = (Window(10, 44, 22, 1.0), Window(10, 44, 22, 1.0))
-    xy = np.pad(short_path(700), ((440, 440), (0, 0)), mode="edge")
-    coupled, decoupled = (windowed(still, windows, xy, way) for way in (True, False))
-    np.testing.assert_allclose(coupled, decoupled, atol=1e-7)
 
 
 def streamed(plant: Plant, windows: tuple[Window, Window], xy: Array) -> Array:
@@ -258,9 +225,3 @@ def test_fig_11_width_of_the_prism(printed_window: bool) -> None:
     assert found.error["racking"].shape == (9, 3)
     assert found.rms("racking") <= (1 - 0.43) * found.rms("fbs")
     assert found.rms("racking") <= (1 - 0.68) * found.rms("none")
-
-
-def test_fig_11_needs_an_outer_wall() -> None:
-    lines = (SAMPLES / "rectangle.gcode").read_bytes().replace(b"WALL-OUTER", b"FILL")
-    with pytest.raises(GcodeError, match="no outer wall"):
-        results.widths(profile.load("paper"), lines.splitlines(keepends=True))

@@ -40,18 +40,6 @@ def test_eq_12_and_19_the_nozzle_follows_where_the_lever_is_long(compensator: Co
     assert np.sqrt(np.square(error).mean(axis=0)).max() < 0.02
 
 
-@pytest.mark.paper
-def test_racking_moves_y_only_under_fbs_and_with_the_lever(compensator: Compensator) -> None:
-    def off_y(x0: float, strategy: str) -> float:
-        x = x0 + stroke(40, 150, 500)
-        return float(
-            np.abs(traced(compensator, block(x, np.full(len(x), 50.0)), strategy)[:, 1]).max()
-        )
-
-    assert off_y(120.0, "fbs") < 0.25 * off_y(220.0, "fbs")  # levers of 20 and 120 mm
-    assert off_y(220.0, "racking") < 0.05 * off_y(220.0, "fbs")
-
-
 def test_settling_covers_the_fastest_stop(compensator: Compensator) -> None:
     limits = replace(load("paper").limits, velocity=150.0, acceleration=5000.0)
     reached = Travel((140.0, 280.0), (0.0, 280.0))  # x_c is 140: a lever arm of 140 mm

@@ -16,10 +16,10 @@ from hframe_post.model.lpfbs import Lpfbs, Window
 from hframe_post.model.nozzle import Plants, nozzle
 from hframe_post.model.plant import Bed, Coupling, Plant
 from hframe_post.model.strategies import STRATEGIES, Compensator
-from hframe_post.prediction.predict import judge, predict
+from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.chunks import join, smaller
+from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
 from hframe_post.studies.uncertainty import draws, perturbed
 from tests.gcode_tools import planned
@@ -62,11 +62,6 @@ def early() -> Plant:
 @pytest.fixture(scope="module")
 def hbot() -> Printer:
     return load("paper")
-
-
-def commanded(plant: Plant, cuts: Sequence[int] = (), strategy: str = "racking") -> Array:
-    state = STRATEGIES[strategy].begin(Compensator(plant, (WINDOW, WINDOW)), ORIGIN)
-    return np.concatenate([*map(state.feed, np.split(strokes(), cuts)), state.finish()])
 
 
 # ---------------------------------------------------------------------- filters
@@ -193,20 +188,6 @@ def test_commands_have_the_least_expected_error(exact: ImpulseResponse) -> None:
         assert least < 0.999 * expected(assumed), f"µm², doubts {assumed} times as great"
 
 
-def test_printers_that_drift_follow_better_where_that_is_expected() -> None:
-    """The mean over frequencies of a normal distribution, 3 % wide."""
-    path = infill()
-    certain, doubting = (Lpfbs(unsure(d), EASY).command(path) for d in (0.0, 0.03))
-    off, weights = np.polynomial.hermite_e.hermegauss(5)
-    drifted = [unsure().stretched(1.0 + 0.03 * x) for x in off.tolist()]
-    before, after = (
-        sum(w * squared_error(G, c, path) for w, G in zip(weights, drifted, strict=True))
-        for c in (certain, doubting)
-    )
-    assert after < 0.98 * before  # µm²
-    assert squared_error(unsure(), certain, path) < squared_error(unsure(), doubting, path)
-
-
 # ---------------------------------------------------------------------- whole plants
 
 
@@ -227,18 +208,6 @@ def samples_of(command: Array) -> Samples:
     return Samples(
         0, xyze, np.zeros(n, np.int64), commands={"racking": command, "none": xyze[:, :2]}
     )
-
-
-@pytest.mark.parametrize("n", [7, 20, 333])
-def test_a_prediction_does_not_depend_on_chunks(n: int) -> None:
-    plant = early()
-    whole = samples_of(commanded(plant)[:1500])
-    ((_, one),) = predict([whole], plant)
-    assert np.array_equal(one["none"], nozzle(plant, ORIGIN, whole.commands["none"]))
-    chunks, pieces = zip(*predict(smaller([whole], n), plant), strict=True)
-    assert sum(map(len, chunks)) == len(whole)
-    for name, places in one.items():
-        assert np.array_equal(np.concatenate([piece[name] for piece in pieces]), places)
 
 
 def test_printers_drawn_from_responses_move_together() -> None:
@@ -267,16 +236,6 @@ def held(chunks: Sequence[Samples], printer: Printer) -> Samples:
     return join(list(dwell_at_stops(commands, StopSolvers(compensator, names, *bounds))))
 
 
-@pytest.mark.parametrize("n", [13, 700])
-def test_stops_do_not_depend_on_chunks(hbot: Printer, n: int) -> None:
-    printer = replace(hbot, plant=early())
-    chunks = retracting(hbot)
-    whole = held(chunks, printer)
-    cut = held(list(smaller(chunks, n)), printer)
-    for name in whole.commands:
-        assert np.array_equal(whole.commands[name], cut.commands[name])
-
-
 def test_a_two_sided_plant_stays_on_the_path_at_stops(hbot: Printer) -> None:
     printer = replace(hbot, plant=early())
     block = held(retracting(hbot), printer)
@@ -287,16 +246,6 @@ def test_a_two_sided_plant_stays_on_the_path_at_stops(hbot: Printer) -> None:
 
 
 # ---------------------------------------------------------------------- other printers
-
-
-@pytest.mark.parametrize("factor", [1.1, 1.3])
-def test_a_heavier_bed_takes_longer(factor: float) -> None:
-    G = ImpulseResponse(deviation_of_mode(30.0, 0.08, 700), 0).heavier(factor)
-    assert isinstance(G, ImpulseResponse)
-    root = np.sqrt(factor)
-    expected = deviation_of_mode(30.0 / root, 0.08 / root, len(G.deviation))
-    assert np.abs(G.deviation - expected).max() < 0.1  # µm of 5
-    assert G.ahead == 0
 
 
 def test_a_bed_gets_heavier_with_its_lead(hbot: Printer) -> None:

@@ -53,16 +53,6 @@ def test_output_does_not_depend_on_how_the_stream_is_cut(
             assert figures[name] == pytest.approx(figure, rel=1e-6)
 
 
-def test_prediction_does_not_change_the_output(paper: Printer) -> None:
-    lines = layers("cube.gcode", 2)
-    all_three = Options("racking", ("none", "fbs", "racking"))
-    assert body(converted(lines, paper)[0]) == body(converted(lines, paper, all_three)[0])
-
-
-def body(text: bytes) -> bytes:
-    return text.partition(b"\n")[2]
-
-
 @pytest.mark.paper
 def test_fig_9_rectangle(paper: Printer) -> None:
     """117 µm without racking compensation is calibrated; the other figures are checks."""
@@ -73,15 +63,6 @@ def test_fig_9_rectangle(paper: Printer) -> None:
     assert error["racking"]["rms"] <= 9.0
     assert max(figures["peak_axis_acceleration"].values()) <= 1e4
     assert error["none"]["rms"] == pytest.approx(243, abs=5)
-
-
-@pytest.mark.paper
-def test_fig_9_rectangle_with_strong_motors() -> None:
-    strong = load("paper-strong")
-    options = Options("racking", ("racking",))
-    figures = converted(sample("rectangle.gcode"), strong, options)[1].as_json()
-    assert figures["contour_error_um"]["racking"]["rms"] <= 1.0
-    assert max(figures["peak_axis_acceleration"].values()) <= 5e4
 
 
 def test_golden_rectangle(paper: Printer, golden: Callable[[str, bytes], bytes]) -> None:

@@ -11,7 +11,6 @@ from hframe_post.conversion.conversions import StepConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.klipper.klipper_code import StreamLimits
 from hframe_post.model.kinematics import TYPES, Differences, Kinematics
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load, parse
@@ -45,15 +44,6 @@ def test_matrix_and_speed_ratio_are_those_of_the_belts(kinematics: Kinematics) -
     angle = np.linspace(0.0, 2.0 * np.pi, 721)
     fastest = (1.0 / np.abs(kinematics.belts(np.cos(angle), np.sin(angle))).max(axis=0)).max()
     assert kinematics.max_speed_ratio == pytest.approx(fastest, rel=5e-3)  # of whole angles
-
-
-def test_stream_of_a_cartesian_printer_may_be_faster_than_its_belts() -> None:
-    profile = load("example-cartesian")
-    stream = StreamLimits.from_limits(profile.limits, profile.motors, profile.kinematics)
-    assert stream.velocity > np.sqrt(2.0) * profile.motors.belt_velocity
-    square = StreamLimits.from_limits(profile.limits, profile.motors, Kinematics("corexy"))
-    whole = 1.0  # mm/s², to which both are rounded down
-    assert stream.acceleration == pytest.approx(np.sqrt(2.0) * square.acceleration, abs=2 * whole)
 
 
 @pytest.mark.parametrize(

@@ -43,15 +43,6 @@ def test_diverging_windows_are_refused(L: int, n_C: int, n_up: int, effort: floa
         Lpfbs(PLANT.Gxx, Window(L, n_C, n_up, effort))
 
 
-def test_radius_tells_how_fast_the_past_is_forgotten() -> None:
-    solver = Lpfbs(PLANT.Gxx, Window(8, 55, 27, 100.0))
-    x_d = np.zeros(10 * solver.window.stride + solver.window.L_C)
-    disturbed = solver.rest + 1e-3
-    x_dm, _ = solver.run(x_d, disturbed)
-    by_window = np.abs(x_dm.reshape(-1, solver.window.stride)).max(axis=1)
-    assert by_window[6] < 1e-12 < by_window[0]
-
-
 @pytest.mark.parametrize("n", [1, 219, 220, 441, 2000])
 def test_command_takes_any_length_and_is_that_of_whole_windows(n: int) -> None:
     solver = Lpfbs(PLANT.Gyy, Window(5, 88, 44, 100.0))

@@ -55,13 +55,6 @@ def test_a_response_that_does_not_end_is_refused() -> None:
         ImpulseResponse.from_transfer_function(TransferFunction(nothing, poles, 0.001), 1.0)
 
 
-@ALL
-def test_frequency_response(G: TransferFunction) -> None:
-    omega = np.linspace(0.001, 3.0, 200)
-    _, expected = signal.freqz_zpk(G.zeros, G.poles, G.gain, worN=omega)
-    np.testing.assert_allclose(G.response(omega), expected, rtol=1e-9)
-
-
 @given(st.integers(0, 2**32 - 1))
 def test_any_real_roots_and_pairs_make_sections(seed: int) -> None:
     """However many of either, and wherever they lie: the state space has the same response."""
@@ -96,17 +89,6 @@ def test_side_by_side(paper: Printer, plants: int, commands: int, coupled: bool)
 
 
 OMEGA = np.linspace(0.0, 3.0, 100)
-
-
-def test_a_long_response_is_the_transfer_function_that_it_was_made_from() -> None:
-    G = axis_mode(40.0, 0.06)
-    q = ImpulseResponse.from_transfer_function(G, 1.0)
-
-    assert q.ahead == 0
-    assert np.abs(q.response(OMEGA) - G.response(OMEGA)).max() < 2e-4  # of 1
-    assert np.abs(q.impulse(1900) - G.impulse(1900)).max() < 1e-4  # of 1
-    expected = deviation_of_mode(40.0, 0.06, len(q.deviation))
-    assert q.deviation == pytest.approx(expected, abs=1e-9)  # µm
 
 
 @pytest.mark.parametrize("factor", [1.05, 0.9, 1.3])

@@ -134,16 +134,3 @@ def klipper_feeds(
         v = ramped.speeds(_made_up(T, np.where(late > LATE, late, 0.0)), before)
     F = whole_feeds(v, per_feed)
     return F, ramped.durations(F / per_feed, before)
-
-
-def distances(path: Array, nozzle: Array, at: Integers, reach: int) -> Array:
-    """Return the distance (k,) of the nozzle (p, 2) to the path within ``reach`` samples, (k,)."""
-    least = np.full(len(at), np.inf)
-    for k in range(-reach, reach):
-        a, b = (path[np.clip(at + k + i, 0, len(path) - 1)] for i in (0, 1))
-        way, to = b - a, nozzle[at] - a
-        length2 = np.maximum(np.square(way).sum(axis=1), 1e-30)
-        share = np.clip((way * to).sum(axis=1) / length2, 0.0, 1.0)
-        off = to - share[:, None] * way
-        least = np.minimum(least, np.sqrt(np.square(off).sum(axis=1)))
-    return least

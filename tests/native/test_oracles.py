@@ -13,14 +13,12 @@ from hypothesis import strategies as st
 from hframe_post import native
 from hframe_post.firmware.klipper.klipper_code import StreamLimits
 from hframe_post.firmware.marlin.planner import SteppedPlanner, make_planner
-from hframe_post.native import judging, planning, ramps
+from hframe_post.native import ramps
 from hframe_post.native.block_times import Timer, block_times, step_times
 from hframe_post.native.linear import product, pseudo_inverse, recursion
-from hframe_post.native.planning import find_runs
 from hframe_post.native.whole_steps import Blocks
 from hframe_post.printer.settings import Printer
 from tests.native import oracles
-from tests.paths import walk
 
 SEEDS = range(30)
 
@@ -44,43 +42,6 @@ def test_klipper_feeds(paper: Printer, seed: int) -> None:
     taken = ramps.klipper_durations(at, v, rest, before, np.inf, limits)
     expected = oracles.Ramped.from_moves(np.diff(at, axis=0), rest, limits).durations(v, before)
     assert taken.tobytes() == expected.tobytes()
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_ways_to_the_path(seed: int) -> None:
-    """As long as the nozzle is near, no way to another piece of the path is shorter."""
-    rng = np.random.default_rng(seed)
-    path = walk(rng, 300)
-    nozzle = path + rng.normal(0.0, 1e-4, path.shape)
-    at = np.arange(0, 300, 2)
-    off = judging.deviation(path, judging.count_turns(path), nozzle, 0, at, 24)
-    shortest = oracles.distances(path, nozzle, at, 24)
-    found = np.sqrt(np.square(off).sum(axis=1))
-    assert (found >= shortest - 1e-12).all()
-    assert np.sqrt(np.square(found).mean() / np.square(shortest).mean()) < 1.05
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_phases_reach_the_ends_of_runs_at_their_speeds(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(2, 60))
-    moves = np.column_stack([
-        10.0 ** rng.uniform(-3.0, 1.5, n), rng.uniform(5.0, 300.0, n),
-        rng.uniform(300.0, 2e4, n), np.full(n, 0.01), np.zeros(n),
-    ])  # fmt: skip
-    caps = rng.uniform(0.0, 300.0, n + 1) * (rng.random(n + 1) < 0.9)
-    caps[1:-1] = np.minimum(caps[1:-1], np.minimum(moves[1:, 1], moves[:-1, 1]))
-    caps[0] = 0.0
-    s, ends, speed = find_runs(moves, caps, 1e6, 1e4, 0.0)
-    length = np.diff(s[ends])
-    for low, high in ((speed[:-1], speed[1:]), (speed[1:], speed[:-1])):
-        reached = oracles.reachable_speed(low, length, np.full(len(length), 2e4), 1e6)
-        assert (high <= reached * (1.0 + 1e-6) + 1e-9).all()
-    run, most = moves[ends[:-1], 1:3].T.copy()
-    t, j, _ = planning.profiles(speed[:-1], speed[1:], length, run, most, 1e4, 1e6)
-    _, _, steps = oracles.integrate(t, j, speed[:-1])
-    straight = planning.misses(t, j, speed[:-1], length)
-    assert np.abs(steps.sum(axis=1) - length)[~straight].max(initial=0.0) < 1e-6
 
 
 seeds = st.integers(0, 2**32 - 1)

@@ -188,10 +188,6 @@ def test_what_happens_at_rest_follows_a_stop(item: Item) -> None:
     assert before.speed[-1] == after.speed[0] == after.speed[-1] == 0.0
 
 
-def test_no_items_give_no_plan() -> None:
-    assert list(plan([], LIMITS)) == []
-
-
 # ---------------------------------------------------------------------- cutting
 
 
@@ -215,19 +211,6 @@ def test_plan_does_not_depend_on_how_moves_are_cut() -> None:
     assert_continuous(expected, whole)
     for size in (1, 7, 100, 8999):
         assert bits(plans(cut(whole, size))) == bits(expected)
-
-
-def test_mark_between_two_blocks_may_go_with_either() -> None:
-    whole = random_moves(2, 5000, marked=0.5)
-    late = cut(whole, 50)
-    early = [block.marks for block in late]
-    for k in range(1, len(early)):
-        first = early[k].count_before(1)
-        early[k - 1] = Marks.joined([early[k - 1], early[k].rows(0, first).moved_to(50)])
-        early[k] = early[k].rows(first)
-    assert early != [block.marks for block in late]
-    blocks = [replace(block, marks=marks) for block, marks in zip(late, early, strict=True)]
-    assert bits(plans(blocks)) == bits(plans([whole]))
 
 
 def slow_giant(n: int) -> Moves:

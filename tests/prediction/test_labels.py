@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hframe_post.prediction.statistics import BEFORE, TRAVEL, Labels
+from hframe_post.prediction.statistics import BEFORE, TRAVEL
 from hframe_post.stream.chunks import part
 from hframe_post.stream.types import Dwell, MoveAtRest, Samples
 from tests.prediction.label_tools import block, names, printing
@@ -85,13 +85,6 @@ def test_comments_between_stops_count_like_those_in_motion() -> None:
     retraction = Dwell(0, 0, MoveAtRest(1, (0, 0, 0, 1), (0, 0, 0, 0), 30.0))
     still = Samples(0, np.ones((1, 4)), np.zeros(1, np.int64), (retraction,))
     assert names([still]) == ([BEFORE], [BEFORE])
-
-
-def test_names_are_numbered_once_in_order() -> None:
-    labels = Labels()
-    comments = [(k, b";TYPE:%s" % name) for k, name in enumerate([b"A", b"B", b"A", b"TRAVEL"])]
-    assert names([block(printing(4), *comments)], labels)[1] == ["A", "B", "A", TRAVEL]
-    assert labels.features == [TRAVEL, BEFORE, "A", "B"]
 
 
 TEXTS = st.sampled_from(

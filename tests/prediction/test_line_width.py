@@ -46,17 +46,6 @@ def test_more_way_makes_a_thinner_line_whatever_the_flow(flow: float) -> None:
     np.testing.assert_allclose(drawn(path, 0.8 * path[:, :Z]), 0.25)
 
 
-def test_ringing_along_the_line() -> None:
-    """A nozzle at x + A sin ωx: dx/ds = 1/(1 + Aω cos ωx), between 1/1.1 and 1/0.9."""
-    path = straight(20000, 0.002)
-    nozzle = path[:, :Z].copy()
-    A, omega = 0.05, 2.0
-    nozzle[:, X] += A * np.sin(omega * nozzle[:, X])
-    errors = drawn(path, nozzle)
-    assert 0.11 > errors.max() > 0.10
-    assert np.sqrt((errors**2).mean()) == pytest.approx(A * omega / np.sqrt(2.0), rel=0.05)
-
-
 def test_only_lines_count() -> None:
     """Travel, retractions and standstill end a line; a rest of less than half a piece is left."""
     path = straight(100)
@@ -115,16 +104,6 @@ def test_flow_comes_and_goes_with_the_time_of_the_hot_end() -> None:
     flow = Melt().laid(path, advance(np.zeros(400))) / TS
     t = TS * np.arange(1, 401)
     np.testing.assert_allclose(flow, 3.0 * (1.0 - np.exp(-t / K)), atol=1e-9)
-
-
-def test_exact_advance_makes_the_flow_right() -> None:
-    speed = 60.0 + 40.0 * np.sin(np.arange(600) * 0.01)
-    path = line(speed)
-    fed = np.diff(path[:, E])
-    flow = Melt().laid(path, advance(K * fed / TS))
-    np.testing.assert_allclose(flow, fed, rtol=0.011)  # half a sample late
-    plain = Melt().laid(path, advance(np.zeros(600)))
-    assert np.abs(plain / fed - 1.0)[200:].max() > 0.1
 
 
 def test_chunks_and_changes_of_the_advance_lose_nothing() -> None:

@@ -77,21 +77,6 @@ def test_contour_error_is_the_distance_to_the_path(seed: int, every: int) -> Non
     assert np.sqrt((got**2).mean()) <= 1.02 * np.sqrt((widest**2).mean())
 
 
-def test_lag_along_the_path_is_not_a_contour_error() -> None:
-    path = np.column_stack([np.arange(400) * 0.06, np.zeros(400)])
-    at = np.arange(40, 360)
-    late = np.roll(path, 8, axis=0)
-    np.testing.assert_allclose(contour_error(path, late, at), 0.0, atol=1e-12)
-    np.testing.assert_allclose(contour_error(path, late + np.array([0, 0.01]), at), 0.01)
-
-
-def test_overshoot_beyond_the_end_of_a_line_counts() -> None:
-    path = np.column_stack([np.minimum(np.arange(200) * 0.05, 5.0), np.zeros(200)])
-    at = np.arange(150, 170)
-    actual = np.tile([5.2, 0.0], (200, 1))
-    np.testing.assert_allclose(contour_error(path, actual, at), 0.2)
-
-
 def test_standstill_does_not_count_and_extrusion_is_flagged(compensator: Compensator) -> None:
     """An extrusion to sample 40, a retraction to 60, a travel."""
     path = np.tile([103.9, 50.0, 0.0, 0.0], (100, 1))

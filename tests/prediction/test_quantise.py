@@ -4,8 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array
 from hframe_post.model.kinematics import Kinematics
@@ -50,15 +48,6 @@ def test_each_belt_stays_within_half_a_step(kinematics: Kinematics) -> None:
         np.testing.assert_allclose(belt_got, in_steps, atol=STEPS.belt / 39)  # a tie may fall over
         assert np.abs(belt_got - mean).max() <= STEPS.belt / 2 + 1e-9
         assert np.abs(belt_got - mean).max() > STEPS.belt / 4  # and it is stepped at all
-
-
-@TYPES
-@given(st.floats(-300.0, 300.0), st.floats(-300.0, 300.0))
-def test_at_rest_each_belt_is_at_a_step(kinematics: Kinematics, x: float, y: float) -> None:
-    command = np.tile([x, y], (3, 1))
-    belts = kinematics.belts(*stepped(command, kinematics, STEPS).T)
-    np.testing.assert_allclose(belts / STEPS.belt, np.rint(belts / STEPS.belt), atol=1e-6)
-    assert np.abs(belts - kinematics.belts(*command.T)).max() <= STEPS.belt / 2 + 1e-9
 
 
 def test_a_slow_clock_steps_once_a_sample() -> None:

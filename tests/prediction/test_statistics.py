@@ -68,9 +68,3 @@ def test_figures_are_those_of_the_whole(cuts: list[int]) -> None:
     assert result["tracking_error_um"] == pytest.approx({"x": x, "y": y}, abs=1e-4)
     assert result["peak_belt_speed"] == pytest.approx(velocity.max(), abs=1e-3)
     assert result["contour_error_um"] == figures.contour.micrometres()
-
-
-def test_figures_of_nothing_are_zero() -> None:
-    result = Figures().as_json()
-    assert result["tracking_error_um"] == {"x": 0.0, "y": 0.0}
-    assert result["peak_belt_speed"] == result["peak_belt_acceleration"] == 0.0

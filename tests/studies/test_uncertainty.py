@@ -1,25 +1,20 @@
 """Printers drawn around the model: repeatable, at rest as they were."""
 
 from dataclasses import replace
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer import profile
-from hframe_post.studies.uncertainty import draws, perturbed
+from hframe_post.studies.uncertainty import draws
 from tests.coupled import coupled_plant
 
 PLANT = profile.load("paper").plant
 CARTESIAN = profile.load("example-cartesian").plant
-FACTORS = st.lists(st.floats(0.5, 1.9), min_size=9, max_size=9)
-HZ = np.geomspace(10.0, 120.0, 250)
 
 
 def responses(plant: Plant) -> list[ImpulseResponse]:
@@ -31,12 +26,6 @@ def same(one: Plant, other: Plant) -> bool:
         np.array_equal(G.deviation, H.deviation) and G.lag == H.lag
         for G, H in zip(responses(one), responses(other), strict=True)
     )
-
-
-def main_hz(G: ImpulseResponse) -> float:
-    omega = 2e-3 * np.pi * HZ
-    size = np.abs(replace(G, rest=0.0, lag=0.0).response(omega)) / np.sin(0.5 * omega) ** 2
-    return float(HZ[size.argmax()])
 
 
 def test_couplings_move_too_and_leave_the_axes_alone() -> None:
@@ -61,23 +50,6 @@ def test_no_model_error_is_the_plant_itself(plant: Plant) -> None:
     for drawn in draws(plant, 0.0, 3, seed=0):
         assert (drawn.x_c, drawn.Gxtheta is None) == (plant.x_c, plant.Gxtheta is None)
         assert same(drawn, plant)
-
-
-@cache
-def own() -> list[float]:
-    return [main_hz(G) for G in responses(CARTESIAN)]
-
-
-@settings(max_examples=10)
-@given(FACTORS)
-def test_each_response_moves_by_its_own_factors(factors: list[float]) -> None:
-    """The main resonance of an axis follows its factor; a printer at rest stands still."""
-    f = np.array(factors).reshape(3, 3)
-    drawn = perturbed(CARTESIAN, f)
-    for G, own_hz, (frequency, _, _) in zip(responses(drawn), own(), f, strict=False):
-        assert G.dc_gain == 1.0
-        if 10.0 < frequency * own_hz < 100.0:
-            assert main_hz(G) == pytest.approx(frequency * own_hz, rel=0.1)
 
 
 def test_parameters_are_uniform_within_the_share() -> None:
