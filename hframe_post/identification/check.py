@@ -25,9 +25,8 @@ from hframe_post.identification import verdict
 from hframe_post.identification.estimation import known_start
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
-    by_command,
+    Spectra,
     share_left,
-    whole_record,
 )
 from hframe_post.identification.estimation.measured import Run
 from hframe_post.identification.identify import AXIS, DRIFT, LEAST_CHANGE
@@ -122,10 +121,10 @@ def drift(old: ImpulseResponse, response: FrequencyResponse, unseen: tuple[Array
     response: of the part that is fitted. unseen: the rest, commanded and measured acceleration
     (n,), mm/s². Raises IdentificationError if the recording is not of its printer.
     """
-    found = known_start.estimated(response.within(BAND_HZ))
+    found = known_start.estimated(response)
     before, now = _main(old), _main(found.G)
     judged = [_foreseen(G, unseen) for G in (old, found.G)]
-    measured = whole_record(*unseen, 0.0).within(JUDGED_HZ)
+    measured = _whole_record(*unseen)
     left = [share_left(one.H, measured, measured.power) for one in judged]
     apart = share_left(judged[0].H, judged[1], measured.power)
     if abs(now[0] / before[0] - 1.0) > verdict.FREQUENCY_CHANGE or left[1] > verdict.UNEXPLAINED:
@@ -148,9 +147,10 @@ def _split(run: Run) -> dict[int, tuple[FrequencyResponse, tuple[Array, Array]]]
     if not len(again):
         raise IdentificationError("not a run of 'hframe-post measure --for check'")
     end = int(again[np.argmin(np.abs(again - FITTED * len(u)))])
+    by_axis = Spectra.of(u[:end], a[:end]).responses(BAND_HZ)
     return {
         axis: (found[axis], (u[end:, k], a[end:, axis]))
-        for k, (axis, found) in enumerate(zip(run.axes, by_command(u[:end], a[:end]), strict=True))
+        for k, (axis, found) in enumerate(zip(run.axes, by_axis, strict=True))
     }
 
 
@@ -172,7 +172,15 @@ def _foreseen(G: ImpulseResponse, unseen: tuple[Array, Array]) -> FrequencyRespo
     u, _ = unseen
     n = 4 * len(u)
     a = irfft(_at_hz(G, rfftfreq(n, TS)) * rfft(u, n), n)[: len(u)]
-    return whole_record(u, a, 0.0).within(JUDGED_HZ)
+    return _whole_record(u, a)
+
+
+def _whole_record(u: Array, y: Array) -> FrequencyResponse:
+    """Return the response of y (n,) to u (n,) at 1 kHz, from the spectra of the whole record."""
+    hz = rfftfreq(len(u), TS)
+    judged = (hz >= JUDGED_HZ[0]) & (hz <= JUDGED_HZ[1])
+    U, Y = (rfft(values)[judged] for values in (u, y))
+    return FrequencyResponse(hz[judged], Y / U, np.ones(len(U)), np.abs(U) ** 2)
 
 
 @dataclass(frozen=True, slots=True)

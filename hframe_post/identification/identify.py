@@ -17,20 +17,18 @@ from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
 from hframe_post.identification.estimation.axes import (
     Fit,
-    Measured,
     fit_known_start,
     fit_unknown_start,
 )
 from hframe_post.identification.estimation.frequency_response import (
-    FrequencyResponse,
     average,
     share_left,
-    spread,
 )
 from hframe_post.identification.estimation.measured import (
+    AXIS,
+    Measured,
     MeasurementSettings,
     Run,
-    RunGroup,
     stroke_responses,
 )
 from hframe_post.identification.estimation.uncalibrated import uncalibrated_responses
@@ -57,7 +55,6 @@ DRIFT = 0.02
 # in the predicted range, with 0.02 that of 15; the commands were as good
 DRIFT_ALONE = 0.03
 BY_SHIFT = 5.0  # times the relative shift of a mode is the change of the response, usually
-AXIS = {"Gxx": "x", "Gyy": "y"}
 RIGID = ImpulseResponse(np.zeros(1), 0)
 
 
@@ -104,7 +101,7 @@ class Identified:
         """Return why the models are too poor for a profile, or None if they are good enough."""
         for name in self.axes:
             measured = self.measured[name]
-            if measured.resonance_hz is not None and measured.repeated > verdict.SPREAD:
+            if not measured.known_start and measured.repeated > verdict.SPREAD:
                 return (
                     f"the recordings of {AXIS[name]} differ from each other by "
                     f"{100 * measured.repeated:.0f} %, more than {100 * verdict.SPREAD:.0f} %. "
@@ -149,7 +146,7 @@ class Identified:
         return Plant(Gxx, Gyy, found.get("Gxtheta"), known)
 
 
-__all__ = ["Identified", "Measured", "MeasurementSettings", "Run", "identify"]
+__all__ = ["AXIS", "Identified", "Measured", "MeasurementSettings", "Run", "identify"]
 
 
 @one_blas_thread()
@@ -158,20 +155,19 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
 
     Raises IdentificationError.
     """
-    groups = _groups(runs, settings)
-    measured = {name: _measured(group, settings) for name, group in groups.items()}
-    fits = _fit_all(measured, settings)
+    measured = _measured(runs, settings)
+    fits = _fit_all(measured)
     moving = _moving(measured, fits)
-    fits |= _at_the_middle(moving, measured, settings)
+    fits |= _at_the_middle(moving, measured)
+    repeated = {name: _repetition(one) for name, one in measured.items()}
+    repetitions = {name: one for name, one in repeated.items() if one is not None}
     racking, sought = None, False
-    if "Gxx" in groups:
-        racking, sought = find_racking(groups["Gxx"], fits, settings, "Gxx" in moving)
+    if "Gxx" in measured:
+        racking, sought = find_racking(measured["Gxx"], fits, settings, "Gxx" in moving)
     x_c = None
     if racking is not None:
         measured["Gxtheta"], fits["Gxtheta"], x_c = racking.measured, racking.fit, racking.x_c
     warnings = _late_start(runs)
-    repeated = {name: _repetition(measured[name], settings) for name in groups}
-    repetitions = {name: one for name, one in repeated.items() if one is not None}
     return Identified(
         measured, fits, x_c, warnings, settings.racks, sought and racking is None,
         moving.get("Gxx"), repetitions,
@@ -187,55 +183,30 @@ def _moving(measured: Mapping[str, Measured], fits: Mapping[str, Fit]) -> dict[s
     return {name: shift for name, shift in shifts.items() if shift is not None}
 
 
-def _at_the_middle(
-    shifts: Iterable[str], measured: Mapping[str, Measured], settings: MeasurementSettings
-) -> dict[str, Fit]:
+def _at_the_middle(shifts: Iterable[str], measured: Mapping[str, Measured]) -> dict[str, Fit]:
     """Return the fits of the middle place for axes that shift, if starts are known."""
     known = [name for name in shifts if measured[name].known_start]
-    return {
-        name: fit_known_start(at_the_middle(measured[name].places).within(settings.band_hz))
-        for name in known
-    }
+    return {name: fit_known_start(at_the_middle(measured[name].places)) for name in known}
 
 
-def _groups(runs: Sequence[Run], settings: MeasurementSettings) -> dict[str, RunGroup]:
-    """Return the runs of each axis: of strokes, or else of others."""
+def _measured(runs: Sequence[Run], settings: MeasurementSettings) -> dict[str, Measured]:
+    """Return what the runs of each axis show: those of strokes, or else the others."""
+    others = uncalibrated_responses([run for run in runs if not run.known_start], settings)
     strokes = stroke_responses([run for run in runs if run.known_start], settings)
-    groups = {tuple(AXIS)[axis]: group for axis, group in strokes.items()}
-    others = [run for run in runs if not run.known_start]
-    for axis, group in uncalibrated_responses(others, settings).items():
-        groups.setdefault(tuple(AXIS)[axis], group)
-    if not groups:
+    if not strokes and not others:
         raise IdentificationError("no run of the nozzle's sensor. Give one with --nozzle")
-    return groups
+    return {name: one for name in AXIS if (one := strokes.get(name) or others.get(name))}
 
 
-def _measured(group: RunGroup, settings: MeasurementSettings) -> Measured:
-    responses = [run.response for run in group.runs]
-    places = [(run.place, run.response) for run in group.runs]
-    differ = spread(responses, settings.band_hz)
-    alike: dict[tuple[float, float] | None, list[FrequencyResponse]] = {}
-    for run in group.runs:
-        alike.setdefault(run.direction, []).append(run.response)
-    repeated = max(spread(each, settings.band_hz) for each in alike.values())
-    return Measured(
-        places, average(responses), differ, repeated, group.excited_hz, group.resonance_hz,
-        group.known_start,
-    )  # fmt: skip
-
-
-def _fit_all(measured: Mapping[str, Measured], settings: MeasurementSettings) -> dict[str, Fit]:
-    fits = fit_unknown_start({
-        name: average(one.excited(settings.band_hz))
-        for name, one in measured.items() if not one.known_start
-    })  # fmt: skip
-    for name, one in measured.items():
-        if one.known_start:
-            fits[name] = fit_known_start(one.mean.within(settings.band_hz))
+def _fit_all(measured: Mapping[str, Measured]) -> dict[str, Fit]:
+    others = {name: one for name, one in measured.items() if not one.known_start}
+    fits = fit_unknown_start({name: average(one.excited()) for name, one in others.items()})
+    known = [name for name in measured if name not in others]
+    fits |= {name: fit_known_start(measured[name].mean) for name in known}
     return {name: fits[name] for name in measured}
 
 
-def _repetition(measured: Measured, settings: MeasurementSettings) -> float | None:
+def _repetition(measured: Measured) -> float | None:
     """Return the share of the response that one recording does not foresee of another, over √2.
 
     They are of the place that was recorded most often; None if none was repeated.
@@ -247,8 +218,7 @@ def _repetition(measured: Measured, settings: MeasurementSettings) -> float | No
     near = _most_repeated([place for place, _ in measured.places])
     if np.count_nonzero(near) < 2:
         return None
-    excited = measured.excited(settings.band_hz)
-    runs = [run for run, chosen in zip(excited, near, strict=True) if chosen]
+    runs = [run for run, chosen in zip(measured.excited(), near, strict=True) if chosen]
     shares = [share_left(one.H, other, other.power) for one, other in pairwise(runs)]
     return float(np.mean(shares)) / math.sqrt(2.0)
 

@@ -3,18 +3,24 @@
 import numpy as np
 import pytest
 
+from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation.frequency_response import (
     SEGMENT,
     FrequencyResponse,
+    Spectra,
     average,
-    estimate,
     spread,
 )
 from hframe_post.model.transfer_function import TransferFunction
 from tests.plants import Filter, all_of_them, at, resonant, sweep
 
 BAND = (5.0, 80.0)
+
+
+def estimate(u: Array, y: Array, band_hz: tuple[float, float] = BAND) -> FrequencyResponse:
+    ((found,),) = Spectra.of(u[:, None], y[:, None]).responses(band_hz)
+    return found
 
 
 def flat(H: complex, coherence: float = 1.0, power: float = 1.0) -> FrequencyResponse:
@@ -26,7 +32,7 @@ def flat(H: complex, coherence: float = 1.0, power: float = 1.0) -> FrequencyRes
 @pytest.mark.parametrize("G", all_of_them())
 def test_a_sweep_gives_the_response(G: TransferFunction) -> None:
     u = sweep(4.0)
-    part = estimate(u, Filter(G).run(u)).within(BAND)
+    part = estimate(u, Filter(G).run(u))
     true = at(G, part.hz)
     assert np.linalg.norm(part.H - true) < 0.002 * np.linalg.norm(true)
     assert part.coherence.min() > 0.99
@@ -36,7 +42,7 @@ def test_the_bias_at_a_sharp_resonance_is_the_one_documented() -> None:
     hz, damping = 20.0, 0.03
     G = resonant(hz, damping)
     u = sweep()
-    response = estimate(u, Filter(G).run(u)).within((hz - 0.2, hz + 0.2))
+    response = estimate(u, Filter(G).run(u), (hz - 0.2, hz + 0.2))
     expected = 1.0 / (3.0 * (SEGMENT * 1e-3 * damping * hz) ** 2)
     short = 1.0 - np.abs(response.H / at(G, response.hz)).min()
     assert 0.5 * expected < short < 1.5 * expected
@@ -46,7 +52,7 @@ def test_the_coherence_shows_the_noise() -> None:
     G = resonant(40.0, 0.1)
     u = sweep(4.0)
     noise = 60.0 * np.random.default_rng(1).normal(size=len(u))
-    part = estimate(u, Filter(G).run(u) + noise).within(BAND)
+    part = estimate(u, Filter(G).run(u) + noise)
     error = np.abs(part.H / at(G, part.hz) - 1.0) / part.noise
     assert 0.7 < np.sqrt(np.mean(error**2)) < 1.4
 
@@ -55,7 +61,7 @@ def test_noise_in_the_input_reduces_the_response() -> None:
     rng = np.random.default_rng(2)
     u = rng.normal(size=200_000)
     noisy = u + 0.5 * rng.normal(size=len(u))
-    part = estimate(noisy, 2.0 * u).within(BAND)
+    part = estimate(noisy, 2.0 * u)
     assert np.mean(np.abs(part.H)) == pytest.approx(2.0 * 0.8, rel=0.03)
     assert np.mean(part.coherence) == pytest.approx(0.8, abs=0.05)
 
@@ -74,21 +80,17 @@ def test_the_coherence_falls_where_runs_differ() -> None:
 
 
 def test_the_spread_is_relative_and_weighted() -> None:
-    assert spread([flat(1.0), flat(1.0)], BAND) == pytest.approx(0.0)
-    assert spread([flat(0.9), flat(1.1)], BAND) == pytest.approx(0.1)
-    assert spread([flat(0.9), flat(1.1, power=0.0)], BAND) == pytest.approx(0.0)
+    assert spread([flat(1.0), flat(1.0)]) == pytest.approx(0.0)
+    assert spread([flat(0.9), flat(1.1)]) == pytest.approx(0.1)
+    assert spread([flat(0.9), flat(1.1, power=0.0)]) == pytest.approx(0.0)
 
 
 def test_records_that_cannot_be_measurements_are_refused() -> None:
     u = sweep(20.0)
-    wrong = [(u, u[1:]), (u[:100], u[:100]), (u, 0.0 * u), (0.0 * u, u), (u, u + np.nan)]
-    causes = ["differ in length", "too short", "response is zero", "command is zero", "not finite"]
+    wrong = [(u[:100], u[:100]), (u, 0.0 * u), (0.0 * u, u)]
+    causes = ["too short", "response is zero", "command is zero"]
     for (a, b), cause in zip(wrong, causes, strict=True):
         with pytest.raises(IdentificationError, match=cause):
             estimate(a, b)
     with pytest.raises(IdentificationError, match="same sweep"):
         average([flat(1.0), flat(1.0).within(BAND)])
-    with pytest.raises(IdentificationError, match="no run"):
-        average([])
-    with pytest.raises(IdentificationError, match="no frequency"):
-        spread([flat(1.0)], (200.0, 300.0))

@@ -154,8 +154,8 @@ def test_a_real_belt_of_2023_is_taken(tmp_path: Path, config: Path) -> None:
     )
     assert used.notes[0].startswith("its time stamps wander by up to 2")
     groups = uncalibrated_responses(gathered.runs, MeasurementSettings((3.0, 38.0), racks=False))
-    for axis, name in enumerate("xy"):
-        ((response,),) = ([run.response for run in group.runs] for group in [groups[axis]])
+    for name, group in groups.items():
+        (response,) = (run.response for run in group.runs)
         slow = response.within((10.0, 20.0))
         assert np.abs(slow.H.mean()) == pytest.approx(1.0, abs=0.15), name
         assert np.abs(slow.H - slow.H.mean()).mean() < 0.25, name

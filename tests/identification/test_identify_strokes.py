@@ -25,8 +25,8 @@ def test_the_responses_are_those_of_the_printer_with_its_delay() -> None:
     exact = machine.exact()
     (run,) = struck(machine, chip, 4, 30.0)
     groups = stroke_responses([run], MeasurementSettings(BAND, racks=False))
-    for axis, G in enumerate((exact.Gxx, exact.Gyy)):
-        found = groups[axis].runs[0]
+    for axis, (name, G) in enumerate({"Gxx": exact.Gxx, "Gyy": exact.Gyy}.items()):
+        found = groups[name].runs[0]
         omega = 2.0 * np.pi * TS * found.response.hz
         held = G.response(omega) * chip.gains[axis]
         weight = np.sqrt(found.response.power)

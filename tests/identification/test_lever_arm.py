@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Complex
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
-from hframe_post.identification.estimation.measured import centre, line
+from hframe_post.identification.places import centre, line
 from hframe_post.printer.settings import Printer
 
 HZ = np.arange(3.0, 100.0, 0.25)

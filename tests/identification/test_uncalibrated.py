@@ -9,7 +9,7 @@ import pytest
 from hframe_post.arrays import TS
 from hframe_post.errors import IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.identification.estimation.frequency_response import estimate
+from hframe_post.identification.estimation.frequency_response import Spectra
 from hframe_post.identification.estimation.uncalibrated import (
     Direction,
     direction,
@@ -78,9 +78,8 @@ def seen(made: Recorded, seed: int) -> Direction:
     aligned = self_aligned(acceleration(given.displacement), made.recording, given.clock)
     assert aligned.clock.drift == pytest.approx(drawn_sensor(seed, "adxl345").drift, abs=1e-5)
     band = (3.0, 100.0)
-    return direction([
-        estimate(aligned.command, aligned.acceleration[:, k]).within(band) for k in range(3)
-    ])  # fmt: skip
+    (responses,) = Spectra.of(aligned.command[:, None], aligned.acceleration).responses(band)
+    return direction(responses)
 
 
 @pytest.mark.parametrize("seed", few([1, 4], 1))
@@ -148,7 +147,8 @@ def test_sessions_of_three_sensors_with_gaps_show_one_printer(tmp_path: Path) ->
     gathered = from_folders([tmp_path], KlipperConfig(config), travel)
     assert [one.source.session for one in gathered.used] == [1, 2, 3]
     assert all("are missing; the longest gap is 3" in one.as_text() for one in gathered.used)
-    group = uncalibrated_responses(gathered.runs, MeasurementSettings((3.0, 100.0), racks=False))[0]
+    settings = MeasurementSettings((3.0, 100.0), racks=False)
+    group = uncalibrated_responses(gathered.runs, settings)["Gxx"]
     hz = group.runs[0].response.hz
     true = np.abs(MACHINE.exact().Gxx.response(2.0 * np.pi * TS * hz))
     band = (hz > 15.0) & (hz < 75.0)
@@ -178,9 +178,9 @@ def test_belts_of_2023_by_a_slow_sensor_whose_stamps_wander(tmp_path: Path) -> N
     runs = from_folders([tmp_path], KlipperConfig(config), travel).runs
     groups = uncalibrated_responses(runs, MeasurementSettings((3.0, 100.0), racks=False))
     hz = np.linspace(15.0, 70.0, 56)
-    for axis, entry in ((0, MACHINE.exact().Gxx), (1, MACHINE.exact().Gyy)):
+    for name, entry in (("Gxx", MACHINE.exact().Gxx), ("Gyy", MACHINE.exact().Gyy)):
         true = entry.response(2.0 * np.pi * TS * hz)
-        (first, second) = (run.response for run in groups[axis].runs)
+        (first, second) = (run.response for run in groups[name].runs)
         both = np.interp(hz, first.hz, np.abs(first.H + second.H) / 2.0)
         both *= np.abs(true[hz < 25.0]).mean() / both[hz < 25.0].mean()
         assert np.abs(both / np.abs(true) - 1.0).mean() < 0.06

@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.estimation import known_start, unknown_start
 from hframe_post.identification.estimation.frequency_response import (
@@ -29,35 +27,6 @@ from hframe_post.model.impulse_response import ImpulseResponse
 LINEAR = 0.05
 UNCALIBRATED = (1.0, 0.05)  # gain, as mean and standard deviation, after a rough one
 EARLY = 4e-3  # s by which the rough start may be late
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """A transfer function as measured.
-
-    places: the response at each position (mm of x). mean: their average. spread: RMS difference of
-    the positions from the mean, relative; repeated: likewise of runs in one direction.
-    excited_hz: lowest and highest frequency that is excited. resonance_hz: the lowest strong
-    resonance, if the recordings are not calibrated. known_start: whether they are of strokes.
-    """
-
-    places: list[tuple[float, FrequencyResponse]]
-    mean: FrequencyResponse
-    spread: float
-    repeated: float
-    excited_hz: tuple[float, float] = (0.0, np.inf)
-    resonance_hz: float | None = None
-    known_start: bool = False
-
-    @property
-    def runs(self) -> list[FrequencyResponse]:
-        return [response for _, response in self.places]
-
-    def excited(self, band_hz: tuple[float, float]) -> list[FrequencyResponse]:
-        """Return the runs where they were excited within the band."""
-        low, high = self.excited_hz
-        band = max(band_hz[0], low), min(band_hz[1], high)
-        return [run.within(band) for run in self.runs]
 
 
 @dataclass(frozen=True, slots=True)

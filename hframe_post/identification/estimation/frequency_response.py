@@ -20,8 +20,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy import signal
-from scipy.fft import rfft, rfftfreq
+from scipy import linalg, signal
 
 from hframe_post.arrays import Array, Complex, Flags
 from hframe_post.errors import IdentificationError
@@ -65,68 +64,64 @@ class FrequencyResponse:
         return np.sqrt((1.0 - gamma) / (gamma * self.averages))
 
 
-def estimate(u: Array, y: Array) -> FrequencyResponse:
-    """Return the response of y (n,) to u (n,), both at 1 kHz, at rest at both ends, without offset.
+@dataclass(frozen=True, slots=True)
+class Spectra:
+    """Cross spectra P (f, k + m, k + m), [i, j]: conj(j)·i, of k commands and what m axes show."""
 
-    Frequencies are two bins apart: with a Hann window those between add nothing. Raises
-    IdentificationError if the record is too short, zero throughout or not finite.
-    """
-    n = len(u)
-    if len(y) != n:
-        raise IdentificationError(f"command and response differ in length: {n} and {len(y)}")
-    if n < SHORTEST:
-        raise IdentificationError(f"the run lasts {n} ms, too short; it must last {SHORTEST} ms")
-    if not (np.isfinite(u).all() and np.isfinite(y).all()):
-        raise IdentificationError("command or response has values that are not finite")
-    if not u.any() or not y.any():
-        raise IdentificationError(f"the {'response' if u.any() else 'command'} is zero throughout")
-    return by_command(u[:, None], y[:, None])[0][0]
+    hz: Array
+    P: Complex
+    commands: int
+    averages: float
 
+    @classmethod
+    def of(cls, u: Array, y: Array, segment: int = SEGMENT) -> Spectra:
+        """Return the spectra of u (n, k) and y (n, m) at 1 kHz, at rest at both ends.
 
-def by_command(u: Array, y: Array, segment: int = SEGMENT) -> list[list[FrequencyResponse]]:
-    """Return what each of the commands u (n, k) does to each of y (n, m), at 1 kHz."""
-    k, segment = u.shape[1], min(segment, len(u) // 2)
-    hz, P = _spectra(np.hstack([u, y]), segment)
-    averages = BANDWIDTH * len(u) / segment
-    P_uu, P_yu, P_yy = P[:, :k, :k], P[:, k:, :k], P[:, k:, k:]
-    least = TINY + 1e-12 * np.trace(P_uu, axis1=1, axis2=2).real.max()
-    inverse = np.linalg.inv(P_uu + least * np.eye(k))
-    H = P_yu @ inverse
-    noise = np.einsum("fii->fi", P_yy - H @ P_yu.conj().transpose(0, 2, 1)).real
-    found: list[list[FrequencyResponse]] = []
-    for j in range(k):
-        power = 1.0 / np.maximum(inverse[:, j, j].real, TINY)
-        found.append([])
-        for i in range(y.shape[1]):
-            shown = np.abs(H[:, i, j]) ** 2 * power
-            coherence = shown / np.maximum(shown + np.maximum(noise[:, i], 0.0), TINY)
-            found[-1].append(FrequencyResponse(hz, H[:, i, j], coherence, power, averages))
-    return found
+        Frequencies are two bins apart: with a Hann window those between add nothing. Raises
+        IdentificationError for a record that is too short or zero throughout.
+        """
+        if len(u) < SHORTEST:
+            raise IdentificationError(
+                f"the run lasts {len(u)} ms, too short; it must last {SHORTEST} ms"
+            )
+        if not u.any() or not y.any():
+            what = "response" if u.any() else "command"
+            raise IdentificationError(f"the {what} is zero throughout")
+        segment = min(segment, len(u) // 2)
+        padded = np.pad(np.hstack([u, y]), ((segment, segment), (0, 0))).T
+        options = {
+            "fs": RATE_HZ, "window": "hann", "nperseg": segment,
+            "noverlap": int(OVERLAP * segment), "detrend": False,
+        }  # fmt: skip
+        hz, spectra = signal.csd(padded[None, :, :], padded[:, None, :], **options)
+        kept, averages = slice(2, None, 2), BANDWIDTH * len(u) / segment
+        return cls(hz[kept], np.moveaxis(spectra, -1, 0)[kept], u.shape[1], averages)
 
+    def along(self, axes: Array) -> Spectra:
+        """Return what axes (j, m) of those that show something show."""
+        turned = linalg.block_diag(np.eye(self.commands), axes)
+        return replace(self, P=turned @ self.P @ turned.T)
 
-def _spectra(values: Array, segment: int) -> tuple[Array, Complex]:
-    """Return frequencies (f,) and cross spectra (f, k, k), [i, j]: conj(j)·i, of values (n, k)."""
-    padded = np.pad(values, ((segment, segment), (0, 0))).T
-    options = {
-        "fs": RATE_HZ, "window": "hann", "nperseg": segment,
-        "noverlap": int(OVERLAP * segment), "detrend": False,
-    }  # fmt: skip
-    hz, spectra = signal.csd(padded[None, :, :], padded[:, None, :], **options)
-    kept = slice(2, None, 2)  # those between add nothing, with a Hann window
-    return hz[kept], np.moveaxis(spectra, -1, 0)[kept]
-
-
-def whole_record(u: Array, y: Array, noise: float) -> FrequencyResponse:
-    """Return the response of y (n,) to u (n,) at 1 kHz, from the spectra of the whole record.
-
-    For a single short chirp, which has no parts to average: nothing leaks, but each frequency has
-    all its noise. noise: RMS of y at rest.
-    """
-    U, Y = rfft(u), rfft(y)
-    power = np.abs(U) ** 2
-    coherence = 1.0 / (1.0 + len(u) * noise**2 / np.maximum(np.abs(Y) ** 2, TINY))
-    hz, H = rfftfreq(len(u), 1.0 / RATE_HZ), Y / np.where(power > 0.0, U, 1.0)
-    return FrequencyResponse(hz[1:], H[1:], coherence[1:], power[1:])
+    def responses(self, band_hz: tuple[float, float]) -> list[list[FrequencyResponse]]:
+        """Return what each of the commands does to each axis, within a band."""
+        k, P = self.commands, self.P
+        P_uu, P_yu, P_yy = P[:, :k, :k], P[:, k:, :k], P[:, k:, k:]
+        least = TINY + 1e-12 * np.trace(P_uu, axis1=1, axis2=2).real.max()
+        inverse = np.linalg.inv(P_uu + least * np.eye(k))
+        H = P_yu @ inverse
+        noise = np.einsum("fii->fi", P_yy - H @ P_yu.conj().transpose(0, 2, 1)).real
+        power = 1.0 / np.maximum(np.einsum("fii->fi", inverse).real, TINY)
+        shown = np.abs(H) ** 2 * power[:, None, :]
+        coherence = shown / np.maximum(shown + np.maximum(noise[:, :, None], 0.0), TINY)
+        return [
+            [
+                FrequencyResponse(
+                    self.hz, H[:, i, j], coherence[:, i, j], power[:, j], self.averages
+                ).within(band_hz)
+                for i in range(H.shape[1])
+            ]
+            for j in range(k)
+        ]
 
 
 def average(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
@@ -134,7 +129,11 @@ def average(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
 
     The coherence of the mean is that of the runs taken together: it falls where they differ.
     """
-    check_same_frequencies(responses)
+    first = responses[0].hz
+    if any(not np.array_equal(first, r.hz) for r in responses):
+        raise IdentificationError(
+            "runs differ in their frequencies; they must come from the same sweep"
+        )
     H, gamma = (np.array([getattr(r, name) for r in responses]) for name in ("H", "coherence"))
     averages = np.array([[r.averages] for r in responses])
     w = averages * np.maximum(gamma, 1e-12) / (1.0 - gamma + LEAST_NOISE)
@@ -142,33 +141,19 @@ def average(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     output = (w * np.abs(H) ** 2 / np.maximum(gamma, 1e-12)).sum(0) / w.sum(0)
     coherence = np.minimum(np.abs(mean) ** 2 / np.maximum(output, TINY), 1.0)
     power = np.mean([r.power for r in responses], axis=0)
-    return FrequencyResponse(responses[0].hz, mean, coherence, power, float(averages.sum()))
+    return FrequencyResponse(first, mean, coherence, power, float(averages.sum()))
 
 
-def spread(responses: Sequence[FrequencyResponse], band_hz: tuple[float, float]) -> float:
-    """Return the RMS deviation of the responses from their mean, relative to it, over ``band_hz``.
+def spread(responses: Sequence[FrequencyResponse]) -> float:
+    """Return the RMS deviation of the responses from their mean, relative to it.
 
     Weighted with input power times coherence. 0.1 means that the plant changes by 10 %.
     """
-    check_same_frequencies(responses)
-    parts = [r.within(band_hz) for r in responses]
-    if not len(parts[0].hz):
-        raise IdentificationError(f"no frequency lies in {band_hz[0]:g}–{band_hz[1]:g} Hz")
-    w = np.array([r.power * r.coherence for r in parts])
-    H = np.array([r.H for r in parts])
+    w = np.array([r.power * r.coherence for r in responses])
+    H = np.array([r.H for r in responses])
     mean = (w * H).sum(0) / np.maximum(w.sum(0), TINY)
     size = (w * np.abs(mean) ** 2).sum()
     return float(np.sqrt((w * np.abs(H - mean) ** 2).sum() / size)) if size else 0.0
-
-
-def check_same_frequencies(responses: Sequence[FrequencyResponse]) -> None:
-    if not responses:
-        raise IdentificationError("no run to average")
-    first = responses[0].hz
-    if any(not np.array_equal(first, r.hz) for r in responses):
-        raise IdentificationError(
-            "runs differ in their frequencies; they must come from the same sweep"
-        )
 
 
 def advanced(response: FrequencyResponse, seconds: float) -> FrequencyResponse:

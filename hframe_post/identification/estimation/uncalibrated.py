@@ -25,17 +25,16 @@ from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
-    by_command,
-    estimate,
+    Spectra,
 )
 from hframe_post.identification.estimation.measured import (
+    AXIS,
+    Measured,
     MeasurementSettings,
     Run,
-    RunGroup,
     RunResponse,
 )
 from hframe_post.identification.recordings.clock import (
-    SelfAligned,
     acceleration,
     axes_in_sensor,
     not_found,
@@ -155,18 +154,22 @@ ALONG = 0.3  # of a motion's direction, from which it tells of an axis
 
 @dataclass(frozen=True, slots=True)
 class _Located:
-    """A run and its direction: in x and y as commanded (2,), and as the sensor sees it."""
+    """A run and its direction: in x and y as commanded (2,), and as the sensor sees it.
+
+    spectra: of its command and of the sensor's axes. up (3,): against gravity.
+    """
 
     run: Run
-    aligned: SelfAligned
+    spectra: Spectra
+    up: Array
     commanded: Array
     seen: Direction
 
 
 def uncalibrated_responses(
     runs: Sequence[Run], settings: MeasurementSettings
-) -> dict[int, RunGroup]:
-    """Return the responses of the runs of each axis, X or Y, that were recorded.
+) -> dict[str, Measured]:
+    """Return the responses of the runs of each axis, by name.
 
     A run along a diagonal counts for both axes if no run moves one of them alone. Raises
     IdentificationError, which names the run.
@@ -177,22 +180,18 @@ def uncalibrated_responses(
         alone = [one for one in located if abs(one.commanded[axis]) > 1.0 - 1e-6]
         chosen = alone or [one for one in located if abs(one.commanded[axis]) > ALONG]
         if chosen:
-            groups[axis] = _group(axis, chosen, located, settings)
+            groups[tuple(AXIS)[axis]] = _group(axis, chosen, located, settings)
     return groups
 
 
 def _located(run: Run, settings: MeasurementSettings) -> _Located:
     try:
         found = self_aligned(acceleration(run.displacement), run.nozzle, run.clock)
-        (seen,) = by_command(found.command[:, None], found.acceleration)
-        responses = [each.within(settings.band_hz) for each in seen]
-        return _Located(run, found, run.direction, direction(responses))
+        spectra = Spectra.of(found.command[:, None], found.acceleration)
+        (responses,) = spectra.responses(settings.band_hz)
+        return _Located(run, spectra, found.up, run.direction, direction(responses))
     except IdentificationError as error:
         raise IdentificationError(f"{run.name}: {error}") from None
-
-
-def _response(found: SelfAligned, axis: Array, settings: MeasurementSettings) -> FrequencyResponse:
-    return estimate(found.command, found.acceleration @ axis).within(settings.band_hz)
 
 
 def _group(
@@ -200,19 +199,19 @@ def _group(
     chosen: Sequence[_Located],
     located: Sequence[_Located],
     settings: MeasurementSettings,
-) -> RunGroup:
+) -> Measured:
     responses = [_run_response(axis, one, located, settings) for one in chosen]
     low = max(one.seen.excited_hz[0] for one in chosen)
     high = min(one.seen.excited_hz[1] for one in chosen)
     resonance = float(np.median([one.seen.resonance_hz for one in chosen]))
     runs = _with_common_gain(responses, low, resonance)
-    return RunGroup(runs, (low, high), resonance)
+    return Measured.of(runs, (low, high), resonance)
 
 
 def _run_response(
     axis: int, one: _Located, located: Sequence[_Located], settings: MeasurementSettings
 ) -> RunResponse:
-    x, y = (_response(one.aligned, seen, settings) for seen in _axes(one, located))
+    ((x, y),) = one.spectra.along(_axes(one, located)).responses(settings.band_hz)
     share = float(one.commanded[axis])
     alone = share > 1.0 - 1e-6  # a diagonal does not show racking alone
     along = x if axis == X else y
@@ -231,15 +230,15 @@ def _axes(one: _Located, located: Sequence[_Located]) -> Array:
     commanded = np.array([mate.commanded for mate in mates])
     seen = np.array([mate.seen.axis for mate in mates])
     try:
-        axes = axes_in_sensor(commanded, seen, one.aligned.up)
+        axes = axes_in_sensor(commanded, seen, one.up)
     except IdentificationError as error:
         raise IdentificationError(f"{one.run.name}: {error}") from None
     return np.asarray(np.linalg.inv(axes).T[:2])
 
 
 def _mounted_alike(one: _Located, other: _Located) -> bool:
-    known = one.aligned.up.any() and other.aligned.up.any()
-    if known and float(one.aligned.up @ other.aligned.up) < ALIKE:
+    known = one.up.any() and other.up.any()
+    if known and float(one.up @ other.up) < ALIKE:
         return False
     angle = float(one.seen.axis @ other.seen.axis - one.commanded @ other.commanded)
     return bool(abs(angle) < SQUARE)
