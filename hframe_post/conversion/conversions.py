@@ -95,7 +95,7 @@ class SpanWriter:
         self.made_of = chain, compensator
         self._at_stops = stop_solvers(chain, compensator)
 
-    def streamed(self, span: Span, threads: bool = True) -> WrittenSpan:
+    def streamed(self, span: Span) -> WrittenSpan:
         """Return a span that is computed while its output is taken."""
         chain, compensator = self.made_of
         start, options, own = span.beginning, chain.options, chain.firmware
@@ -111,7 +111,7 @@ class SpanWriter:
         result = WrittenSpan(())
 
         def output() -> Iterator[Output]:
-            commands = stages.predicted(stages.commands(span.items), threads)
+            commands = stages.predicted(stages.commands(span.items))
             yield from writer.write(commands)
             result.ledger = replace(stages.ledger, written=writer.summary)
 
@@ -203,7 +203,7 @@ def _end_with_parent() -> None:
 
 
 def _write_in_worker(span: Span) -> WrittenSpan:
-    result = _writer[0].streamed(span, threads=False)
+    result = _writer[0].streamed(span)
     result.output = list(result.output)
     return result
 

@@ -51,7 +51,6 @@ from hframe_post.printer.settings import Motors, Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
 from hframe_post.stream.marks import Marks
-from hframe_post.stream.running import prefetch
 from hframe_post.stream.types import Item, Moves, Passthrough, Planned, Samples
 
 if TYPE_CHECKING:
@@ -235,22 +234,15 @@ class Stages:
         """
         return self._advancing.samples(commands, advance)
 
-    def predicted(self, commands: Iterable[Samples], threads: bool) -> Iterator[Samples]:
-        """Add advance; measure contour error and print time, on the way to the output.
-
-        threads: compute the commands in one thread and the prediction in another, both ahead of
-        the caller.
-        """
+    def predicted(self, commands: Iterable[Samples]) -> Iterator[Samples]:
+        """Add advance; measure contour error and print time, on the way to the output."""
         commands = self.advanced(commands)
-        if threads:
-            commands = prefetch(commands)
         if self._options.predict:
             if self._options.shaping is not None:
                 from hframe_post.compensation.shape import SHAPER, shape
 
                 commands = shape(commands, {SHAPER: self._options.shaping})
             commands = self._errors.samples(commands)
-            commands = prefetch(commands) if threads else commands
         return self._notes.samples(commands)
 
     @property

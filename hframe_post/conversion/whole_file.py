@@ -114,11 +114,11 @@ class SampleStream:
         self.check_filament = self._source.check_filament
 
     def __iter__(self) -> Iterator[Samples]:
-        """Yield commands with prediction, computed ahead in threads."""
-        return self._stages.predicted(self.computed(), threads=True)
+        """Yield commands with prediction."""
+        return self._stages.predicted(self.computed())
 
     def computed(self) -> Iterator[Samples]:
-        """Yield the commands alone: no threads, no prediction, no print time."""
+        """Yield the commands alone: no prediction, no print time."""
         return self._stages.whole(self._source.spans())
 
     @property

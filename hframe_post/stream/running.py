@@ -1,4 +1,4 @@
-"""How stages run: in threads of their own, with one BLAS thread, and with little memory."""
+"""How a process computes: with one BLAS thread, and with little memory."""
 
 from __future__ import annotations
 
@@ -6,34 +6,11 @@ import ctypes
 import gc
 import os
 import sys
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TypeVar
 
-T = TypeVar("T")
-
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # of glibc's malloc.h
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
 COLLECTED_OBJECTS = 50_000  # new objects after which circles among them are sought; 700 by default
-PREFETCHED_ITEMS = 2  # items that are computed, or being computed, before they are asked for
-
-
-def prefetch(items: Iterable[T]) -> Iterator[T]:
-    """Yield the same items; a thread computes PREFETCHED_ITEMS of them, before they are asked for.
-
-    An exception of the source is raised here, after the items before it. When the consumer stops,
-    no further item is begun. numpy releases the interpreter, so both threads make progress.
-    """
-    source, end = iter(items), object()
-    worker = ThreadPoolExecutor(1, "prefetch")
-    try:
-        waiting = deque(worker.submit(next, source, end) for _ in range(PREFETCHED_ITEMS))
-        while (item := waiting.popleft().result()) is not end:
-            waiting.append(worker.submit(next, source, end))
-            yield item  # type: ignore[misc]  # only the end is not a T
-    finally:
-        worker.shutdown(cancel_futures=True)
 
 
 @contextmanager
@@ -56,8 +33,7 @@ def one_blas_thread() -> Iterator[None]:
 def keep_memory() -> None:
     """Let the allocator keep what this process frees, up to 64 MB, for the next chunk.
 
-    Otherwise it returns each chunk to the system and gets it back page by page. All threads share
-    what is kept: a heap of its own for each would take a quarter more memory. Garbage is
+    Otherwise it returns each chunk to the system and gets it back page by page. Garbage is
     collected less often: few of the many objects of a conversion refer to each other in a circle.
     """
     gc.freeze()
@@ -66,7 +42,6 @@ def keep_memory() -> None:
     if allocate is not None:
         allocate(M_MMAP_THRESHOLD, 1 << 25)
         allocate(M_TRIM_THRESHOLD, 1 << 26)
-        allocate(M_ARENA_MAX, 1)
 
 
 def release_memory() -> None:

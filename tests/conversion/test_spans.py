@@ -118,7 +118,7 @@ def test_the_first_error_in_the_file_is_raised(paper: Printer, jobs: int) -> Non
 
 @pytest.mark.usefixtures("short")
 def test_a_killed_worker_is_an_error(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
-    def killed(self: conversions.SpanWriter, span: Span, threads: bool) -> None:
+    def killed(self: conversions.SpanWriter, span: Span) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
     monkeypatch.setattr(conversions.SpanWriter, "streamed", killed)
