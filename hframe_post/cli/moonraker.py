@@ -13,6 +13,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
 import click
@@ -39,7 +40,6 @@ COMMAND = re.compile(  # in our section: what is before it, the program, and its
     rf"^(\[{NAME}\]\n(?:(?!\[).*\n)*?command: )((\S+).*?)(?= -p )", re.MULTILINE
 )
 ADDED = "# added by hframe-post connect moonraker"
-FORMERLY = "# added by hframe-post setup --moonraker"
 INCLUDE = f"{ADDED}\n[include {FILE}]\n"
 LIVE = "hframe_live"
 LIVE_SECTION = f"{ADDED}: compensation in Klipper\n[{LIVE}]\nkernel: printer.kernel\n"
@@ -94,7 +94,7 @@ class Moonraker:
         common = self._components.with_name("common.py")
         if not common.is_file() or "class RequestType" not in common.read_text("utf-8"):
             raise HframeError("this Moonraker is older than December 2023: update it first")
-        self._check_link()
+        self._component()  # raises before anything is written
         here = profile.absolute().parent == self._printer.absolute().parent
         found = (self._with_command(profile), self._with_sections(here))
         return [change for change in found if change is not None]
@@ -145,54 +145,42 @@ class Moonraker:
 
     def link(self, create: bool) -> list[str]:
         """Link our modules into Moonraker and Klipper, or remove the links; say what was done."""
-        done = [self._link_component(create)]
+        done = [_linked(self._component(), moonraker if create else None, "Moonraker")]
         if self._klippy is not None:
-            done += self._link_module(self._klippy, create and self._live)
+            plugins = self._klippy / "plugins"  # of Kalico
+            link = (plugins if plugins.is_dir() else self._klippy / "extras") / LIVE
+            wanted = klipper if create and self._live else None
+            if wanted or link.is_symlink():
+                done.append(_linked(link, wanted, "Klipper", self._klippy.parent))
         return done
 
-    def _link_module(self, klippy: Path, create: bool) -> list[str]:
-        plugins = klippy / "plugins"  # of Kalico
-        link = (plugins if plugins.is_dir() else klippy / "extras") / LIVE
-        if not create and not link.is_symlink():
-            return []
-        try:
-            link.unlink(missing_ok=True)
-            exclude = klippy.parent / ".git/info/exclude"
-            if create:
-                link.symlink_to(Path(klipper.__file__).parent, target_is_directory=True)
-                name = f"/{link.relative_to(klippy.parent)}\n"
-                # otherwise the update manager calls Klipper dirty
-                if exclude.parent.is_dir() and name not in (
-                    exclude.read_text("utf-8") if exclude.is_file() else ""
-                ):
+    def _component(self) -> Path:
+        """Return the place of the link in Moonraker. Raises HframeError if it is taken."""
+        link = self._components / NAME
+        if link.exists() and not link.is_symlink():
+            raise HframeError(f"{link} is not hframe-post's: remove it first")
+        return link
+
+
+def _linked(link: Path, package: ModuleType | None, owner: str, clone: Path | None = None) -> str:
+    """Link to a package of ours, or for None remove the link; return what was done.
+
+    clone: of Git, which the update manager calls dirty unless it ignores the link.
+    """
+    exclude = None if clone is None else clone / ".git/info/exclude"
+    try:
+        link.unlink(missing_ok=True)
+        if package is not None:
+            link.symlink_to(Path(str(package.__file__)).parent, target_is_directory=True)
+            if clone is not None and exclude is not None and exclude.parent.is_dir():
+                name = f"/{link.relative_to(clone)}\n"
+                if not exclude.is_file() or name not in exclude.read_text("utf-8"):
                     with exclude.open("a", encoding="utf-8") as file:
                         file.write(name)
-        except OSError as error:
-            cause = f"{link}: {error.strerror}. Run this as the user who installed Klipper"
-            raise HframeError(cause) from None
-        return [f"{link}: {'linked' if create else 'removed'}"]
-
-    def _link_component(self, create: bool) -> str:
-        link, former = self._check_link()
-        component = Path(moonraker.__file__)
-        try:
-            for old in (link, former):
-                old.unlink(missing_ok=True)
-            if create:
-                link.symlink_to(component.parent, target_is_directory=True)
-        except OSError as error:
-            cause = f"{link}: {error.strerror}. Run this as the user who installed Moonraker"
-            raise HframeError(cause) from None
-        return f"{link}: {'linked' if create else 'removed'}"
-
-    def _check_link(self) -> tuple[Path, Path]:
-        """Return the link's place, and that in earlier versions. Raises HframeError."""
-        link = self._components / NAME
-        places = (link, link.with_suffix(".py"))
-        for place in places:
-            if place.exists() and not place.is_symlink():
-                raise HframeError(f"{place} is not hframe-post's: remove it first")
-        return places
+    except OSError as error:
+        cause = f"{link}: {error.strerror}. Run this as the user who installed {owner}"
+        raise HframeError(cause) from None
+    return f"{link}: {'linked' if package else 'removed'}"
 
 
 def find_printer_cfg() -> Path:
@@ -243,16 +231,10 @@ def _without(text: str, sections: Mapping[str, str]) -> tuple[str, list[str]]:
     """Return printer.cfg without those of these sections that were added, and their names."""
     gone = list[str]()
     for name, ours in sections.items():
-        text, count = re.subn(_any_end(ours), "", text, count=1)
+        lines = r"(?:\r?\n)?" + re.escape(ours).replace("\\\n", "\r?\n")  # whatever ends them
+        text, count = re.subn(lines, "", text, count=1)
         gone += [f"[{name}]"] * count
     return text, gone
-
-
-def _any_end(lines: str) -> str:
-    """Return the pattern of lines with an empty one before, whatever ends them."""
-    pattern = re.escape(lines).replace("\\\n", "\r?\n")
-    added = re.escape(ADDED)
-    return r"(?:\r?\n)?" + pattern.replace(added, f"(?:{added}|{re.escape(FORMERLY)})")
 
 
 def _with_includes(path: Path, within: tuple[str, ...] = ()) -> Iterator[str]:
