@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import chain, product
+from itertools import chain
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, X, Y, Z
+from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.model.kinematics import Differences, Kinematics, Rates
-from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
-from hframe_post.model.rounds import contraction
 from hframe_post.native.judging import farthest, is_safe
 from hframe_post.printer.settings import Limits, Motors, Travel
 from hframe_post.stream.chunks import stretches
@@ -36,17 +34,8 @@ ADVICE = (
 # ---------------------------------------------------------------------- the model
 
 
-def check_model(
-    plant: Plant, windows: tuple[Window, Window], travel: Travel, limits: Limits
-) -> None:
-    """Raise PrinterError if x and y would act on each other more than in any printer."""
-    for place in (*product(travel.x, travel.y), (sum(travel.x) / 2.0, sum(travel.y) / 2.0)):
-        if not contraction(plant, windows, np.array(place)) < 1.0:
-            raise PrinterError(
-                f"at x = {place[X]:g}, y = {place[Y]:g} the couplings of this model are so strong "
-                f"that no command cancels them; remove them, or {ADVICE}",
-                "plant.cross",
-            )  # fmt: skip
+def check_model(plant: Plant, limits: Limits) -> None:
+    """Raise PrinterError if the gantry would twist more than any printer's."""
     if (G := plant.Gxtheta) is None:
         return
     omega = 2.0 * np.pi * SLOW_HZ

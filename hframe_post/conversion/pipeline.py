@@ -275,7 +275,7 @@ def prepared(printer: Printer) -> Compensator:
     """Return the compensator for a printer, its windows certified. Raises PrinterError."""
     plant, windows = printer.plant, printer.compensation.windows
     try:
-        check_model(plant, windows, printer.travel, printer.limits)
+        check_model(plant, printer.limits)
         return Compensator(plant, windows)
     except PrinterError as error:
         raise PrinterError(error.cause, error.key, printer.name) from None

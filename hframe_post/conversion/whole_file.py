@@ -70,7 +70,7 @@ class PlannedFile:
         return Report(
             **noted | {"contour": contour, "width": width}, strategy=options.strategy,
             shaping=shaping, predicted_sliced=share,
-            couples=printer.kinematics.racks and bool(printer.plant.couplings),
+            couples=printer.kinematics.racks and printer.plant.Gxtheta is not None,
             notices=tuple(printer.warnings()) if options.strategy != "none" else (),
             capped=_binds(self._chain.caps),
             other_tools=printer.firmware.other_tools,

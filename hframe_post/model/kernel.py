@@ -35,7 +35,7 @@ from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.nozzle import nozzle
-from hframe_post.model.plant import Coupling, Plant
+from hframe_post.model.plant import Plant, Racking
 
 OMEGA = np.linspace(0.0, np.pi, 4097)  # rad/sample, of the least squares; 0.12 Hz apart
 CORNER_HZ = 4.0  # moves of a print last about 1/4 s; from 2 to 8 Hz the error changes by 2 %
@@ -80,25 +80,25 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """Taps h (``TAPS``,) of x and y, and of what couplings add, for the path of their command.
+    """Taps h (``TAPS``,) of x and y, and of what racking adds, for the path of x.
 
     h[0] belongs to the path ``AHEAD`` samples later.
     """
 
     axes: tuple[Array, Array]
-    couplings: tuple[tuple[Coupling, Array], ...]
+    racking: tuple[Racking, Array] | None
 
     @property
     def reach(self) -> int:
         """Return the number of path samples on either side on which a sample depends."""
-        return (2 if self.couplings else 1) * PAST + 1
+        return (2 if self.racking else 1) * PAST + 1
 
     def command(self, path: Array) -> Array:
         """Return the control points (n, 2) for a path (n, 2), mm, at rest at both ends."""
         target = path.copy()
-        for coupling, h in self.couplings:
-            added = coupling.lever(path) * _convolved(h, path[:, coupling.command])
-            target[:, coupling.answer] -= added
+        if self.racking:
+            racking, h = self.racking
+            target[:, Y] -= racking.lever(path) * _convolved(h, path[:, X])
         return np.column_stack([_convolved(self.axes[axis], target[:, axis]) for axis in (X, Y)])
 
     def run(self, path: Array) -> Array:
@@ -124,11 +124,10 @@ def kernel(plant: Plant, kinematics: Kinematics, bounds: Bounds) -> tuple[Kernel
     path = strokes(bounds)
     most_v, most_a = bounds.belt_velocity, bounds.belt_acceleration
     G = tuple(map(Spectrum.of, plant.responses))
-    measured, couplings = any(each.variance.any() for each in G), plant.couplings
+    measured, racking = any(each.variance.any() for each in G), plant.racking
     for effort in MEASURED_EFFORTS if measured else EFFORTS:
-        added = [taps(G[of.command], D, effort) for of, D in zip(couplings, G[2:], strict=True)]
         axes = taps(G[X], None, effort), taps(G[Y], None, effort)
-        made = Kernel(axes, tuple(zip(couplings, added, strict=True)))
+        made = Kernel(axes, (racking, taps(G[X], G[2], effort)) if racking else None)
         command = made.command(path)
         v, a = _rates(kinematics, command)
         if v <= most_v and a <= most_a:

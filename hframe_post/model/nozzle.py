@@ -1,4 +1,4 @@
-"""The nozzle's motion under a command that comes in pieces: axes and couplings side by side."""
+"""The nozzle's motion under a command that comes in pieces: its axes, and racking."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hframe_post.arrays import Array, X, Y
+from hframe_post.arrays import Array, X, Y, moved
 from hframe_post.model.impulse_response import FiniteFilter
 from hframe_post.model.plant import Plant
 
@@ -20,34 +20,26 @@ class Response:
 
     def __init__(self, plant: Plant, origin: Array, late: int | None = None) -> None:
         self.late = plant.ahead if late is None else late
-        self._couplings, self._origin = plant.couplings, origin
+        self._racking, self._origin = plant.racking, origin
         self._filters = [FiniteFilter(G, self.late) for G in plant.responses]
-        self._axes = X, Y, *(coupling.command for coupling in plant.couplings)
 
     def run(self, command: Array, out: Array | None = None) -> Array:
         """Return the nozzle's x, y (n, 2) at samples that lag behind those of command (n, 2).
 
         It is in ``out``, if given.
         """
-        return self._motion(command, np.empty((len(command), 2)) if out is None else out)
+        return self.motion(command, out)[0]
 
-    def motion(self, command: Array) -> tuple[Array, Array]:
-        """Return the nozzle's x, y (n, 2), and what each coupling's G gives, (n, couplings)."""
-        both = self._motion(command, np.empty((len(command), len(self._filters))))
-        return both[:, :2], both[:, 2:]
-
-    def _motion(self, command: Array, motion: Array) -> Array:
+    def motion(self, command: Array, out: Array | None = None) -> tuple[Array, Array]:
+        """Return what ``run`` does, and θ (n,) there, rad."""
         u = np.subtract(command.T, self._origin[:, None], order="C")
-        outputs = [f.run(u[axis]) for f, axis in zip(self._filters, self._axes, strict=True)]
-        for axis in (X, Y):
-            np.add(outputs[axis], self._origin[axis], out=motion[:, axis])
-        if self._couplings:
-            place = motion[:, :2].copy()  # lever arms are those without any coupling
-            for coupling, output in zip(self._couplings, outputs[2:], strict=True):
-                motion[:, coupling.answer] += coupling.lever(place) * output
-        for k, output in enumerate(outputs[2 : motion.shape[1]], 2):
-            motion[:, k] = output
-        return motion
+        axes = (X, Y, X)[: len(self._filters)]
+        x, y, *theta = (f.run(u[axis]) for f, axis in zip(self._filters, axes, strict=True))
+        place = moved((x, y), self._origin, out)
+        if not self._racking:
+            return place, np.zeros(len(place))
+        place[:, Y] += self._racking.lever(place) * theta[0]
+        return place, theta[0]
 
 
 def nozzle(plant: Plant, origin: Array, command: Array) -> Array:
@@ -55,15 +47,9 @@ def nozzle(plant: Plant, origin: Array, command: Array) -> Array:
 
     The plant rests at ``origin`` (2,) before it, and the command rests after it.
     """
-    return motion(plant, origin, command)[0]
-
-
-def motion(plant: Plant, origin: Array, command: Array) -> tuple[Array, Array]:
-    """Return what ``nozzle`` does, and what each coupling's G gives, (n, couplings)."""
     response = Response(plant, origin)
     following = np.pad(command, ((0, response.late), (0, 0)), mode="edge")
-    place, outputs = response.motion(following)
-    return place[response.late :], outputs[response.late :]
+    return response.run(following)[response.late :]
 
 
 # ----------------------------------------------------------------------

@@ -5,9 +5,6 @@ The printer of the paper moves as (eq. 1, 2 and Fig. 2b)
     x = Gxx·x_d        θ = Gxθ·x_d        y = Gyy·y_d + (x − x_c)·θ
 
 A bed that moves in y gets heavier by what is printed on it, and Gyy follows (``loaded``).
-
-θ is one coupling: what a command adds to the nozzle's place, beyond its own axis' part. A plant
-may have others, each the same all over the bed or with a lever arm as θ has.
 """
 
 from __future__ import annotations
@@ -17,30 +14,31 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, X, Y
-from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.arrays import Array, X
+from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.model.transfer_function import TransferFunction
 
 HEAVIER = 0.005  # step of the logarithm of a bed's mass; frequencies follow within 0.13 %
 
 
 @dataclass(frozen=True)
-class Coupling:
-    """What a command in one axis adds to the nozzle in one axis: lever·G·command.
+class Racking:
+    """What a command in x adds to the nozzle in y: the lever arm times θ = G·x_d.
 
-    answer, command: the axes. along: axis of the lever arm, which is the nozzle's distance from
-    ``centre`` (mm) without any coupling; None: lever is 1, and G the same all over the bed.
+    x_c: mm, where the lever arm is 0.
     """
 
-    answer: int
-    command: int
     G: ImpulseResponse
-    along: int | None = None
-    centre: float = 0.0
+    x_c: float
 
-    def lever(self, place: Array) -> Array | float:
-        """Return the lever arm (n,) at places (n, 2) on the bed, mm."""
-        return 1.0 if self.along is None else np.asarray(place[:, self.along] - self.centre)
+    def lever(self, place: Array) -> Array:
+        """Return the lever arm (n,) at places (n, 2) on the bed, mm, without racking."""
+        return np.asarray(place[:, X] - self.x_c)
+
+    def theta(self, x: Array) -> Array:
+        """Return θ (n,), rad, under a whole command x (n,), mm, at rest before and after it."""
+        late = self.G.ahead
+        return FiniteFilter(self.G, late).run(np.pad(x - x[0], (0, late), mode="edge"))[late:]
 
 
 @dataclass(frozen=True)
@@ -57,15 +55,14 @@ class Plant:
 
     A transfer function in place of one becomes a response; ArgumentError if it cannot.
     Gxtheta gives θ in rad per mm of x_d; x_c (mm) is the x coordinate at which racking
-    does not move the nozzle. cross: couplings other than racking. bed: None if it does not move,
-    or nothing is known of it.
+    does not move the nozzle. bed: None if it does not move, or nothing is
+    known of it.
     """
 
     Gxx: ImpulseResponse
     Gyy: ImpulseResponse
     Gxtheta: ImpulseResponse | None
     x_c: float
-    cross: tuple[Coupling, ...] = ()
     bed: Bed | None = None
 
     def __post_init__(self) -> None:
@@ -75,16 +72,15 @@ class Plant:
                 object.__setattr__(self, name, ImpulseResponse.from_transfer_function(G, rest))
 
     @property
-    def couplings(self) -> tuple[Coupling, ...]:
-        """Return all couplings, racking first."""
-        if self.Gxtheta is None:
-            return self.cross
-        return Coupling(Y, X, self.Gxtheta, X, self.x_c), *self.cross
+    def racking(self) -> Racking | None:
+        """Return what x does to y, if anything."""
+        return None if self.Gxtheta is None else Racking(self.Gxtheta, self.x_c)
 
     @property
     def responses(self) -> tuple[ImpulseResponse, ...]:
-        """Return those of x, of y and of all couplings."""
-        return self.Gxx, self.Gyy, *(coupling.G for coupling in self.couplings)
+        """Return those of x, of y and, if the gantry racks, of θ."""
+        theta = () if self.Gxtheta is None else (self.Gxtheta,)
+        return self.Gxx, self.Gyy, *theta
 
     @property
     def ahead(self) -> int:
@@ -97,8 +93,8 @@ class Plant:
         return max(G.memory for G in self.responses)
 
     def decoupled(self) -> Plant:
-        """Return the plant without couplings."""
-        return replace(self, Gxtheta=None, cross=())
+        """Return the plant without racking."""
+        return replace(self, Gxtheta=None)
 
     def load(self, filament: float) -> int:
         """Return in how many steps of HEAVIER this filament (mm) makes the bed heavier."""

@@ -154,7 +154,7 @@ class AroundStops:
     """The plant's motion around stops.
 
     N_before, N_after (BESIDE, k): the splines on either side of a dwell, in the order of time.
-    axes (couplings, 2): where each coupling responds, and the command. ahead, memory: samples of
+    axes (couplings, 2): of racking, where it responds, and the command. ahead, memory: samples of
     the command after a sample, and before it, that the nozzle's place depends on.
     """
 
@@ -163,8 +163,8 @@ class AroundStops:
         self.ahead = plant.ahead
         self._filters = [FiniteFilter(G, self.ahead) for G in plant.responses]
         self.memory = max(f.memory for f in self._filters)
-        self._couplings = plant.couplings
-        axes = [(coupling.answer, coupling.command) for coupling in plant.couplings]
+        self._racking = plant.racking
+        axes = [(Y, X)] if self._racking else []
         self.axes: Integers = np.array(axes, np.int64).reshape(-1, 2)
         self.by_splines = lru_cache(maxsize=32)(self._by_splines)
 
@@ -174,17 +174,15 @@ class AroundStops:
         command: from ``memory`` + BESIDE samples before a dwell of n samples to BESIDE + BEYOND +
         ahead after it, from the origin; path (r, 2): there, mm on the bed.
         """
-        u, at, couplings = np.ascontiguousarray(command.T), judged(n) + self.ahead, self._couplings
-        axes = X, Y, *(coupling.command for coupling in couplings)
-        outputs = [
-            f.output(u[axis], len(command) - self.memory)[at]
-            for f, axis in zip(self._filters, axes, strict=True)
-        ]
-        nozzle, levers = np.empty((len(at), 2)), np.ones((len(couplings), len(at)))
-        nozzle[:, X], nozzle[:, Y] = outputs[:2]
-        for coupling, output, lever in zip(couplings, outputs[2:], levers, strict=True):
-            lever[:] = coupling.lever(path)
-            nozzle[:, coupling.answer] += lever * output
+        u, at = np.ascontiguousarray(command.T), judged(n) + self.ahead
+        axes, samples = (X, Y, X)[: len(self._filters)], len(command) - self.memory
+        x, y, *theta = (
+            f.output(u[axis], samples)[at] for f, axis in zip(self._filters, axes, strict=True)
+        )
+        nozzle, levers = np.column_stack([x, y]), np.zeros((len(theta), len(at)))
+        if self._racking:
+            levers[0] = self._racking.lever(path)
+            nozzle[:, Y] += levers[0] * theta[0]
         return nozzle, levers
 
     def _by_splines(self, n: int) -> Array:

@@ -1,4 +1,4 @@
-"""Compensation strategies: none, filtered B-splines, and filtered B-splines with couplings.
+"""Compensation strategies: none, filtered B-splines, and filtered B-splines with racking.
 
 To add a strategy, write a class with ``feed`` and ``finish`` (see ``StrategyState``) and add a row
 to ``STRATEGIES``. Profiles, the command line, reports and figures take their choices from there.
@@ -11,14 +11,12 @@ symbol      meaning                                                          sou
 ``θ``       Gxθ x_dm, known exactly once x_dm is final                       eq. 13
 ``y_dm``    command whose filtered splines follow y_d − (x_d − x_c)·θ        eq. 19
 ==========  ===============================================================  ==========
-
-Racking is one coupling; others are subtracted likewise.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
@@ -30,8 +28,7 @@ from hframe_post.arrays import Array, X, Y, moved
 from hframe_post.errors import ArgumentError, HframeError
 from hframe_post.model.impulse_response import FiniteFilter
 from hframe_post.model.lpfbs import Lpfbs, Pieces, Window
-from hframe_post.model.plant import HEAVIER, Coupling, Plant
-from hframe_post.model.rounds import order, rounds_needed
+from hframe_post.model.plant import HEAVIER, Plant
 
 
 class Compensator:
@@ -43,7 +40,6 @@ class Compensator:
     def __init__(self, plant: Plant, windows: tuple[Window, Window]) -> None:
         self.plant = plant
         self.x, self.y = Lpfbs(plant.Gxx, windows[X]), Lpfbs(plant.Gyy, windows[Y])
-        self.rounds = rounds_needed(plant, windows)
         self._latest: tuple[int, Compensator] = 0, self
 
     def at(self, filament: float) -> Compensator:
@@ -61,7 +57,6 @@ class Compensator:
         try:
             loaded.plant = self.plant.loaded(load)
             loaded.y = Lpfbs(loaded.plant.Gyy, self.y.window)
-            loaded.rounds = rounds_needed(loaded.plant, (self.x.window, self.y.window))
         except ArgumentError as error:
             percent = 100.0 * math.expm1(HEAVIER * load)
             raise HframeError(f"with the bed {percent:.0f} % heavier, {error}") from None
@@ -109,87 +104,50 @@ class _Uncompensated:
 
 
 class FilteredSplines:
-    """Solves the axes in turn, each for its target less what couplings add, if asked."""
+    """Solves x, and then y for its target less what racking adds, if asked."""
 
     def __init__(self, coupled: bool, compensator: Compensator, origin: Array) -> None:
-        couplings = compensator.plant.couplings if coupled else ()
-        self._origin, solvers = origin, (compensator.x, compensator.y)
-        self._path = np.zeros((0, 2))  # from the origin, where the command is not final
-        self._stages = [
-            _Stage(axis, solvers[axis], [c for c in couplings if c.answer == axis], origin)
-            for axis in order(couplings, compensator.rounds)
-        ]
+        self._origin = origin
+        self._x, self._y = Pieces(compensator.x), Pieces(compensator.y)
+        self._x_dm = self._y_dm = np.zeros(0)  # where only the other is not final
+        self._racking = compensator.plant.racking if coupled else None
+        if self._racking:
+            self._early = self._racking.G.ahead  # θ that comes before the path begins
+            self._theta = FiniteFilter(self._racking.G, self._early)
+        self._path = np.zeros((0, 2))  # from the origin, where y's target is not known
 
     def feed(self, xy: Array) -> Array:
-        self._path = np.concatenate([self._path, moved(xy.T, -self._origin)])
-        return self._command(last=False)
+        path = moved(xy.T, -self._origin)
+        self._path = np.concatenate([self._path, path])
+        x_dm = self._x.feed(path[:, X])
+        return self._command(x_dm, self._y.feed(self._y_target(x_dm)))
 
     def finish(self) -> Array:
-        return self._command(last=True)
+        x_dm = self._x.finish()
+        y_dm = self._y.feed(self._y_target(x_dm))
+        if self._racking:  # x rests after its end
+            y_d = self._y_target(np.full(self._racking.G.ahead, self._theta.state[-1]))
+            y_dm = np.append(y_dm, self._y.feed(y_d))
+        return self._command(x_dm, np.append(y_dm, self._y.finish()))
 
-    def _command(self, last: bool) -> Array:
-        """Return what is final of the command. last: the path ends here."""
-        latest = list(self._path.T)  # commands of x and y; the path, before they are solved
-        for stage in self._stages:
-            latest[stage.axis] = stage.solve(self._path, latest, last)
-        n = min(map(len, latest))
-        command = moved([axis[:n] for axis in latest], self._origin)
-        self._path = self._path[n:].copy()
-        for stage in self._stages:
-            stage.forget(n)
-        return command
+    def _y_target(self, x_dm: Array) -> Array:
+        """Return more of y's target by eq. 19, with the lever arm of Remark 2.1."""
+        if not self._racking:
+            y_d, self._path = self._path[:, Y], self._path[:0]
+            return y_d
+        theta = self._theta.run(x_dm)
+        early = min(self._early, len(theta))
+        self._early -= early
+        theta = theta[early:]
+        path, self._path = self._path[: len(theta)], self._path[len(theta) :].copy()
+        return np.asarray(path[:, Y] - self._racking.lever(path + self._origin) * theta)
 
-
-class _Stage:
-    """Solves one axis, from commands that the couplings on it depend on.
-
-    Samples are counted from the first whose command is not final.
-    """
-
-    def __init__(
-        self, axis: int, lpfbs: Lpfbs, couplings: Sequence[Coupling], origin: Array
-    ) -> None:
-        self.axis, self._couplings, self._origin = axis, couplings, origin
-        self._late = max((coupling.G.ahead for coupling in couplings), default=0)
-        self._filters = [FiniteFilter(coupling.G, self._late) for coupling in couplings]
-        self._pieces = Pieces(lpfbs)
-        self._fed = 0  # samples of which the couplings know the commands
-        self._solved = np.zeros(0)
-
-    def solve(self, path: Array, commands: Sequence[Array], last: bool) -> Array:
-        """Return what is final of the axis' command, for the path (n, 2) from the origin.
-
-        commands: the latest ones of x and y, from the same sample on. last: the path ends here.
-        """
-        if last:  # the commands are at rest after their end
-            commands = [_longer(each, self._late) for each in commands]
-        target = self._less_coupled(path, commands)
-        self._solved = np.concatenate([self._solved, self._pieces.feed(target)])
-        if last:
-            self._solved = np.concatenate([self._solved, self._pieces.finish()])
-        return self._solved
-
-    def _less_coupled(self, path: Array, commands: Sequence[Array]) -> Array:
-        """Return more of the target by eq. 19, with the lever arm of Remark 2.1."""
-        known, late = min(map(len, commands)), self._late
-        path = path[max(self._fed - late, 0) : max(known - late, 0)]
-        added = np.zeros(len(path))
-        for coupling, G in zip(self._couplings, self._filters, strict=True):
-            output = G.run(commands[coupling.command][self._fed : known])
-            lever = coupling.lever(path + self._origin)
-            added += lever * output[len(output) - len(path) :]  # the first are before the path
-        self._fed = known
-        return np.asarray(path[:, self.axis] - added)
-
-    def forget(self, n: int) -> None:
-        """Drop the first samples, whose command is final in both axes."""
-        self._fed -= n
-        self._solved = self._solved[n:].copy()
-
-
-def _longer(u: Array, n: int) -> Array:
-    """Return the samples (k,) and n more of the last of them."""
-    return np.pad(u, (0, n), mode="edge") if len(u) else np.zeros(n)
+    def _command(self, x_dm: Array, y_dm: Array) -> Array:
+        """Return what is final of the command, with these samples more of x and of y."""
+        x_dm, y_dm = np.append(self._x_dm, x_dm), np.append(self._y_dm, y_dm)
+        n = min(len(x_dm), len(y_dm))
+        self._x_dm, self._y_dm = x_dm[n:].copy(), y_dm[n:].copy()
+        return moved((x_dm[:n], y_dm[:n]), self._origin)
 
 
 STRATEGIES = {

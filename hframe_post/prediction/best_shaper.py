@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, X, Y, Z
-from hframe_post.model.nozzle import motion, nozzle
+from hframe_post.model.nozzle import nozzle
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import AxisShaping, Shaper, Shaping, most_damping
 from hframe_post.prediction.predict import contour_error
@@ -84,10 +84,9 @@ def _across(plant: Plant, path: Array, counted: Flags) -> Array:
     shifted = np.clip(shifted, 0, len(path) - 1)
     places = nozzle(plant.decoupled(), path[0], path)
     across = [normal[:, k, None] * (places[shifted, k] - path[at, k, None]) for k in (X, Y)]
-    _, outputs = motion(plant, path[0], path)
-    for coupling, output in zip(plant.couplings, outputs.T, strict=True):
-        lever = np.reshape(coupling.lever(path[at]), (-1, 1))
-        across[coupling.command] += normal[:, coupling.answer, None] * lever * output[shifted]
+    if (racking := plant.racking) is not None:
+        lever = racking.lever(path[at])[:, None]
+        across[X] += normal[:, Y, None] * lever * racking.theta(path[:, X])[shifted]
     return np.hstack(across)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from hframe_post.arrays import Array, Integers, X, Y
 from hframe_post.model.error_range import products
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.plant import Coupling, Plant
+from hframe_post.model.plant import Plant, Racking
 from hframe_post.native.judging import sliding_sums
 from hframe_post.stream.types import Samples
 
@@ -27,7 +27,7 @@ TINY = 1e-300  # mm, of a path at rest
 
 @dataclass(frozen=True)
 class _Part:
-    """What is not known of one response, of the plant's axis or coupling.
+    """What is not known of one response, of an axis or of racking.
 
     drift, unknown: reversed taps of filters of the second difference, ``late`` samples late, a
     multiple of EVERY in length, maybe none. lag: of the drift. share (k,): how the squared unknown
@@ -36,7 +36,7 @@ class _Part:
 
     answer: int
     command: int
-    coupling: Coupling | None
+    racking: Racking | None
     drift: Array
     unknown: Array
     lag: float
@@ -49,7 +49,7 @@ class Doubts:
     past, ahead: samples of the command that are needed before and after a sample.
     """
 
-    def __init__(self, parts: list[tuple[int, int, Coupling | None, ImpulseResponse]]) -> None:
+    def __init__(self, parts: list[tuple[int, int, Racking | None, ImpulseResponse]]) -> None:
         filters = [doubt for *_, G in parts for doubt in G.doubts]
         late = self.ahead = max(doubt.ahead for doubt in filters)
         self._parts = [_part(*part, late) for part in parts]
@@ -67,13 +67,12 @@ class Doubts:
         """
         drift = 0.5 * (uncertainty or 0.0)
         axes = [replace(G, drift=G.drift or drift) for G in (plant.Gxx, plant.Gyy)]
-        parts: list[tuple[int, int, Coupling | None, ImpulseResponse]] = [
+        parts: list[tuple[int, int, Racking | None, ImpulseResponse]] = [
             (axis, axis, None, G) for axis, G in zip((X, Y), axes, strict=True)
         ]
-        for each in plant.couplings:
-            own = axes[each.command].drift
-            G = replace(each.G, drift=each.G.drift or own)
-            parts.append((each.answer, each.command, each, G))
+        if (racking := plant.racking) is not None:
+            G = replace(racking.G, drift=racking.G.drift or axes[X].drift)
+            parts.append((Y, X, racking, G))
         parts = [part for part in parts if part[-1].doubts]
         return cls(parts) if parts else None
 
@@ -90,7 +89,7 @@ class Doubts:
             return drift, unknown
         polyphase = [self._polyphase(command[:, axis], start, count) for axis in (X, Y)]
         for part in self._parts:
-            lever = 1.0 if part.coupling is None else part.coupling.lever(place)
+            lever = 1.0 if part.racking is None else part.racking.lever(place)
             phases = polyphase[part.command]
             if len(part.drift):
                 added = _filtered(part.drift, phases[:, self._begin(part.drift) :])[:count]
@@ -118,13 +117,13 @@ class Doubts:
 
 
 def _part(
-    answer: int, command: int, coupling: Coupling | None, G: ImpulseResponse, late: int
+    answer: int, command: int, racking: Racking | None, G: ImpulseResponse, late: int
 ) -> _Part:
     of_drift = replace(G, unknown=np.zeros(0)).doubts
     of_unknown = replace(G, drift=0.0).doubts
     lag = sum(doubt.lag for doubt in of_drift)
     drift, unknown = (_taps(doubts, late) for doubts in (of_drift, of_unknown))
-    return _Part(answer, command, coupling, drift, unknown, lag, _lasting(G))
+    return _Part(answer, command, racking, drift, unknown, lag, _lasting(G))
 
 
 def _taps(doubts: Iterable[ImpulseResponse], late: int) -> Array:

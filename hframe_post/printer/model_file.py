@@ -21,8 +21,8 @@ from hframe_post.arrays import TS, Array
 from hframe_post.errors import PrinterError
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Window
-from hframe_post.model.plant import Coupling, Plant
-from hframe_post.printer.plant_tables import AXES, MICRORAD
+from hframe_post.model.plant import Plant
+from hframe_post.printer.plant_tables import MICRORAD
 from hframe_post.printer.profile import parse, shipped, text_of
 from hframe_post.printer.settings import Printer
 
@@ -179,15 +179,6 @@ def _lines(printer: Printer, notes: Sequence[str]) -> Iterator[str]:
     functions = {"Gxx": plant.Gxx, "Gyy": plant.Gyy, "Gxtheta": plant.Gxtheta or no_racking}
     for name, G in functions.items():
         yield f"\n[plant.{name}]\n{_linear(G, angle=name == 'Gxtheta')}"
-    yield from map(_coupling, plant.cross)
-
-
-def _coupling(coupling: Coupling) -> str:
-    names = {axis: name for name, axis in AXES.items()}
-    axes = f'answer = "{names[coupling.answer]}"\ncommand = "{names[coupling.command]}"\n'
-    if coupling.along is not None:
-        axes += f'along = "{names[coupling.along]}"\ncentre = {coupling.centre!r}\n'
-    return f"\n[[plant.cross]]\n{axes}{_linear(coupling.G, coupling.along is not None)}"
 
 
 def _linear(G: ImpulseResponse, angle: bool) -> str:

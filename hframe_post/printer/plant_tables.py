@@ -1,4 +1,4 @@
-"""The table [plant] of a profile or a model: responses and couplings, checked completely."""
+"""The table [plant] of a profile or a model: its responses, checked completely."""
 
 from __future__ import annotations
 
@@ -6,23 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import TS, X, Y
+from hframe_post.arrays import TS
 from hframe_post.errors import ArgumentError, PrinterError
 from hframe_post.model.impulse_response import LONGEST, ImpulseResponse
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.plant import Bed, Coupling, Plant
+from hframe_post.model.plant import Bed, Plant
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.schema import (
     checked_value,
     known_keys,
-    list_of_tables,
     needed_keys,
     numbers,
     roots,
 )
 from hframe_post.printer.settings import PLACES, SHARE, Limits
 
-PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured", "cross", "moving_mass")
+PLANT = ("Ts", "x_c", "invented", "uncertainty", "measured", "moving_mass")
 MASS = {"least": 0.05, "most": 50.0}  # kg
 FUNCTION = ("zeros", "poles", "gain")
 RESPONSE = ("deviation", "lead")
@@ -30,8 +29,6 @@ KNOWN = ("lag", "drift", "unknown")  # of a response, too, if they are not 0
 MICRORAD = 1e-3  # rad per mm/sample² in which 1000 mm/s² during 1 ms cause 1 µrad
 DEVIATIONS = {"least": -1e6, "most": 1e6}  # µm or µrad
 LAGS = {"least": -1e3, "most": 1e3}  # ms, or µrad at 1 mm/s
-AXES = {"x": X, "y": Y}
-MAX_COUPLINGS = 16
 
 
 def read_plant(table: dict[str, Any]) -> Plant:
@@ -49,7 +46,7 @@ def read_plant(table: dict[str, Any]) -> Plant:
     if racking is not None and not np.append(racking.deviation, racking.lag).any():
         racking = None
     x_c = checked_value(float, table.get("x_c", 0.0), PLACES, "plant.x_c")
-    return Plant(functions["Gxx"], functions["Gyy"], racking, x_c, _cross(table.get("cross", [])))
+    return Plant(functions["Gxx"], functions["Gyy"], racking, x_c)
 
 
 def read_bed(mass: Any, limits: Limits, kinematics: Kinematics) -> Bed | None:
@@ -61,33 +58,6 @@ def read_bed(mass: Any, limits: Limits, kinematics: Kinematics) -> Bed | None:
         raise PrinterError(cause, "plant.moving_mass")
     mass = checked_value(float, mass, MASS, "plant.moving_mass")
     return Bed(mass, limits.filament_mass)
-
-
-def _cross(tables: Any) -> tuple[Coupling, ...]:
-    found = list_of_tables(tables, "plant.cross")
-    if len(found) > MAX_COUPLINGS:
-        raise PrinterError(f"must be at most {MAX_COUPLINGS}, they are {len(found)}", "plant.cross")
-    return tuple(_coupling(table, at) for at, table in found)
-
-
-def _coupling(table: dict[str, Any], key: str) -> Coupling:
-    axis_keys = ("answer", "command", "along", "centre")
-    known_keys(table, (*axis_keys, *FUNCTION, *RESPONSE, *KNOWN), key)
-    needed_keys(table, ("answer", "command", *(("centre",) if "along" in table else ())), key)
-    axes = {
-        name: AXES[checked_value(str, table[name], {"choices": tuple(AXES)}, f"{key}.{name}")]
-        for name in ("answer", "command", "along")
-        if name in table
-    }
-    if "along" not in axes and "centre" in table:
-        raise PrinterError("needs along, the axis of the lever arm", f"{key}.centre")
-    if "along" not in axes and axes["answer"] == axes["command"]:
-        cause = "is part of Gxx or Gyy, unless it has a lever arm: add along and centre"
-        raise PrinterError(cause, key)
-    centre = checked_value(float, table.get("centre", 0.0), PLACES, f"{key}.centre")
-    function = {name: value for name, value in table.items() if name not in axis_keys}
-    G = _linear(function, key, rest=0.0, angle="along" in axes)
-    return Coupling(axes["answer"], axes["command"], G, axes.get("along"), centre)
 
 
 def _linear(table: Any, key: str, rest: float, angle: bool) -> ImpulseResponse:

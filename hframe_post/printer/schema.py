@@ -155,6 +155,7 @@ OLD_KEYS = {
         ("limits.travel_velocity", "limits.travel_acceleration"), "slicers have both for travel"
     ),
     **{f"plant.{G}.{key}": ONE_PLACE for G in ("Gxx", "Gyy", "Gxtheta") for key in ("x", "places")},
+    "plant.cross": "but for racking, what x does to y is another thing the next day",
     "speed.avoid": "in the slicer, give outer walls a speed at which the motors shake less",
 }
 
@@ -175,13 +176,6 @@ def needed_keys(table: dict[str, Any], needed: Iterable[str], path: str) -> None
     for key in needed:
         if key not in table:
             raise PrinterError("the key is missing", f"{path}.{key}")
-
-
-def list_of_tables(tables: Any, path: str) -> list[tuple[str, dict[str, Any]]]:
-    """Return the tables of a list, each with its path. Raises PrinterError."""
-    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-        raise PrinterError(f"must be tables, each below [[{path}]]", path)
-    return [(f"{path}[{number}]", table) for number, table in enumerate(tables, 1)]
 
 
 # ----------------------------------------------------------------------

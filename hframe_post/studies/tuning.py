@@ -113,7 +113,7 @@ def tried(
     drawn: list[Plant],
 ) -> list[Trial]:  # fmt: skip
     """Return a trial of every candidate on samples of a path, in one pass. Raises HframeError."""
-    check_model(printer.plant, printer.compensation.windows, printer.travel, printer.limits)
+    check_model(printer.plant, printer.limits)
     trials = [Trial(windows) for windows in grid]
     compensators: list[tuple[Trial, Compensator]] = []
     for trial in trials:

@@ -1,8 +1,8 @@
 """Random printers that differ a little from the model.
 
 Each response takes more or less time, as it does when a belt gets tighter or a carriage heavier,
-and decays faster or slower. A nozzle at rest stays where its steps put it; only the gains of
-couplings are random.
+and decays faster or slower. A nozzle at rest stays where its steps put it; only the gain of
+racking is random.
 """
 
 from __future__ import annotations
@@ -27,24 +27,15 @@ def draws(plant: Plant, share: float, count: int, seed: int) -> list[Plant]:
         raise ArgumentError(f"a model error is a share from 0 to below 1, not {share:g}")
     rng = np.random.default_rng(seed)
     units = rng.uniform(-1.0, 1.0, (count, 3, 3))  # draw, transfer function, parameter
-    cross = rng.uniform(-1.0, 1.0, (count, len(plant.cross), 3))
-    units = np.concatenate([units, cross], axis=1)
     return [perturbed(plant, 1.0 + share * unit) for unit in units]
 
 
 def perturbed(plant: Plant, factors: Array) -> Plant:
-    """Return the plant with factors (k, 3) on frequency, damping and gain.
-
-    They are those of Gxx, Gyy, Gxθ and, if any, the other couplings.
-    """
-    (fx, dx, _), (fy, dy, _), theta, *others = factors.tolist()
+    """Return the plant with factors (3, 3) on frequency, damping and gain of Gxx, Gyy and Gxθ."""
+    (fx, dx, _), (fy, dy, _), theta = factors.tolist()
     Gxx, Gyy = _moved(plant.Gxx, fx, dx), _moved(plant.Gyy, fy, dy)
     Gxtheta = plant.Gxtheta and _moved(plant.Gxtheta, *theta)
-    cross = (
-        replace(coupling, G=_moved(coupling.G, *each))
-        for coupling, each in zip(plant.cross, others, strict=True)
-    )
-    return replace(plant, Gxx=Gxx, Gyy=Gyy, Gxtheta=Gxtheta, cross=tuple(cross))
+    return replace(plant, Gxx=Gxx, Gyy=Gyy, Gxtheta=Gxtheta)
 
 
 def _moved(

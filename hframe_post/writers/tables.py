@@ -49,8 +49,7 @@ def tabulate(chunks: Iterable[Samples], strategy: str, plant: Plant) -> Iterator
             following = np.concatenate([following, np.repeat(following[-1:], missing, axis=0)])
             response.run(following[:early])
             early = 0
-            nozzle, turns = response.motion(following[loaded.ahead :])
-            theta = turns[:, 0] if plant.Gxtheta else np.zeros(len(command))
+            nozzle, theta = response.motion(following[loaded.ahead :])
             t = np.arange(chunk.first + 1, chunk.end + 1) * TS
             yield np.column_stack([t, chunk.xyze[:, :Z], command, chunk.xyze[:, Z:], theta, nozzle])
 

@@ -5,20 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hframe_post.arrays import Array, X, Y
+from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import SETTLED, compensate, settling_samples
-from hframe_post.compensation.guard import check_model
-from hframe_post.errors import PrinterError
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.nozzle import Response
-from hframe_post.model.plant import Coupling, Plant
-from hframe_post.model.rounds import order, rounds_needed
+from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Travel
 from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
-from tests.coupled import coupled_plant
 from tests.paths import ORIGIN, stroke, strokes
 
 
@@ -67,73 +63,8 @@ def left(plant: Plant, command: Array) -> float:
     return float(np.sqrt(np.square(off).mean()))
 
 
-def test_racking_is_one_coupling_of_many() -> None:
-    """The same bits, in prediction and compensation, whether it has its own name or not."""
-    paper = load("paper").plant
-    assert paper.Gxtheta is not None
-    unnamed = replace(
-        paper, Gxtheta=None, cross=(Coupling(Y, X, paper.Gxtheta, X, paper.x_c),)
-    )  # fmt: skip
-    command = commanded(paper)
-    np.testing.assert_array_equal(commanded(unnamed), command)
-    one, other = (Response(plant, ORIGIN).run(command) for plant in (paper, unnamed))
-    np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.parametrize("along", [X, Y])
-def test_a_lever_arm_grows_with_the_distance_from_its_centre(along: int) -> None:
-    whole = coupled_plant(2)
-    G = whole.cross[1].G
-    plant = replace(whole, cross=(Coupling(Y, X, G, along, 50.0),))
-    wave = np.zeros((300, 2))
-    wave[:, X] = 1e-6 * np.sin(np.arange(300) / 5.0)  # so small that the lever stays
-
-    def added(place: float) -> Array:
-        origin = np.zeros(2)
-        origin[along] = place
-        response = Response(plant, origin)
-        without = Response(plant.decoupled(), origin)
-        return response.run(origin + wave)[:, Y] - without.run(origin + wave)[:, Y]
-
-    np.testing.assert_allclose(added(50.0), 0.0, atol=1e-10)
-    np.testing.assert_allclose(added(250.0), -2.0 * added(-50.0), atol=1e-9)
-
-
-@pytest.mark.parametrize("answer", [X, Y])
-def test_a_coupling_one_way_leaves_no_more_than_the_axes_alone(answer: int) -> None:
-    whole = coupled_plant(2)
-    plant = replace(whole, cross=tuple(c for c in whole.cross[::2] if c.answer == answer))
-    assert order(plant.couplings, 2) == (1 - answer, answer)
-    alone = left(plant.decoupled(), commanded(plant.decoupled()))
-    assert left(plant, commanded(plant, "fbs")) > 3.0 * alone
-    assert left(plant, commanded(plant)) < 1.1 * alone
-
-
-@pytest.mark.parametrize("seed", [0, 3])
-def test_coupled_compensation_of_random_printers(seed: int) -> None:
-    plant = coupled_plant(seed, most=0.2, racks=bool(seed % 2))
-    decoupled = left(plant, commanded(replace(plant, cross=())))
-    alone = left(plant.decoupled(), commanded(plant.decoupled()))
-    assert left(plant, commanded(plant)) < alone + 0.3 * (decoupled - alone)
-
-
-def test_stronger_couplings_take_more_rounds_and_no_command_cancels_too_strong_ones() -> None:
-    windows, paper = (WINDOW, WINDOW), load("paper")
-    weak, strong = (coupled_plant(seed) for seed in (1, 0))
-    assert rounds_needed(weak, windows) == 2
-    assert rounds_needed(strong, windows) == 4
-    check_model(strong, windows, paper.travel, paper.limits)
-    stronger = [
-        replace(c, G=replace(c.G, deviation=3.0 * c.G.deviation, lag=3.0 * c.G.lag))
-        for c in strong.cross
-    ]
-    too_strong = replace(strong, cross=tuple(stronger))
-    with pytest.raises(PrinterError, match="couplings of this model are so strong"):
-        check_model(too_strong, windows, paper.travel, paper.limits)
-
-
 def test_equal_bits_however_the_stream_is_cut() -> None:
-    plant = coupled_plant(4, racks=True)
+    plant = load("paper").plant
     whole = commanded(plant)
     for cuts in ((1, 2, 2, 700), tuple(range(7, 2000, 7))):
         np.testing.assert_array_equal(commanded(plant, cuts=cuts), whole)

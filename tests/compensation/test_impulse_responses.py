@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hframe_post.arrays import Array, X, Y
+from hframe_post.arrays import Array, X
 from hframe_post.compensation.compensate import compensate
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops
 from hframe_post.conversion.pipeline import prepared
@@ -14,7 +14,7 @@ from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.model.lpfbs import Lpfbs, Window
 from hframe_post.model.nozzle import Plants, nozzle
-from hframe_post.model.plant import Bed, Coupling, Plant
+from hframe_post.model.plant import Bed, Plant
 from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
@@ -30,15 +30,11 @@ from tests.plants import as_response
 
 
 def measured() -> Plant:
-    """Return an H-bot that racks, with couplings of every kind; y and a coupling lag."""
-    cross = (
-        Coupling(X, Y, as_response(coupling_mode(33.0, 0.09, 0.03), 0.0)),
-        Coupling(Y, X, as_response(coupling_mode(47.0, 0.1, 2e-4), 0.0), Y, 90.0),
-    )
+    """Return an H-bot that racks; y and racking lag."""
     theta = coupling_mode(38.0, 0.08, 4e-4)
     theta = replace(theta, zeros=theta.zeros[:1], gain=0.1 * theta.gain)  # by velocity, too
     x, y = as_response(axis_mode(43.0, 0.08)), as_response(damped_by_the_frame(31.0, 0.09))
-    return Plant(x, y, as_response(theta, 0.0), 140.0, cross)
+    return Plant(x, y, as_response(theta, 0.0), 140.0)
 
 
 def two_sided(hz: float, damping: float, m: int = 300, lead: int = 32) -> ImpulseResponse:
@@ -50,13 +46,10 @@ def two_sided(hz: float, damping: float, m: int = 300, lead: int = 32) -> Impuls
 def early() -> Plant:
     """Return a plant of responses with different leads, and transfer functions among them."""
     plant = measured()
-    G_x, G_y = two_sided(33.0, 0.1, 250, 9), two_sided(47.0, 0.1)
-    cross = (
-        replace(plant.cross[0], G=ImpulseResponse(0.02 * G_x.deviation, G_x.lead, 0.0)),
-        replace(plant.cross[1], G=ImpulseResponse(1e-4 * G_y.deviation, G_y.lead, 0.0)),
-    )
+    G = two_sided(47.0, 0.1)
+    theta = ImpulseResponse(1e-4 * G.deviation, G.lead, 0.0)
     Gxx, Gyy = two_sided(43.0, 0.06), two_sided(31.0, 0.07, lead=17)
-    return replace(plant, Gxx=Gxx, Gyy=Gyy, cross=cross)
+    return replace(plant, Gxx=Gxx, Gyy=Gyy, Gxtheta=theta)
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +113,7 @@ def test_a_preview_shorter_than_the_lead_still_ends_with_the_path() -> None:
     solver = Lpfbs(two_sided(40.0, 0.05), Window(5, 44, 44, 30.0))
     x_d = np.pad(strokes()[:, X], 500, mode="edge")
     assert len(solver.command(x_d)) == len(x_d)
-    plant = replace(early(), Gxtheta=None, cross=())
+    plant = replace(early(), Gxtheta=None)
     windows = Window(5, 44, 44, 30.0), Window(5, 44, 44, 30.0)
     for cuts in ((), (1, 2, 900)):
         state, taken, given = STRATEGIES["fbs"].begin(Compensator(plant, windows), ORIGIN), 0, 0
@@ -262,9 +255,9 @@ def test_a_bed_gets_heavier_with_its_lead(hbot: Printer) -> None:
 
 
 def test_a_printer_off_its_response_is_one_off_its_mode() -> None:
-    """Frequency and damping of the axes, and the gain of couplings."""
+    """Frequency and damping of the axes, and the gain of racking."""
     plant = measured()
-    factors = np.ones((5, 3))
+    factors = np.ones((3, 3))
     factors[:2, :2] = (1.05, 0.8), (0.93, 1.1)
     moved_plant, omega = perturbed(plant, factors), np.linspace(0.05, 0.5, 200)  # 8 to 80 Hz
     for G, H in (
@@ -277,8 +270,9 @@ def test_a_printer_off_its_response_is_one_off_its_mode() -> None:
         )
         assert np.abs(off).max() < 0.03 * np.abs(size).max()  # µm, after 1000 mm/s² for 1 ms
         assert float(G.response(np.zeros(1))[0].real) == 1.0
-    stronger = np.ones((5, 3))
-    stronger[2:4, 2] = 1.2
-    for before, after in zip(plant.couplings, perturbed(plant, stronger).couplings, strict=True):
-        factor = 1.0 if before is plant.couplings[2] else 1.2
-        assert np.allclose(after.G.response(omega), factor * before.G.response(omega), atol=1e-12)
+    stronger = np.ones((3, 3))
+    stronger[2, 2] = 1.2
+    before, after = plant.Gxtheta, perturbed(plant, stronger).Gxtheta
+    assert before is not None
+    assert after is not None
+    assert np.allclose(after.response(omega), 1.2 * before.response(omega), atol=1e-12)

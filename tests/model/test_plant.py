@@ -16,7 +16,6 @@ from hframe_post.model.nozzle import Plants, Response
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.uncertainty import draws
-from tests.coupled import coupled_plant
 from tests.modes import axis_mode, damped_by_the_frame, deviation_of_mode
 from tests.paths import walk
 from tests.plants import Filter, as_response
@@ -74,10 +73,10 @@ def test_any_real_roots_and_pairs_make_sections(seed: int) -> None:
     np.testing.assert_allclose(response, G.response(omega), rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("coupled", [True, False])
+@pytest.mark.parametrize("racks", [True, False])
 @pytest.mark.parametrize(("plants", "commands"), [(1, 1), (1, 3), (2, 2), (7, 1)])
-def test_side_by_side(paper: Printer, plants: int, commands: int, coupled: bool) -> None:
-    own = coupled_plant(1, racks=True) if coupled else paper.plant
+def test_side_by_side(paper: Printer, plants: int, commands: int, racks: bool) -> None:
+    own = paper.plant if racks else paper.plant.decoupled()
     drawn = (own, *draws(own, 0.1, plants - 1, seed=1))
     origin = np.array([200.0, 80.0])
     each = [origin + walk(np.random.default_rng(k), 1000) for k in range(commands)]

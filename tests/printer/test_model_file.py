@@ -13,7 +13,6 @@ from hframe_post.model.lpfbs import Window
 from hframe_post.printer.model_file import measured, model_path, texts, with_windows
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer, Verified
-from tests.coupled import coupled_plant
 from tests.printers import in_two
 
 WINDOWS = Window(8, 55, 27, 30.0), Window(8, 55, 27, 58.75)
@@ -121,18 +120,6 @@ def test_the_mass_of_a_bed_is_part_of_the_model(mine: Path) -> None:
     found = load(str(mine))
     assert found.plant.bed is not None
     assert found.plant.bed.mass == 0.8
-
-
-def test_couplings_are_written_as_they_are_read(mine: Path) -> None:
-    mine.write_text('extends = "paper"\n')
-    plant = coupled_plant(1, racks=True)
-    in_two(mine, measured(load(str(mine)), plant, None, None), str(mine))
-    found = load(str(mine)).plant
-    assert len(found.cross) == len(plant.cross) == 4
-    for one, other in zip(found.couplings, plant.couplings, strict=True):
-        assert (one.answer, one.command) == (other.answer, other.command)
-        assert (one.along, one.centre) == (other.along, other.centre)
-        np.testing.assert_allclose(one.G.deviation, other.G.deviation, atol=1e-4)
 
 
 @pytest.mark.parametrize(

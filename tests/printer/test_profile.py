@@ -151,45 +151,6 @@ def test_bad_transfer_function_is_an_error(gain: str, zeros: str, poles: str, ca
     assert cause in found.cause
 
 
-CROSS = """[[plant.cross]]
-answer = "y"
-command = "x"
-along = "x"
-centre = 150.0
-gain = 0.01
-zeros = [[1.0, 0.0]]
-poles = [[0.9, 0.1], [0.9, -0.1]]
-"""
-
-
-def test_couplings_are_read() -> None:
-    constant = CROSS.replace('along = "x"\ncentre = 150.0\n', "").replace('"y"\n', '"x"\n', 1)
-    constant = constant.replace('command = "x"', 'command = "y"')
-    first, second = parse(extending(CROSS + constant), "mine").plant.cross
-    assert (first.answer, first.command, first.along, first.centre) == (1, 0, 0, 150.0)
-    assert (second.answer, second.command, second.along) == (0, 1, None)
-    assert first.G.deviation.any()
-
-
-@pytest.mark.parametrize(
-    ("pattern", "replacement", "key", "cause"),
-    [
-        ('"y"', '"z"', "plant.cross[1].answer", "one of x, y"),
-        ("centre = 150.0", "center = 150.0", "plant.cross[1].center", "nearest known is 'centre'"),
-        ('along = "x"\n', "", "plant.cross[1].centre", "needs along"),
-        ('"y"\n(command = "x"\n)along.*\ncentre.*\n', r'"x"\n\1', "plant.cross[1]",
-         "has a lever arm"),
-        (r"\[1.0, 0.0\]", "[0.9, 0.0]", "plant.cross[1]", "gain at rest must be 0"),
-        (r"\[\[plant.cross\]\]", "[plant.cross]", "plant.cross", "below [[plant.cross]]"),
-        (r"(?s)\A(.*)\Z", 17 * r"\1", "plant.cross", "at most 16"),
-    ],
-)  # fmt: skip
-def test_bad_couplings_are_errors(pattern: str, replacement: str, key: str, cause: str) -> None:
-    found = error(extending(re.sub(pattern, replacement, CROSS, count=1)))
-    assert found.key == key
-    assert cause in found.cause
-
-
 @pytest.mark.parametrize(
     ("pattern", "key"),
     [

@@ -1,6 +1,5 @@
 """Printers drawn around the model: repeatable, at rest as they were."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +10,6 @@ from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer import profile
 from hframe_post.studies.uncertainty import draws
-from tests.coupled import coupled_plant
 
 PLANT = profile.load("paper").plant
 CARTESIAN = profile.load("example-cartesian").plant
@@ -26,16 +24,6 @@ def same(one: Plant, other: Plant) -> bool:
         np.array_equal(G.deviation, H.deviation) and G.lag == H.lag
         for G, H in zip(responses(one), responses(other), strict=True)
     )
-
-
-def test_couplings_move_too_and_leave_the_axes_alone() -> None:
-    coupled = replace(PLANT, cross=coupled_plant(1).cross)
-    for one, other in zip(draws(coupled, 0.1, 8, 1), draws(PLANT, 0.1, 8, 1), strict=True):
-        assert same(one, other)
-        for moved, own in zip(one.cross, coupled.cross, strict=True):
-            assert moved.G.dc_gain == 0.0
-            longer = len(moved.G.deviation) / len(own.G.deviation)
-            assert 0.9 <= longer <= 1.12
 
 
 def test_equal_seeds_give_equal_printers_and_others_do_not() -> None:

@@ -63,6 +63,7 @@ def kernel_file(printer: Printer) -> bytes | None:
     bounds = bounds_of(printer)
     try:
         made, figures = live_kernel(printer)
+        racking = [made.racking] if made.racking else []
     except ArgumentError as error:
         return f"no kernel: {error}\n".encode()
     return signed(
@@ -77,11 +78,7 @@ def kernel_file(printer: Printer) -> bytes | None:
             **{name: float(f"{getattr(figures, name):.6g}") for name in FIGURES},
             "x": made.axes[X].tolist(),
             "y": made.axes[Y].tolist(),
-            "couplings": [
-                (its.answer, its.command, -1 if its.along is None else its.along, its.centre,
-                 h.tolist())
-                for its, h in made.couplings
-            ],
+            "couplings": [(Y, X, X, its.x_c, h.tolist()) for its, h in racking],
         }
     )  # fmt: skip
 
@@ -106,7 +103,7 @@ def check_live(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
         yield Finding(True, f"{path}: {error}")
         return
     wanted, _ = live_kernel(printer)
-    weights = [*wanted.axes, *(h for _, h in wanted.couplings)]
+    weights = [*wanted.axes, *(wanted.racking[1:] if wanted.racking else ())]
     there = [found["x"], found["y"], *(row[4] for row in found["couplings"])]
     if np.shape(there) != np.shape(weights) or np.abs(np.subtract(there, weights)).max() > SAME:
         again = "write it again: hframe-post setup printer.cfg, then restart Klipper"
