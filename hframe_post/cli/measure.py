@@ -36,20 +36,6 @@ def _chip(text: str) -> str:
     return text
 
 
-def _purpose(text: str) -> str:
-    if text == "verify":
-        raise click.BadParameter(
-            "verify is gone: '--for check' writes a run that also tells what compensation brings"
-        )
-    if text == "bands":
-        raise click.BadParameter(
-            "bands is gone: Shake&Tune's CREATE_VIBRATIONS_PROFILE shows them; give outer walls "
-            "another speed"
-        )
-    choices = click.Choice(["identify", "check", "planner"])
-    return str(choices.convert(text, None, None))
-
-
 @click.command()
 @click.option(
     "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False),
@@ -58,8 +44,7 @@ def _purpose(text: str) -> str:
 @printer_option
 @click.option(
     "--for", "purpose", default="identify", show_default=True,
-    type=_purpose, metavar="[identify|check|planner]",
-    help="What to find out.",
+    type=click.Choice(["identify", "check", "planner"]), help="What to find out.",
 )  # fmt: skip
 @click.option(
     "--position", "places", type=position, multiple=True, metavar="X,Y",

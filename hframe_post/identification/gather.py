@@ -20,7 +20,7 @@ from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.estimation.measured import Run
 from hframe_post.identification.recordings import accelerometer
-from hframe_post.identification.recordings.clock import QUIET, known_start, on_command_clock
+from hframe_post.identification.recordings.clock import known_start, on_command_clock
 from hframe_post.identification.recordings.folder import (
     Aside,
     Measurement,
@@ -82,9 +82,6 @@ class Experiment:
         }  # fmt: skip
 
 
-SECOND = "of a second sensor, {}; printer.cfg or the shorter name says which one counts"
-
-
 @dataclass(frozen=True, slots=True)
 class Gathered:
     """Experiments that are used, and the files that were left aside."""
@@ -140,12 +137,12 @@ def from_folders(
     """
     held = contents(paths, columns, _chips(config) or chips)
     found, aside = list[Experiment](), list(held.aside)
-    aside += [Aside(one.label, SECOND.format(one.name.chip)) for one in held.second]
     for one in held.measurements:
         try:
             found.append(_experiment(one, config, travel))
         except HframeError as error:
-            aside.append(Aside(one.label, str(error)))
+            strange = [] if one.recording.up.any() else one.recording.warnings()[-1:]
+            aside.append(Aside(one.label, ". ".join([*strange, str(error)])))
     struck = {axis for one in found if one.run.known_start for axis in one.run.axes}
     used = []
     for each in _exchanged(found):
@@ -194,7 +191,7 @@ def _exchanged(found: Sequence[Experiment]) -> list[Experiment]:
 
 def _experiment(one: Measurement, config: KlipperConfig | None, travel: Travel) -> Experiment:
     """Return the experiment that a recording is of. Raises HframeError."""
-    command, notes = one.command, accelerometer.diagnose(one.recording, QUIET)
+    command, notes = one.command, one.recording.warnings()
     if command is None:
         found = find(one.recording, _expected(one, config, travel))
         run = Run(one.label, found.test.command(), _in_sensor_axes(one, config), found.clock)

@@ -12,7 +12,6 @@ from hframe_post.identification.recordings.accelerometer import (
     GRAVITY,
     Recording,
     axis_map,
-    diagnose,
     read,
 )
 from tests.recordings import SIXTEEN_BITS, THIRTEEN_BITS, Sensor, spline, sweep
@@ -161,7 +160,7 @@ def test_a_few_missing_samples_are_filled_and_reported(tmp_path: Path, rows: Arr
     np.testing.assert_allclose(found.t, rows[:, 0], atol=2e-5)
     between = np.linspace(rows[999], rows[1060], 62)[1:-1, 1:]
     np.testing.assert_allclose(found.a[1000:1060], between, atol=1.0)
-    (note,) = diagnose(found, 0.5)
+    (note,) = found.warnings()
     assert note.startswith("63 samples (")
     assert "the longest gap is 19" in note
 
@@ -262,9 +261,9 @@ def resting() -> Recording:
 @pytest.mark.parametrize(("scale", "shown"), [(1e-3, "0.0098"), (0.0, "0 m"), (1.3, "12.7")])
 def test_implausible_gravity_is_a_warning(scale: float, shown: str) -> None:
     recording = resting()
-    assert diagnose(recording, 1.0) == []
+    assert recording.warnings() == []
     wrong = Recording(recording.t, recording.a * scale, True)
-    (text,) = diagnose(wrong, 1.0)
+    (text,) = wrong.warnings()
     assert shown in text
     assert "unit" in text
 
@@ -275,6 +274,6 @@ def test_another_range_is_scaled_by_gravity(tmp_path: Path, rows: Array, factor:
     wrong = rows * [1.0, factor, factor, factor]
     recording = read(file(tmp_path, klipper(wrong)))
     np.testing.assert_allclose(recording.a, rows[:, 1:], atol=1e-4)
-    (note,) = diagnose(recording, 0.5)
+    (note,) = recording.warnings()
     assert "gravity reads" in note
     assert f"multiplied by {1.0 / factor:g}" in note

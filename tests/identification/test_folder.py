@@ -177,7 +177,7 @@ def test_one_sensor_is_used_where_two_recorded(tmp_path: Path) -> None:
     assert set(by_name(contents([held]))) == {names[0], names[2]}
     found = contents([held], chips={"x": "adxl345", "y": "adxl345_bed"})
     assert set(by_name(found)) == {names[0], names[3]}
-    assert {one.label for one in found.second} == {names[1], names[2]}
+    assert {one.label for one in found.aside} == {names[1], names[2]}
 
 
 def test_klipper_names_a_sensor_by_the_last_word_of_its_section(tmp_path: Path) -> None:

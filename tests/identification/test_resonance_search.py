@@ -1,6 +1,7 @@
 """The parameters, start and clock of a resonance test, found in its recording."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,11 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from hframe_post.errors import IdentificationError
+from hframe_post.identification.gather import from_folders
 from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.resonance_search import find
+from hframe_post.printer.settings import Travel
+from tests.recordings import write_klipper
 from tests.resonance_recordings import (
     BELTS,
     START,
@@ -159,10 +163,11 @@ def test_a_sensor_on_a_frame_is_neither_shaped_nor_cut() -> None:
         find(on_the_frame(made, 9.0), test)
 
 
-def test_values_in_another_unit_are_no_weak_motion(whole: Recorded) -> None:
+def test_values_in_another_unit_are_no_weak_motion(whole: Recorded, tmp_path: Path) -> None:
     r = whole.recording
-    with pytest.raises(IdentificationError, match=r"shows 9\d\d mm/s² instead of gravity, 9810"):
-        find(replace(r, a=r.a * 0.1), whole.test)
+    write_klipper(tmp_path / "raw_data_x_1.csv", replace(r, a=r.a * 0.1))
+    with pytest.raises(IdentificationError, match=r"shows 0\.9\d* m/s² instead of gravity, 9\.81"):
+        from_folders([tmp_path], None, Travel((0.0, 300.0), (0.0, 300.0), (0.0, 300.0)))
 
 
 def test_a_test_of_weak_pulses_is_taken() -> None:

@@ -130,6 +130,27 @@ class Recording:
         """Return the median time between samples in s, on the sensor's own clock."""
         return float(np.median(np.diff(self.t)))
 
+    @property
+    def gravity(self) -> float:
+        """Return the size of the mean in mm/s²: a motion from rest to rest adds nothing to it."""
+        return float(np.linalg.norm(self.a.mean(axis=0)))
+
+    @property
+    def up(self) -> Array:
+        """Return the unit vector (3,) of gravity's reaction, zero if the mean is not gravity."""
+        known = PLAUSIBLE[0] <= self.gravity <= PLAUSIBLE[1]
+        return np.asarray(self.a.mean(axis=0) / self.gravity if known else np.zeros(3))
+
+    def warnings(self) -> list[str]:
+        """Return what is unusual, for the owner."""
+        if self.up.any():
+            return list(self.notes)
+        return [
+            *self.notes,
+            f"on average the sensor shows {self.gravity / 1000.0:.4g} m/s² instead of gravity, "
+            "9.81 m/s². Its tilt is not removed. Check its unit and range",
+        ]
+
 
 def read(path: str | Path, columns: Sequence[str] | None = None) -> Recording:
     """Return the recording in a file of any known format, which must hold one only.
@@ -240,21 +261,6 @@ def _clipped(values: Array) -> int | None:
     return min(found, default=None)
 
 
-# ---------------------------------------------------------------------- axes and gravity
-
-
-def diagnose(recording: Recording, quiet: float) -> list[str]:
-    """Return warnings about a recording as it was read; quiet: s of rest at its start."""
-    gravity = float(np.linalg.norm(at_rest(recording, quiet)))
-    if PLAUSIBLE[0] <= gravity <= PLAUSIBLE[1]:
-        return list(recording.notes)
-    return [
-        *recording.notes,
-        f"at rest the sensor shows {gravity / 1000.0:.4g} m/s² instead of gravity, 9.81 m/s². "
-        "Its tilt is not removed. Check its unit, and that the printer stood still at the start",
-    ]
-
-
 def axis_map(axes: str) -> Array:
     """Return the matrix (3, 3) for a map such as ``x=-y,y=x,z=z``.
 
@@ -274,9 +280,3 @@ def axis_map(axes: str) -> Array:
             "x=-y,y=x,z=z"
         )
     return matrix
-
-
-def at_rest(recording: Recording, quiet: float) -> Array:
-    """Return what a sensor shows, (3,), in the first ``quiet`` seconds, in which it is at rest."""
-    count = int(np.searchsorted(recording.t, recording.t[0] + quiet))
-    return np.asarray(recording.a[: max(count, 1)].mean(axis=0))

@@ -38,11 +38,7 @@ from scipy.signal import fftconvolve, firwin, upfirdn
 from hframe_post.arrays import TS, Array, Integers, X, Y
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
-from hframe_post.identification.recordings.accelerometer import (
-    PLAUSIBLE,
-    Recording,
-    at_rest,
-)
+from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.chirp import (
     find_line,
     robust_fit,
@@ -182,8 +178,7 @@ def self_aligned(command: Array, recording: Recording, rough: Clock | None = Non
     whole = np.pad(command, (0, TAIL))
     recorded = sensor.recorded(clock.at(np.arange(len(whole))))
     acceleration = sensor.resampled(clock, len(whole)) * recorded[:, None]
-    up = upwards(recording.a.mean(axis=0))
-    return SelfAligned(whole * recorded, acceleration, up, clock)
+    return SelfAligned(whole * recorded, acceleration, recording.up, clock)
 
 
 def _by_chirp(command: Array, recording: Recording) -> Clock:
@@ -236,7 +231,6 @@ def _refined(command: Array, acceleration: Array, reach: float) -> float:
 PLAYED_SD = 2e-5  # s: by how much Klipper plays a motion longer or shorter than its command
 AGREED = 1e-3  # s by which the two starts may differ, beyond the time between samples
 SHORTEST_STOP = 0.1  # s by which Klipper moves the print time at least, once its queue is empty
-QUIET = 0.5  # s at the start of a recording in which the printer is at rest
 SLOW_HZ = (2.0, 10.0)
 PART, LAG_REACH = 8000, 2000  # samples of a part that must follow in time, and of its search
 MISSING = 0.5  # s at either end, in which the motion rests
@@ -281,8 +275,7 @@ def on_command_clock(command: Array, recording: Recording, clock: Clock) -> Arra
     of the sensor: up to 250 Hz of 3200 samples a second. Raises IdentificationError if the
     recording does not follow the command in time, or does not cover it.
     """
-    rest = at_rest(recording, QUIET)
-    sensor = Resampler(recording.t, recording.a - rest)
+    sensor = Resampler(recording.t, recording.a - recording.a.mean(axis=0))
     sensor.check_covers(clock.at(np.array([0, len(command) - 1])), MISSING)
     a = sensor.resampled(clock, len(command))
     moved = [axis for axis in (0, 1) if np.ptp(command[:, axis]) > 0.0]
@@ -295,7 +288,7 @@ def on_command_clock(command: Array, recording: Recording, clock: Clock) -> Arra
     D = (D / columns.std(axis=0)[:, None])[: len(moved)]
     if (np.linalg.norm(D, axis=1) < verdict.SHOWN).any():
         raise not_found()
-    return np.asarray(a @ np.linalg.inv(axes_in_sensor(np.eye(2)[moved], D, upwards(rest))))
+    return np.asarray(a @ np.linalg.inv(axes_in_sensor(np.eye(2)[moved], D, recording.up)))
 
 
 def _slow_part(values: Array) -> Array:
@@ -306,19 +299,11 @@ def _slow_part(values: Array) -> Array:
     return np.asarray(irfft(spectra, len(values), axis=0))
 
 
-def upwards(rest: Array) -> Array:
-    """Return the unit vector (3,) of gravity's reaction in what a sensor shows at rest, (3,); zero
-    if that is not gravity."""
-    strength = float(np.linalg.norm(rest))
-    plausible = PLAUSIBLE[0] <= strength <= PLAUSIBLE[1]
-    return np.asarray(rest / strength if plausible else np.zeros(3))
-
-
 def axes_in_sensor(commanded: Array, seen: Array, up: Array) -> Array:
     """Return the printer's axes as the sensor sees them: x, y and z, in rows (3, 3).
 
     commanded (k, 2): directions in x and y that moved; seen (k, 3): where the sensor saw them, of
-    any length. up: as of ``upwards``, needed if all moved along one line; raises
+    any length. up: as of ``Recording``, needed if all moved along one line; raises
     IdentificationError without it.
     """
     seen = seen / np.linalg.norm(seen, axis=1, keepdims=True)

@@ -124,14 +124,10 @@ class Aside:
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a folder holds: measurements of known motions, and what is left aside.
-
-    second: of the same motions, by another sensor.
-    """
+    """What a folder holds: measurements of known motions, and what is left aside."""
 
     measurements: list[Measurement]
     aside: list[Aside]
-    second: list[Measurement]
 
 
 def contents(
@@ -161,14 +157,10 @@ def contents(
         for each in read
         if not isinstance(each, RunMotion)
     ]
-    found = list(_without_copies(found))
-    second = _of_second_sensors(found, chips)
-    done = list(_in_sessions([each for each in found if each not in second]))
-    return Contents(
-        [each for each in done if isinstance(each, Measurement)],
-        [each for each in done if isinstance(each, Aside)],
-        second,
-    )
+    sorted_out = list(_without_second_sensors(list(_without_copies(found)), chips))
+    measurements = [each for each in sorted_out if isinstance(each, Measurement)]
+    aside = [each for each in sorted_out if isinstance(each, Aside)]
+    return Contents(list(_in_sessions(measurements)), aside)
 
 
 def files_in(paths: Sequence[Path]) -> dict[Path, str]:
@@ -303,26 +295,30 @@ def _without_copies(found: list[Measurement | Aside]) -> Iterator[Measurement | 
             yield one
 
 
-def _of_second_sensors(
+def _without_second_sensors(
     found: Sequence[Measurement | Aside], chips: Mapping[str, str]
-) -> list[Measurement]:
-    """Return what other sensors recorded of directions of which several sensors are named."""
+) -> Iterator[Measurement | Aside]:
+    """Yield what one sensor recorded of directions of which several sensors are named."""
     known = [one for one in found if isinstance(one, Measurement)]
-    second = []
-    for one in known:
-        if one.name.chip:
-            rivals = {each.name.chip for each in known if each.direction == one.direction} - {""}
-            section = chips.get("x" if one.direction and one.direction[0] else "y", "")
-            wanted = {chip for chip in rivals if f"_{section}".endswith(f"_{chip}")}
-            if one.name.chip != max(wanted or {min(rivals, key=len)}, key=len):
-                second.append(one)
-    return second
+    counts = "printer.cfg or the shorter name says which one counts"
+    for one in found:
+        if isinstance(one, Aside) or _counts(one, known, chips):
+            yield one
+        else:
+            yield Aside(one.label, f"of a second sensor, {one.name.chip}; {counts}")
 
 
-def _in_sessions(found: list[Measurement | Aside]) -> Iterator[Measurement | Aside]:
+def _counts(one: Measurement, known: Sequence[Measurement], chips: Mapping[str, str]) -> bool:
+    if not one.name.chip:
+        return True
+    rivals = {each.name.chip for each in known if each.direction == one.direction} - {""}
+    section = chips.get("x" if one.direction and one.direction[0] else "y", "")
+    wanted = {chip for chip in rivals if f"_{section}".endswith(f"_{chip}")}
+    return one.name.chip == max(wanted or {min(rivals, key=len)}, key=len)
+
+
+def _in_sessions(found: Sequence[Measurement]) -> Iterator[Measurement]:
     counts: Counter[tuple[object, ...]] = Counter()
-    known = [one for one in found if isinstance(one, Measurement)]
-    for one in sorted(known, key=lambda each: (each.name.date, each.label)):
+    for one in sorted(found, key=lambda each: (each.name.date, each.label)):
         counts[one.test] += 1
         yield replace(one, session=counts[one.test])
-    yield from (one for one in found if isinstance(one, Aside))

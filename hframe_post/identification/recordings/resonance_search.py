@@ -21,7 +21,7 @@ from scipy.signal.windows import hann
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
-from hframe_post.identification.recordings.accelerometer import PLAUSIBLE, Recording
+from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.chirp import (
     RATE,
     ChirpLine,
@@ -241,19 +241,6 @@ def find(recording: Recording, expected: ResonanceTest) -> Found:
     Raises IdentificationError if there is none, if a part is missing, or if the recording does not
     show its motion.
     """
-    try:
-        return _found(recording, expected)
-    except IdentificationError as error:
-        gravity = float(np.linalg.norm(recording.a.mean(axis=0)))
-        if PLAUSIBLE[0] <= gravity <= PLAUSIBLE[1]:
-            raise
-        raise IdentificationError(
-            f"on average the sensor shows {gravity:.3g} mm/s² instead of gravity, 9810: check its "
-            f"unit and range. {str(error)[0].upper()}{str(error)[1:]}"
-        ) from None
-
-
-def _found(recording: Recording, expected: ResonanceTest) -> Found:
     a = uniform(recording.t, recording.a)
     line = find_line(a)
     if not line.clear:
