@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from threading import Event
 from typing import Any, Literal
 
 from hframe_post.conversion.options import Options
@@ -23,7 +22,9 @@ from hframe_post.gcode.lines import NAMES, is_gcode_name
 from hframe_post.process import ChildProcess, own_command, processor_count
 
 State = Literal["waiting", "done", "skipped", "failed", "stopped"]
-INTERRUPTS = ("SIGINT", "SIGHUP", "SIGQUIT")  # that a terminal sends to all processes of a job
+INTERRUPTS = [  # that a terminal sends to all processes of a job
+    getattr(signal, name) for name in ("SIGINT", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,116 +84,74 @@ class Job:
         return text
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """How a conversion ended: exit status (-n: signal n), its outputs, and seconds."""
-
-    status: int
-    output: bytes
-    error: bytes
-    seconds: float
-
-    def update(self, job: Job) -> Job:
-        if self.status == 0:
-            return replace(job, state="done", seconds=self.seconds, summary=json.loads(self.output))
-        try:
-            failure = json.loads(self.output)
-        except ValueError:  # killed before it could say anything
-            failure = {}
-        return replace(
-            job, state="failed", seconds=self.seconds,
-            error=failure.get("error") or self._cause(), line=failure.get("line"),
-        )  # fmt: skip
-
-    @property
-    def interrupted(self) -> bool:
-        """Return whether it was ended by a signal that a terminal sends to the whole batch."""
-        return self.status in [-getattr(signal, name, 0) for name in INTERRUPTS if self.status < 0]
-
-    def _cause(self) -> str:
-        lines = self.error.decode("utf-8", "replace").strip().splitlines()
-        if lines:
-            return lines[-1].removeprefix("Error: ")
-        if self.status < 0:
-            return f"killed by {signal.Signals(-self.status).name}"
-        return f"exit status {self.status}"
-
-
-class Conversion(ChildProcess):
-    """A running ``hframe-post convert``."""
-
-    def __init__(self, source: Path, target: Path, printer: str, options: Options) -> None:
-        self._start = time.monotonic()
-        given = ["-o", str(target), "-q", "--json", "-", "-p", printer, *options.words()]
-        super().__init__([*own_command(), "convert", *given, "--", str(source)])
-
-    def outcome(self) -> Outcome:
-        """Wait for the end."""
-        return Outcome(*self.wait(), time.monotonic() - self._start)
-
-
 class Converter:
     """Converts several files at a time, which share this machine's processors."""
 
     def __init__(self, files: int | None, printer: str, options: Options) -> None:
         processors = processor_count()
         self.files = files or processors
-        self._printer = printer
-        self._options = replace(options, jobs=max(processors // self.files, 1))
-        self._running: set[Conversion] = set()
+        each = replace(options, jobs=max(processors // self.files, 1))
+        self._words = "-q", "--json", "-", "-p", printer, *each.words()
+        self._running = set[ChildProcess]()
         self._stopped = False
 
-    def convert(self, job: Job) -> Job:
-        """Convert one file; return its job as done, failed or stopped."""
-        conversion = Conversion(job.source, job.target, self._printer, self._options)
-        self._running.add(conversion)
-        if self._stopped:  # in the meantime
-            conversion.stop()
-        outcome = conversion.outcome()
-        self._running.discard(conversion)
-        if outcome.interrupted or (self._stopped and outcome.status != 0):
-            return replace(job, state="stopped", seconds=outcome.seconds)
-        return outcome.update(job)
+    def run(self, jobs: list[Job]) -> Iterator[Job]:
+        """Convert the waiting jobs; replace each in the list, and yield it, when it has ended.
+
+        Those that have not begun when it is stopped become ``stopped`` and are not yielded.
+        """
+        with ThreadPoolExecutor(self.files) as pool:
+            waiting = (k for k, job in enumerate(jobs) if job.state == "waiting")
+            places = {pool.submit(self._converted, jobs[k]): k for k in waiting}
+            try:
+                for future in as_completed(places):
+                    k, ended = places[future], future.result()
+                    jobs[k] = ended or replace(jobs[k], state="stopped")
+                    if ended is not None:
+                        yield ended
+            except BaseException:  # the caller gave up, too
+                self.stop()
+                raise
 
     def stop(self) -> None:
         """Start no more conversions, and stop those that are running."""
         self._stopped = True
-        for conversion in list(self._running):
-            conversion.stop()
+        for child in list(self._running):
+            child.stop()
 
-
-def run(jobs: list[Job], converter: Converter, stop: Event) -> Iterator[Job]:
-    """Convert the waiting jobs; replace each in the list, and yield it, when it has ended.
-
-    Once ``stop`` is set no other begins; those that wait become ``stopped`` and are not yielded.
-    """
-    with ThreadPoolExecutor(converter.files) as pool:
-        places = {
-            pool.submit(_converted, job, converter, stop): k
-            for k, job in enumerate(jobs)
-            if job.state == "waiting"
-        }
+    def _converted(self, job: Job) -> Job | None:
+        """Convert one file; return the job as it ended, None if it did not begin."""
+        if self._stopped:
+            return None
         try:
-            for future in as_completed(places):
-                k, ended = places[future], future.result()
-                jobs[k] = ended or replace(jobs[k], state="stopped")
-                if ended is not None:
-                    yield ended
-        except BaseException:  # the caller gave up, too
-            stop.set()
-            converter.stop()
-            raise
+            job.target.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            return replace(job, state="failed", error=f"{job.target.parent}: {error.strerror}")
+        began, files = time.monotonic(), ("-o", str(job.target), "--", str(job.source))
+        child = ChildProcess([*own_command(), "convert", *self._words, *files])
+        self._running.add(child)
+        if self._stopped:  # in the meantime
+            child.stop()
+        status, output, said = child.wait()
+        self._running.discard(child)
+        job = replace(job, seconds=time.monotonic() - began)
+        if status == 0:
+            return replace(job, state="done", summary=json.loads(output))
+        if self._stopped or -status in INTERRUPTS:
+            return replace(job, state="stopped")
+        try:
+            failure = json.loads(output)
+        except ValueError:  # killed before it could say anything
+            failure = {}
+        cause = failure.get("error") or _cause(status, said.decode("utf-8", "replace"))
+        return replace(job, state="failed", error=cause, line=failure.get("line"))
 
 
-def _converted(job: Job, converter: Converter, stop: Event) -> Job | None:
-    """Return the job as it ended; None if it did not begin."""
-    if stop.is_set():
-        return None
-    try:
-        job.target.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        return replace(job, state="failed", error=f"{job.target.parent}: {error.strerror}")
-    return converter.convert(job)
+def _cause(status: int, said: str) -> str:
+    """Return why a conversion failed. status: of its exit, or -n for a signal n."""
+    if lines := said.strip().splitlines():
+        return lines[-1].removeprefix("Error: ")
+    return f"killed by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
 
 
 # ----------------------------------------------------------------------

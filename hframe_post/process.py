@@ -116,12 +116,11 @@ def _die(number: int, _: FrameType | None) -> None:
 class Interruption:
     """The first of the signals that would end the process, put off until a command has reported.
 
-    A second signal ends the process at once. event: set by the first one.
+    A second signal ends the process at once. number: of the first one; 0: none yet.
     """
 
     def __init__(self) -> None:
-        self.event = threading.Event()
-        self.number = 0  # of the signal; 0: none yet
+        self.number = 0
 
     @contextlib.contextmanager
     def put_off(self, stop: Callable[[], None]) -> Iterator[None]:
@@ -131,7 +130,6 @@ class Interruption:
             if self.number:
                 _die(number, frame)
             self.number = number
-            self.event.set()
             stop()
 
         numbers = [getattr(signal, name) for name in FATAL_SIGNALS if hasattr(signal, name)]

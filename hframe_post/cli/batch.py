@@ -6,7 +6,6 @@ import sys
 from collections.abc import Iterable, Sequence
 from itertools import chain
 from pathlib import Path
-from threading import Event
 from time import monotonic
 from typing import Any
 
@@ -23,7 +22,7 @@ from hframe_post.cli.parameters import (
 )
 from hframe_post.conversion.options import Options, first_line
 from hframe_post.errors import HframeError
-from hframe_post.jobs import Converter, Job, State, jobs_for, run, with_targets
+from hframe_post.jobs import Converter, Job, State, jobs_for, with_targets
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.process import Interruption
 from hframe_post.writers.outputs import Outputs
@@ -83,7 +82,7 @@ def batch(
     with Outputs(files_read(*(job.source for job in todo), printer)) as outputs:
         write_json = open_json(outputs, json_file)
         with interruption.put_off(converter.stop):
-            _convert(todo, converter, interruption.event, results)
+            _convert(todo, converter, results)
         status = results.status
         if interruption.number:
             status = 128 + interruption.number
@@ -175,7 +174,7 @@ def _some(files: list[Path]) -> str:
     return ", ".join(map(str, files[:3])) + more
 
 
-def _convert(jobs: list[Job], converter: Converter, stop: Event, results: Results) -> None:
+def _convert(jobs: list[Job], converter: Converter, results: Results) -> None:
     """Convert the jobs in place; print each result, below them a progress bar on a terminal."""
     sizes = {job.source: 0 if job.finished else job.source.stat().st_size for job in jobs}
     terminal, began = sys.stderr.isatty(), monotonic()
@@ -191,7 +190,7 @@ def _convert(jobs: list[Job], converter: Converter, stop: Event, results: Result
         length=sum(sizes.values()), file=sys.stderr, hidden=results.quiet or not terminal,
         item_show_func=count, show_eta=False,
     ) as bar:  # fmt: skip
-        for job in run(jobs, converter, stop):
+        for job in converter.run(jobs):
             results.show(job, CLEAR_LINE * terminal)
             bar.update(sizes[job.source], job)
     results.add(jobs)

@@ -40,7 +40,8 @@ GROUPS = {  # by group: name, its function in a module of hframe_post.cli, a lin
     },
 }
 COMMANDS = {name: found[0] for group in GROUPS.values() for name, found in group.items()}
-GONE = {  # former commands, and what replaced them
+MOUNTED = "the recordings show how the sensor is mounted"
+GONE = {  # former commands, options and values, and what replaced them
     "compare": "equal input gives equal bytes: compare files with cmp or diff",
     "speed": "'hframe-post IN.GCODE --max-error 100um --dry-run' shows the time within an error",
     "paper": "run 'python -m examples.paper.tables' in the folder of hframe-post",
@@ -55,32 +56,23 @@ GONE = {  # former commands, and what replaced them
     "slicer-line": "'hframe-post connect slicer'",
     "cura-script": "'hframe-post connect cura'",
     "octoprint-plugin": "'hframe-post connect octoprint'",
-}
-MOUNTED = "the recordings show how the sensor is mounted"
-GONE_OPTIONS = {  # former options by command, and what replaced them
-    ("batch", "--watch"): "name the folder with --resume, for example from cron",
-    ("batch", "--scheduler"): "run 'hframe-post batch' on each machine with its share of the files",
-    ("batch", "-d"): "-o names the folder",
-    ("batch", "--directory"): "-o names the folder",
-    ("convert", "-v"): "a terminal shows a bar",
-    ("convert", "--verbose"): "a terminal shows a bar",
-    ("calibrate-print", "--advance-lines"): "slicers print such a pattern, as OrcaSlicer does",
-    ("calibrate-print", "--advance"): "write extruder.advance into the profile",
-    (
-        "check",
-        "--report",
-    ): "it was for verify; the line effect says what the profile leaves",
-    ("check", "--gcode"): "write the run with 'hframe-post measure --for check -o CHECK.GCODE'",
-    ("check", "--axis"): "the run moves both axes; where the bed moves, each has its file",
-    ("check", "--axes"): MOUNTED,
-    ("convert", "--retract"): "retractions are made before the travel, as in the file",
-    ("doctor", "--klippy-log"): "docs/klipper.md names the versions of Klipper that cannot do it",
-    ("doctor", "--report"): "its output says all",
-    ("doctor", "--history"): "the console says what each check has found",
-    ("identify", "--axes"): MOUNTED,
-    ("measure", "--motion"): "the run is a rectangle and a zigzag",
-    ("setup", "--moonraker"): "'hframe-post connect moonraker'",
-    ("setup", "--no-moonraker"): "'hframe-post connect moonraker --remove'",
+    "batch --watch": "name the folder with --resume, for example from cron",
+    "batch --scheduler": "run 'hframe-post batch' on each machine with its share of the files",
+    **dict.fromkeys(("batch -d", "batch --directory"), "-o names the folder"),
+    **dict.fromkeys(("convert -v", "convert --verbose"), "a terminal shows a bar"),
+    "calibrate-print --advance-lines": "slicers print such a pattern, as OrcaSlicer does",
+    "calibrate-print --advance": "write extruder.advance into the profile",
+    "check --report": "it was for verify; the line effect says what the profile leaves",
+    "check --gcode": "write the run with 'hframe-post measure --for check -o CHECK.GCODE'",
+    "check --axis": "the run moves both axes; where the bed moves, each has its file",
+    **dict.fromkeys(("check --axes", "identify --axes"), MOUNTED),
+    "convert --retract": "retractions are made before the travel, as in the file",
+    "doctor --klippy-log": "docs/klipper.md names the versions of Klipper that cannot do it",
+    "doctor --report": "its output says all",
+    "doctor --history": "the console says what each check has found",
+    "measure --motion": "the run is a rectangle and a zigzag",
+    "setup --moonraker": "'hframe-post connect moonraker'",
+    "setup --no-moonraker": "'hframe-post connect moonraker --remove'",
 }
 UNBROKEN = "\N{NON-BREAKING HYPHEN}"
 _GIVEN = "hframe_post.given"  # the command line in the context's meta
@@ -207,10 +199,9 @@ def _misread(failure: click.UsageError, args: list[str]) -> str:
     """Return the message, and what to type if a file was read as options or an option as a file."""
     from hframe_post.gcode.lines import is_gcode_name
 
-    if isinstance(failure, click.NoSuchOption) and failure.ctx is not None:
-        gone = GONE_OPTIONS.get((failure.ctx.info_name or "", failure.option_name))
-        if gone is not None:
-            return f"{failure.option_name} is gone: {gone}"
+    option = failure.option_name if isinstance(failure, click.NoSuchOption) else ""
+    if gone := GONE.get(f"{failure.ctx.info_name if failure.ctx else ''} {option}"):
+        return f"{option} is gone: {gone}"
     end = args.index("--") if "--" in args else len(args)
     dashed = [word for word in args[:end] if word.startswith("-")]
     for word in dashed if isinstance(failure, _NOT_PARSED) else ():

@@ -61,8 +61,9 @@ def test_help_and_the_man_page_name_every_command_in_a_screen() -> None:
     assert len(main.get_help(click.Context(main, info_name="hframe-post")).splitlines()) <= 30
 
 
-def test_a_former_command_says_the_new_one() -> None:
+def test_a_former_command_or_option_says_the_new_one() -> None:
     for name, instead in GONE.items():
-        done = CliRunner().invoke(main, [name, "file.gcode"])
+        done = CliRunner().invoke(main, [*name.split(), "file.gcode"])
         assert done.exit_code == 2
-        assert f"{name!r} is gone: {instead}" in done.output
+        shown = name.split()[1] if " " in name else repr(name)
+        assert f"{shown} is gone: {instead}" in done.output
