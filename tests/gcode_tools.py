@@ -40,19 +40,23 @@ class Reading:
     others: list[str] = field(default_factory=list)
 
 
-def follow(text: bytes) -> Reading:
-    """Follow G0/G1 with G90/G91, M82/M83 and G92 E, as Klipper does."""
+def follow(text: bytes, layer: str = ";LAYER:", marlin: bool = False) -> Reading:
+    """Follow moves to their ends with G90/G91, M82/M83 and G92 E, as Klipper does.
+
+    layer: how a layer's mark begins, in any case. marlin: G90 and G91 are for E, too.
+    """
     reading = Reading()
     at = {"X": 0.0, "Y": 0.0, "Z": 0.0, "E": 0.0}
     absolute = absolute_e = True
     for raw in text.decode("latin-1").splitlines():
-        line = raw.split(";")[0].strip()
+        line = raw.split(";")[0].split("(")[0].strip()
         command = line.split()[0] if line else ""
         words = {letter: float(value) for letter, value in WORD.findall(line)}
-        if command in ("G0", "G1"):
+        if command in ("G0", "G1", "G2", "G3", "G5"):
             for letter, value in words.items():
                 if letter == "E":
-                    step = value - at["E"] if absolute and absolute_e else value
+                    counted = absolute_e and (absolute or marlin)
+                    step = value - at["E"] if counted else value
                     reading.filament += step
                     at["E"] += step
                 elif letter in "XYZ":
@@ -61,11 +65,12 @@ def follow(text: bytes) -> Reading:
             continue
         if command in ("G90", "G91"):
             absolute = command == "G90"
+            absolute_e = absolute if marlin else absolute_e
         elif command in ("M82", "M83"):
             absolute_e = command == "M82"
         elif command == "G92" and "E" in words:
             at["E"] = words["E"]
-        if raw.startswith(";LAYER:"):
+        if re.match(layer, raw, re.IGNORECASE):
             reading.at_layer.append(reading.filament)
         reading.others.append(raw)
     return reading

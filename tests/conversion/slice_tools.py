@@ -8,16 +8,15 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.report import Report
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.print_time import Deferred
+from tests.gcode_tools import follow
 from tests.slices import Slice
 
 MOTION = re.compile(rb"\s*(?:G[01235](?!\d)|M20[1345](?!\d)|M220(?!\d)|SET_VELOCITY_LIMIT|G92 E)")
-MOVE = re.compile(rb"\s*G[01235](?!\d)")
 OURS = re.compile(
     rb"; processed by|; hframe-post|SET_VELOCITY_LIMIT|SET_INPUT_SHAPER|M400$|G4 P|G9[01]|M8[23]"
     rb"|M593 [FXY]|M900 K|M493 S|M494 T"
 )
-WORD = re.compile(rb"\bE(-?(?:\d+\.?\d*|\.\d+))")
-LAYER = re.compile(rb"\s*;.*layer|\(Slice", re.IGNORECASE)
+LAYER = r"\s*;.*layer|\(Slice"
 
 
 def converted(each: Slice, printer: Printer) -> tuple[list[bytes], list[bytes], Report]:
@@ -34,25 +33,9 @@ def converted(each: Slice, printer: Printer) -> tuple[list[bytes], list[bytes], 
 
 
 def filament(lines: list[bytes], relative: bool) -> list[float]:
-    """Total before every layer's mark, and at the end: Klipper's reading, in ten lines."""
-    total, at, printed = 0.0, 0.0, []
-    absolute = True
-    for line in lines:
-        body = line.partition(b";")[0].split(b"(")[0]
-        word = WORD.search(body)
-        if LAYER.match(line):
-            printed.append(total)
-        elif body.startswith(b"G92") and word:
-            at = float(word[1])
-        elif body.startswith((b"G90", b"G91")):
-            absolute = body.startswith(b"G90")
-        elif body.startswith((b"M82", b"M83")):
-            relative = body.startswith(b"M83")
-        elif MOVE.match(body) and word:
-            value = float(word[1])
-            step = value if relative or not absolute else value - at
-            total, at = total + step, at + step
-    return [*printed, total]
+    """Return the total before every layer's mark, and at the end."""
+    reading = follow((b"M83\n" if relative else b"") + b"\n".join(lines), LAYER)
+    return [*reading.at_layer, reading.filament]
 
 
 def carried(lines: list[bytes]) -> list[bytes]:

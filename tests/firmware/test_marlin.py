@@ -24,7 +24,7 @@ from hframe_post.printer.firmware_tables import MARLIN_PLANNERS
 from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, Position
-from tests.gcode_tools import WORD, assert_same_stream, converted, layers, sample
+from tests.gcode_tools import WORD, assert_same_stream, converted, follow, layers, sample
 from tests.quantities import below
 from tests.same_print import assert_same_print
 
@@ -231,24 +231,6 @@ def test_places_named_by_g92_are_named_again(marlin: Printer) -> None:
 # ---------------------------------------------------------------------- the stream
 
 
-def played_filament(text: bytes) -> float:
-    """mm of filament, as Marlin reads it: G90 and G91 are for E, too."""
-    e = total = 0.0
-    absolute_e = True
-    for raw in text.decode("latin-1").splitlines():
-        line = raw.split(";")[0].strip()
-        command = line.split()[0] if line else ""
-        words = {letter: float(value) for letter, value in WORD.findall(line)}
-        if command in ("G90", "M82", "G91", "M83"):
-            absolute_e = command in ("G90", "M82")
-        elif command == "G92":
-            e = words.get("E", e)
-        elif command in ("G0", "G1") and "E" in words:
-            step = words["E"] - e if absolute_e else words["E"]
-            e, total = e + step, total + step
-    return total
-
-
 @pytest.fixture(scope="module")
 def cube(marlin: Printer) -> tuple[bytes, bytes]:
     lines = layers("cube.gcode", 6)
@@ -256,7 +238,8 @@ def cube(marlin: Printer) -> tuple[bytes, bytes]:
 
 
 def test_filament_is_conserved(cube: tuple[bytes, bytes]) -> None:
-    assert played_filament(cube[1]) == pytest.approx(played_filament(cube[0]), abs=1e-4)
+    sliced, ours = (follow(text, marlin=True).filament for text in cube)
+    assert ours == pytest.approx(sliced, abs=1e-4)
 
 
 def test_segments_are_whole_steps_and_long(cube: tuple[bytes, bytes], marlin: Printer) -> None:

@@ -1,4 +1,4 @@
-"""What commands mean without their words, where firmwares differ, and what motors are guessed."""
+"""What commands mean, where firmwares differ, by Klipper's own modules; what motors are guessed."""
 
 import importlib
 import math
@@ -15,14 +15,16 @@ from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.firmware.dialect import Dialect
 from hframe_post.firmware.klipper.klipper_firmware import Klipper
 from hframe_post.firmware.marlin.marlin_firmware import Marlin
-from hframe_post.gcode.commands import Effect, Vocabulary
+from hframe_post.gcode.commands import Effect, Vocabulary, uncommented
 from hframe_post.gcode.limits import with_motors
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Motors
-from hframe_post.stream.types import Moves, Passthrough
+from hframe_post.stream.types import MoveAtRest, Moves, Passthrough
+from tests.conftest import SAMPLES
 from tests.klipper.head import head, parsed, speed
+from tests.slices import SLICES
 
 START = ["G90", "M83", "G1 X10 Y10 Z.2 F6000"]
 # what both firmwares know and read differently, or without a word: x and feed rate of the last move
@@ -83,6 +85,31 @@ def test_what_words_left_out_mean(name: str) -> None:
         assert (last.points[-1, 0], last.speed[-1]) == pytest.approx((x, v))
     places, _ = head([*START, *lines])  # Klipper's own
     assert (places[-1, 0], speed([*START, *lines])) == pytest.approx(expected[0])
+
+
+DRAWN = re.compile(rb"\s*(?:N\d+\s*)?(?:G0?[0-3]|G9[012]|M8[23])(?!\d)", re.IGNORECASE)
+FILES = [
+    *(each.lines for each in SLICES.values()),
+    (SAMPLES / "cube.gcode").read_bytes().splitlines(),
+]
+
+
+@pytest.mark.parametrize("text", FILES, ids=[*SLICES, "cube"])
+def test_lines_end_where_klippers_own_end(text: list[bytes]) -> None:
+    """What draws in the dialects of many slicers, with arcs, modes and G92."""
+    drawn = [uncommented(line).strip() for line in text if DRAWN.match(line)][:3000]
+    lines = [b"G92 X0 Y0 Z0", b"G1 F3000", *drawn]
+    places, before = head(line.decode() for line in lines)
+    ends: dict[int, list[float]] = {}
+    for item in read(lines, ReadOptions(Klipper.dialect, extrusion="absolute")):
+        if isinstance(item, Moves):
+            ends |= zip(item.line.tolist(), item.points[1:, :3].tolist(), strict=True)
+        elif isinstance(item, MoveAtRest):
+            ends[item.line] = list(item.end[:3])
+    after = [*before[1:], len(places)]
+    for line, end in ends.items():
+        assert places[after[line - 1] - 1, :3] == pytest.approx(end, abs=1e-9), lines[line - 1]
+    assert len(ends) > 5
 
 
 @pytest.mark.parametrize("name", FILAMENT)
