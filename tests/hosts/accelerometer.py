@@ -7,16 +7,16 @@ the file that the option ``machine`` names, as JSON, and read for each recording
 
 from __future__ import annotations
 
-import inspect
 import json
+import tempfile
 from array import array
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array
+from tests.klipper.batch import Sensed, stand_in_for_accelerometers
 from tests.klipper.host import MOVE, evaluated
 from tests.simulator import RATE, Axis, Chip, Machine, Mode
 
@@ -33,29 +33,17 @@ def machine_of(path: Path) -> Machine:
 def answer_with_a_machine(module: Any, moves: array[float]) -> None:
     """Let klippy's ``adxl345`` record a simulated printer. moves: numbers of the motion queue."""
 
-    class Client(module.AccelQueryHelper):  # type: ignore[misc]
-        machine = Path()
+    def sensor(config: Any) -> Sensed:
+        path = Path(config.get("machine"))
 
-        def finish_measurements(self) -> None:
-            super().finish_measurements()
-            first, last = self.request_start_time, self.request_end_time
-            if self.machine.exists():
-                data = recorded(machine_of(self.machine), moves, first, last)
-                self.msgs = [{"data": data.tolist()}]
+        def sensed(first: float, last: float) -> list[Any] | None:
+            if path.exists():
+                return list(recorded(machine_of(path), moves, first, last).tolist())
+            return None
 
-    class SimulatedChip:
-        def __init__(self, config: Any) -> None:
-            self.printer, self.machine = config.get_printer(), Path(config.get("machine"))
-            module.AccelCommandHelper(config, self)
+        return sensed
 
-        def start_internal_client(self) -> Client:
-            no_messages = SimpleNamespace(finalize=lambda: None, get_messages=list)
-            parameters = inspect.signature(module.AccelQueryHelper).parameters
-            client = Client(*(self.printer, no_messages)[: len(parameters)])
-            client.machine = self.machine
-            return client
-
-    module.ADXL345 = SimulatedChip
+    stand_in_for_accelerometers(module, Path(tempfile.gettempdir()), sensor)
 
 
 def recorded(machine: Machine, moves: array[float], first: float, last: float) -> Array:

@@ -17,6 +17,7 @@ import re
 import sys
 import time
 from array import array
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -65,6 +66,7 @@ EXTRAS = """adxl345 display exclude_object fan firmware_retraction force_move gc
 garbage_collection heater_bed heaters homing_override idle_timeout input_shaper load_cell_probe
 motion_report output_pin query_endstops resonance_tester respond statistics telemetry thermistor
 tuning_tower verify_heater virtual_sdcard"""  # which most files make klippy import
+Sensed = Callable[[float, float], list[Any] | None]
 SHAPER_WINDOW = re.compile(r"(input_shaper_get_step_generation_window)\([^)]*\)")
 
 
@@ -168,23 +170,21 @@ def play_resonance_tests(module: Any) -> None:
         original, module.suspend_limits = module.suspend_limits, suspend_limits
 
 
-def stand_in_for_accelerometers(module: Any, folder: Path) -> None:
-    """Let a section [adxl345] of klippy's ``adxl345`` record standstill at its option ``rate``.
+def stand_in_for_accelerometers(module: Any, folder: Path, sensor: Callable[[Any], Sensed]) -> None:
+    """Let a section [adxl345] of klippy's ``adxl345`` record what a sensor does.
 
+    sensor: of the section's options, which returns rows between two print times, or None.
     The commands, the times that they take from the motion, and the file are klippy's own. Files are
     written to ``folder``.
     """
 
     class Client(module.AccelQueryHelper):  # type: ignore[misc]
-        rate = 0.0
-
         def finish_measurements(self) -> None:
             super().finish_measurements()
-            first, last = self.request_start_time, self.request_end_time
-            count = range(int((first - 1.0) * self.rate), int((last + 1.0) * self.rate))
-            data = [(k / self.rate, 0.0, 0.0, 9806.65) for k in count]
-            self.msgs = [{"data": data}]
-            self.raw_samples = [{"params": {"data": data}}]  # until 2023
+            data = self.sensed(self.request_start_time, self.request_end_time)
+            if data is not None:
+                self.msgs = [{"data": data}]
+                self.raw_samples = [{"params": {"data": data}}]  # until 2023
 
         def write_to_file(self, filename: str) -> None:
             super().write_to_file(str(folder / Path(filename).name))
@@ -193,17 +193,28 @@ def stand_in_for_accelerometers(module: Any, folder: Path) -> None:
 
     class Chip:
         def __init__(self, config: Any) -> None:
-            self.printer, self.rate = config.get_printer(), config.getfloat("rate")
+            self.printer, self.sensed = config.get_printer(), sensor(config)
             module.AccelCommandHelper(config, self)
 
         def start_internal_client(self) -> Client:
             no_messages = SimpleNamespace(finalize=lambda: None, get_messages=list)
             parameters = inspect.signature(module.AccelQueryHelper).parameters
             client = Client(*(self.printer, no_messages)[: len(parameters)])
-            client.rate = self.rate
+            client.sensed = self.sensed
             return client
 
     module.ADXL345 = Chip
+
+
+def still(config: Any) -> Sensed:
+    """Return a sensor, with the option ``rate``, while nothing moves."""
+    rate = config.getfloat("rate")
+
+    def sensed(first: float, last: float) -> list[Any]:
+        count = range(int((first - 1.0) * rate), int((last + 1.0) * rate))
+        return [(k / rate, 0.0, 0.0, 9806.65) for k in count]
+
+    return sensed
 
 
 def klippy_module(name: str) -> Any:
@@ -289,7 +300,7 @@ def main() -> None:
         "toolhead": record_moves(toolhead.ToolHead),
         "extruder": record_moves(klippy_module("kinematics.extruder").PrinterExtruder),
     }
-    stand_in_for_accelerometers(klippy_module("extras.adxl345"), folder)
+    stand_in_for_accelerometers(klippy_module("extras.adxl345"), folder, still)
     play_resonance_tests(klippy_module("extras.resonance_tester"))
     drain_before_exit(klippy_module("serialhdl").SerialReader)
     klippy_main()
