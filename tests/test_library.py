@@ -151,12 +151,3 @@ def test_convert_that_fails_leaves_the_target(paper: Printer, tmp_path: Path) ->
             hp.convert(target, target, paper, hp.Options(**wrong))
         assert target.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["part.gcode"]
-
-
-def test_simulate_judges_every_strategy_and_drawn_printers(paper: Printer) -> None:
-    report = hp.simulate(RECTANGLE, paper, model_error=(0.05, 0.2), draws=3, seed=1)
-    assert report.strategies == ["none", "fbs", "racking"]
-    five, twenty = report.model_error
-    assert (five.share, twenty.share) == (0.05, 0.2)
-    assert len(five.rms("racking")) == 3
-    assert max(five.rms("racking")) < max(twenty.rms("racking"))

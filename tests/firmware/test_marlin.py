@@ -24,7 +24,7 @@ from hframe_post.printer.firmware_tables import MARLIN_PLANNERS
 from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, Position
-from tests.gcode_tools import WORD, assert_same_stream, converted, follow, layers, sample
+from tests.gcode_tools import assert_same_stream, converted, follow, layers, sample
 from tests.quantities import below
 from tests.same_print import assert_same_print
 
@@ -223,11 +223,6 @@ def test_fixed_time_motion_fills_its_queue_before_it_moves(marlin: Printer) -> N
     assert (up - AT[2]) / (feed / 60.0) > 0.128
 
 
-def test_places_named_by_g92_are_named_again(marlin: Printer) -> None:
-    assert b"G92 X2.5 Z1.2" in code(marlin).end(replace(STATE, offset=(10.0, 0.0, -1.0)), AT)
-    assert code(marlin).begin((10.0, 0.0, -1.0), AT)[-1] == b"G92 X12.5 Z0.2"
-
-
 # ---------------------------------------------------------------------- the stream
 
 
@@ -240,24 +235,6 @@ def cube(marlin: Printer) -> tuple[bytes, bytes]:
 def test_filament_is_conserved(cube: tuple[bytes, bytes]) -> None:
     sliced, ours = (follow(text, marlin=True).filament for text in cube)
     assert ours == pytest.approx(sliced, abs=1e-4)
-
-
-def test_segments_are_whole_steps_and_long(cube: tuple[bytes, bytes], marlin: Printer) -> None:
-    """All but what ends a motion may be short; nothing is slower than Marlin's slowest step."""
-    assert marlin.steps is not None
-    h = marlin.steps.belt
-    body = cube[1].split(b"M205 B0")[-1].split(b"M400")[0].splitlines()
-    at = [0.0, 0.0]
-    cells: list[tuple[float, ...]] = []
-    for line in body:
-        words = {a: float(v) for a, v in WORD.findall(line.decode().split(";")[0])}
-        if line.startswith(b"G1") and ("X" in words or "Y" in words):
-            at = [words.get("X", at[0]), words.get("Y", at[1])]
-            cells.append((at[0] / h, at[1] / h))
-    where = np.array(cells[1:])
-    np.testing.assert_allclose(where, np.rint(where), atol=0.0006 / h)
-    delta = np.diff(np.rint(where), axis=0)
-    assert (np.abs(delta).sum(axis=1) >= 6).mean() > 0.99
 
 
 def test_no_feed_rate_is_zero_and_nothing_waits(cube: tuple[bytes, bytes]) -> None:

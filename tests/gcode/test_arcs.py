@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hframe_post.arrays import Array
 from hframe_post.gcode import curves
 from hframe_post.stream.types import Moves
-from tests.gcode.reading import ends, items, moves
+from tests.gcode.reading import ends, items
 
 Point = tuple[float, float]
 
@@ -59,20 +59,6 @@ def test_arcs_with_rounded_numbers_keep_their_centre(
         assert turned(points, start, centre) == pytest.approx(sweep / math.tau, abs=0.01 / radius)
 
 
-@pytest.mark.parametrize(
-    ("start", "line", "offset"),
-    [
-        ((90.48, 128.046), "G3 X90.565 Y128.099 I5.387 J-8.425 E2", (5.387, -8.425)),
-        ((116.516, 130.151), "G3 I6.268 J18.992 E2", (6.268, 18.992)),
-    ],
-)
-def test_nearly_full_circles_keep_their_centre(start: Point, line: str, offset: Point) -> None:
-    points = np.array(ends(f"G1 X{start[0]} Y{start[1]}", line))[1:, :2]
-    centre = start[0] + offset[0], start[1] + offset[1]
-    assert off_circle(points, start, centre) <= curves.CHORD_ERROR_MM + 1e-3
-    assert turned(points, start, centre) == pytest.approx(1.0, abs=0.01)
-
-
 @pytest.mark.parametrize("ignored", ["", "P1", "P3", "P1.5", "K7"])
 def test_an_arc_makes_at_most_a_turn(ignored: str) -> None:
     """As Klipper's gcode_arcs plays it, and Marlin without ARC_P_CIRCLES."""
@@ -87,19 +73,6 @@ def test_a_spiral_lift_is_one_turn() -> None:
     rows = np.array(ends("G17", "G3 Z.8 I.044 J-1.216 P1 F30000"))
     assert turned(rows[:, :2], (0.0, 0.0), (0.044, -1.216)) == pytest.approx(1.0)
     assert rows[-1].tolist() == [0, 0, 0.8, 0]
-
-
-def test_hundreds_of_arcs_lose_no_filament() -> None:
-    """Shares of every arc add up to what the file says, however often."""
-    lines, e = [], 0.0
-    for k in range(200):
-        e += 0.03127
-        back = k % 2
-        lines.append(f"G{2 + back} X{30 - 10 * back} Y20 I{5 - 10 * back} J0 E{e:.5f}")
-    for mode in ("M82", "M83"):
-        written = lines if mode == "M82" else [f"{li.split('E')[0]}E.03127" for li in lines]
-        last = moves("G1 X20 Y20", mode, "G92 E0", *written)[-1]
-        assert last.points[-1, 3] == pytest.approx(e, abs=1e-9)
 
 
 def test_arcs_from_an_unknown_position_pass_through() -> None:

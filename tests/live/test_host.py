@@ -218,18 +218,6 @@ def test_objects_and_tests_leave_motors_where_they_were(kernel: Path, tmp_path: 
 
 @pytest.mark.slow
 @pytest.mark.klipper
-def test_a_file_that_turns_the_shaper_off_is_played_as_it_is(kernel: Path, tmp_path: Path) -> None:
-    lines = ["SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0", "G1 X50 Y50 F9000", "G1 X90 Y51"]
-    live, bare = played(lines, tmp_path / "a", kernel), played(lines, tmp_path / "b", None)
-    for motor in "AB":
-        both = [each.steps()[motor] for each in (live, bare)]
-        assert np.array_equal(both[0].direction, both[1].direction)
-        late = both[0].time - both[1].time
-        assert np.ptp(late) < 60e-6  # once more step compression
-
-
-@pytest.mark.slow
-@pytest.mark.klipper
 def test_what_is_wrong_at_the_start_is_an_error(kernel: Path, tmp_path: Path) -> None:
     damaged = tmp_path / "damaged.kernel"
     damaged.write_bytes(kernel.read_bytes().replace(b"10000", b"20000"))

@@ -9,7 +9,6 @@ from tests.quantities import below
 
 HALF, VELOCITY, ACCELERATION = 10, 40.0, 2000.0
 LINE = 4  # ms, about as long as a line of G-code
-FLOW = 0.035  # mm of filament a mm
 AROUND = REACH + NEAR + HALF
 
 
@@ -59,17 +58,6 @@ def test_no_filament_is_moved_out_of_a_line(seed: int) -> None:
     A = ours(path)
     assert A.max() > 0.1
     assert not A[outside].any()
-
-
-@pytest.mark.parametrize("samples", [4, 12, 19])
-def test_a_line_shorter_than_the_average_has_some_of_it(samples: int) -> None:
-    path = np.zeros((samples + 81, 4))
-    path[40:, X] = 0.1 * np.minimum(np.arange(samples + 41), samples)
-    path[:, E] = FLOW * path[:, X]
-    A = ours(path)
-    assert (A[41 : 40 + samples] > 0.0).all()
-    assert not A[:41].any()
-    assert not A[40 + samples :].any()
 
 
 def test_klippers_rule_is_a_mean_of_place_and_speed() -> None:

@@ -7,6 +7,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from hframe_post.arrays import TS
+from hframe_post.firmware.motion import travelled
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.native.planning import junction_deviation, junction_speeds
 
@@ -32,17 +34,6 @@ def test_turning_back_is_as_fast_as_klippers_rounding_makes_it() -> None:
         corner = half / (1.0 - half) * float(DEVIATION) * A
         expected = math.sqrt(min(corner, 0.5 * d.min() * A * half / other))
         assert junction((d[0], 0.0, 0.0, 0.0), (-d[1], 0.0, 0.0, 0.0)) == expected
-
-
-@given(st.floats(1.0, 179.0), st.floats(0.01, 100.0), st.floats(0.01, 100.0))
-def test_any_corner_is_klippers(angle: float, one: float, other: float) -> None:
-    """angle: between the segments, 180° is straight on."""
-    half = math.radians(angle) / 2.0
-    turn = math.pi - math.radians(angle)
-    r = math.sin(half) / (1.0 - math.sin(half))
-    v2 = min(r * SQUARE**2 * (math.sqrt(2.0) - 1.0), 0.5 * min(one, other) * A * math.tan(half))
-    found = junction((one, 0, 0, 0), (other * math.cos(turn), other * math.sin(turn), 0, 0))
-    assert found == pytest.approx(math.sqrt(v2), rel=1e-6)
 
 
 LENGTHS = st.floats(0.01, 100.0)
@@ -81,3 +72,15 @@ def test_a_slowed_motion_takes_the_time_asked(motion: Trapezoid, longer: float) 
 def test_a_motion_is_never_sped_up() -> None:
     motion = Trapezoid(1.0, 20.0, 500.0, 2.0, 0.0)
     assert motion.slowed_to(0.5 * motion.seconds) is motion
+
+
+@given(trapezoids())
+def test_moves_are_played_as_trapezoids(motion: Trapezoid) -> None:
+    v_s, v_e = (np.array([v]) for v in (motion.v_s, motion.v_e))
+    d, v = np.array([motion.length]), np.array([motion.cruise])
+    s = travelled(np.append(d, d), np.append(v, v), np.append(v_s, v_e), np.append(v_e, v_s),
+                  motion.acceleration)  # fmt: skip
+    t = np.asarray(TS * np.arange(len(s)), dtype=np.float64)
+    back = motion.length - motion.distance(2.0 * motion.seconds - t)
+    expected = np.where(t < motion.seconds, motion.distance(t), motion.length + back)
+    np.testing.assert_allclose(s, expected, atol=1e-6)

@@ -9,9 +9,7 @@ import pytest
 
 from hframe_post import library
 from hframe_post.conversion.options import Options
-from hframe_post.gcode import batching
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.planner import sampling
 from hframe_post.prediction.statistics import BEFORE, TRAVEL
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Printer
@@ -83,29 +81,6 @@ def test_only_filament_makes_a_feature() -> None:
     assert wall.extruding.count == whole.extruding.count > 0.8 * whole.all.count
     dry = simulated([line.split(b" E")[0].rstrip() + b"\n" for line in sample("rectangle.gcode")])
     assert dry.as_json()["features"].keys() <= {TRAVEL, BEFORE}
-
-
-@pytest.mark.slow
-def test_cuts_change_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
-    paper = profile.load("paper")
-    study = Study(paper.plant, {0.05: draws(paper.plant, 0.05, 2, 0)}, paper.steps)
-    whole = simulated(sample("rectangle.gcode"), study)
-    for moves, samples in [(1, 7), (7, 100), (100, 10_000)]:
-        monkeypatch.setattr(batching, "MOVES_PER_ITEM", moves)
-        monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
-        cut = simulated(sample("rectangle.gcode"), study)
-        assert cut.parts.layers.keys() == whole.parts.layers.keys()
-        pairs = [(cut.parts.whole, whole.parts.whole)]
-        pairs += [(cut.parts.layers[name], group) for name, group in whole.parts.layers.items()]
-        pairs += [(cut.parts.features[name], group) for name, group in whole.parts.features.items()]
-        for one, other in pairs:
-            for name, figures in other.items():
-                assert one[name].contour.all.count == figures.contour.all.count
-                assert one[name].contour.rms == pytest.approx(figures.contour.rms, rel=1e-6)
-                assert one[name].acceleration == pytest.approx(figures.acceleration, rel=1e-6)
-        for name in ALL:
-            (one_error,), (other_error,) = cut.model_error, whole.model_error
-            assert one_error.rms(name) == pytest.approx(other_error.rms(name), rel=1e-6)
 
 
 @pytest.mark.paper

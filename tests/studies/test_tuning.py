@@ -1,6 +1,5 @@
 """The trade-off of window and weight, and which of them is recommended."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -69,24 +68,6 @@ def test_a_window_that_diverges_is_refused_and_the_others_are_tried(profiled: Pr
     assert not tried.refused
     assert tried.contour.all.count > 0
     assert recommended([refused, tried], profiled.motors) is tried
-
-
-def test_recommendation_is_within_its_limits(profiled: Printer, trials: list[Trial]) -> None:
-    """Whatever acceleration is allowed, down to one that none of the candidates keeps."""
-    usable = [trial for trial in trials if not trial.refused]
-    errors = []
-    for allowed in sorted({trial.acceleration for trial in usable}):
-        motors = replace(profiled.motors, belt_acceleration=allowed)
-        best = recommended(trials, motors)
-        assert best is not None
-        assert best.within(motors)
-        errors.append(min(t.cost for t in usable if t.within(motors)))
-        assert best.cost <= ROUGHLY * errors[-1]
-    assert errors == sorted(errors, reverse=True)  # more is allowed, less error is possible
-    gentlest = min(trial.acceleration for trial in usable)
-    assert recommended(trials, replace(profiled.motors, belt_acceleration=0.99 * gentlest)) is None
-    slowest = min(trial.velocity for trial in usable)
-    assert recommended(trials, replace(profiled.motors, belt_velocity=0.99 * slowest)) is None
 
 
 WINDOW = Window(5, 88, 44, 1.0)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from hframe_post.arrays import TS, Array, Integers
+from hframe_post.arrays import Array, Integers
 from hframe_post.errors import LimitError
 from hframe_post.printer.settings import Steps
 from hframe_post.stream.types import Dwell, Event, Handling
@@ -87,17 +87,6 @@ def test_position_is_within_half_a_step_and_a_tick_of_the_command(path: Array) -
         queued = 2.0 if fine.max() > 0.9 else 0.0
         assert (off <= 0.5 + 1.05 * motion + 0.01 + queued).all()
         assert off[-1] <= 0.5 + 1e-6
-
-
-@given(st.sampled_from([1000.0, 31_250.0, 40_000.0, 33_333.3, 1e6]), paths())
-@settings(max_examples=40)
-def test_any_clock_keeps_every_step(clock: float, path: Array) -> None:
-    slow = 31.0 * LENGTHS  # at most a step a sample
-    belt, z, e = slow[1:].tolist()
-    done = stepped([block(path)], Steps(belt, z, e, clock))
-    at = np.floor(np.round(path, 9) / slow + 0.5)
-    assert done.counts.steps.tolist() == np.abs(np.diff(at, axis=0)).sum(axis=0).tolist()
-    assert done.counts.ticks == math.ceil(len(path) * clock * TS)
 
 
 @pytest.mark.parametrize("motor", range(4))
@@ -226,16 +215,6 @@ def test_cubic_is_on_the_level_where_a_step_is_made(values: list[float]) -> None
         assert value == pytest.approx(level, abs=2e-3), (k, s)
         at += way
     assert at == np.floor(u[-2])
-
-
-def test_smooth_motion_is_followed_to_a_thousandth_of_a_step() -> None:
-    """A sine's own crossings, between samples 1 ms apart."""
-    t = np.arange(400)
-    u = 300.25 * np.sin(t / 60.0)
-    interval, share, _ = crossings(u)
-    time = 1.0 + interval + share
-    off = 300.25 * np.sin(time / 60.0)
-    assert np.abs(off - np.rint(off)).max() < 1e-3
 
 
 @st.composite
