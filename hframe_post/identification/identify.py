@@ -15,11 +15,7 @@ import numpy as np
 from hframe_post.arrays import Flags
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
-from hframe_post.identification.estimation.axes import (
-    Fit,
-    fit_known_start,
-    fit_unknown_start,
-)
+from hframe_post.identification.estimation.axes import fit_known_start, fit_unknown_start
 from hframe_post.identification.estimation.frequency_response import (
     average,
     share_left,
@@ -31,6 +27,7 @@ from hframe_post.identification.estimation.measured import (
     Run,
     stroke_responses,
 )
+from hframe_post.identification.estimation.regression import Fit
 from hframe_post.identification.estimation.uncalibrated import uncalibrated_responses
 from hframe_post.identification.places import (
     DAY_TO_DAY,
@@ -177,7 +174,7 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
 def _moving(measured: Mapping[str, Measured], fits: Mapping[str, Fit]) -> dict[str, ModeShift]:
     """Return how the modes of each axis shift along x, of those that do."""
     shifts = {
-        name: find_mode_shift(fits[name].G, fits[name].measured.resonance_hz, one.places)
+        name: find_mode_shift(fits[name].G, fits[name].resonance_hz, one.places)
         for name, one in measured.items()
     }
     return {name: shift for name, shift in shifts.items() if shift is not None}

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex
-from hframe_post.identification.estimation.axes import Fit
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.estimation.measured import Measured
+from hframe_post.identification.estimation.regression import Fit
 from hframe_post.identification.identify import AXIS
 from hframe_post.identification.report import IdentificationReport
 from hframe_post.model.impulse_response import ImpulseResponse
@@ -119,7 +119,7 @@ def _at(G: ImpulseResponse, hz: Array) -> Complex:
 
 def _clean(run: FrequencyResponse, found: Fit) -> Complex:
     """Return what was measured, without the sensor's gain and the recording's delay."""
-    late = np.exp(2j * np.pi * run.hz * found.recording_delay)
+    late = np.exp(2j * np.pi * run.hz * found.delay)
     return np.asarray(run.H * late / found.gain)
 
 

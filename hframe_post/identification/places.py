@@ -16,10 +16,7 @@ from scipy import stats
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.estimation.axes import (
-    Fit,
-    fit_racking,
-)
+from hframe_post.identification.estimation.axes import fit_racking
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     average,
@@ -31,6 +28,7 @@ from hframe_post.identification.estimation.measured import (
     MeasurementSettings,
     RunResponse,
 )
+from hframe_post.identification.estimation.regression import Fit
 from hframe_post.model.impulse_response import ImpulseResponse
 
 DAY_TO_DAY = 0.05  # relative change of a printer as belts, bearings and temperature change

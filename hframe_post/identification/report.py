@@ -163,7 +163,7 @@ class IdentificationReport:
         return {
             "residual": round(found.residual, 6),
             "lag_ms": round(found.lag * 1e3, 4),
-            "recording_late_ms": round(found.recording_delay * 1e3, 4),
+            "recording_late_ms": round(found.delay * 1e3, 4),
             "spread": round(measured.spread, 6),
             "runs": len(measured.places),
             "modes": [

@@ -6,7 +6,7 @@ import pytest
 from hframe_post.arrays import TS, Complex
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.estimation.modes import listed, shares
-from hframe_post.identification.estimation.regression import Decay, Estimated, Mode, Prior
+from hframe_post.identification.estimation.regression import Fit, Mode
 from hframe_post.model.impulse_response import ImpulseResponse
 from tests.identification.modal_tools import HZ, TWO, continuous
 
@@ -32,8 +32,8 @@ def test_shares_and_delay_are_found(gain: float) -> None:
 
 def test_modes_are_listed_that_ring_and_count() -> None:
     damped = Mode(2.0 * np.pi * TS * 45.0, 0.5)
-    prior = Prior(Decay(1.0, 0.1, 0.1), (MODES[1], damped, MODES[2], MODES[0]))
-    found = Estimated(ImpulseResponse(np.zeros(1), 0), 1.0, 0.0, 30.0, prior)
+    expected = MODES[1], damped, MODES[2], MODES[0]
+    found = Fit(ImpulseResponse(np.zeros(1), 0), 1.0, 0.0, 30.0, expected)
     modes = listed(found, seen(continuous(TWO.x, HZ)), 0.0)
     assert np.array(modes) == pytest.approx(np.array([(30.0, 0.05), (70.0, 0.04)]))
 
@@ -42,11 +42,11 @@ def test_modes_are_listed_that_ring_and_count() -> None:
 def test_without_a_regression_the_main_resonance_is_listed(hz: float, zeta: float) -> None:
     G = ImpulseResponse.from_mode(hz, zeta)
     measured = seen(-1.1 * G.response(2.0 * np.pi * TS * HZ))
-    ((at, damping),) = listed(Estimated(G, -1.1, 0.0, hz + 0.4), measured, 0.0)
+    ((at, damping),) = listed(Fit(G, -1.1, 0.0, hz + 0.4), measured, 0.0)
     assert at == pytest.approx(hz, rel=0.025)  # damping lowers a peak
     assert damping == pytest.approx(zeta, rel=0.05)
 
 
 def test_a_printer_that_does_not_ring_has_no_mode() -> None:
-    stiff = Estimated(ImpulseResponse(np.zeros(1), 0), 1.0, 0.0, 90.0)
+    stiff = Fit(ImpulseResponse(np.zeros(1), 0), 1.0, 0.0, 90.0)
     assert listed(stiff, seen(np.ones(len(HZ), dtype=complex)), 0.0) == []

@@ -9,8 +9,9 @@ import pytest
 import hframe_post as hp
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.estimation.axes import Fit, fit_unknown_start
+from hframe_post.identification.estimation.axes import fit_unknown_start
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse, share_left
+from hframe_post.identification.estimation.regression import Fit
 from hframe_post.identification.estimation.unknown_start import estimated
 from hframe_post.identification.identify import DRIFT, DRIFT_ALONE, Identified
 from hframe_post.model.impulse_response import ImpulseResponse
@@ -98,7 +99,7 @@ def test_a_linear_printer_is_as_late_as_its_damping_explains() -> None:
     assert found.gain == pytest.approx(-1.12, rel=0.01)
     by_damping = 0.8 * 0.12 / 46.0 + 0.2 * 0.1 / 71.0  # over 2π, s
     assert found.G.lag * TS == pytest.approx(by_damping / (2.0 * np.pi), abs=5e-5)
-    assert found.recording_delay == pytest.approx(2.3e-3, abs=2e-5)
+    assert found.delay == pytest.approx(2.3e-3, abs=2e-5)
     off = np.abs(found.G.response(2.0 * np.pi * TS * HZ) - true)
     assert off.max() < 0.02 * np.abs(true).max()
     assert np.array(found.modes) == pytest.approx(np.array([(46.0, 0.06), (71.0, 0.05)]), rel=0.05)

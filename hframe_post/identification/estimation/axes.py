@@ -9,9 +9,8 @@ others           all delay is the recording's, but for what damping explains
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
-from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.estimation import known_start, unknown_start
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
@@ -19,53 +18,13 @@ from hframe_post.identification.estimation.frequency_response import (
     share_left,
 )
 from hframe_post.identification.estimation.modes import listed, ringing, shares
-from hframe_post.identification.estimation.regression import Estimated
-from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.identification.estimation.regression import Fit
 
 # share of the measurement that a response without an assumed mode may leave: of drawn linear
 # printers 0.005 to 0.035, of real ones 0.06 to 0.3
 LINEAR = 0.05
 UNCALIBRATED = (1.0, 0.05)  # gain, as mean and standard deviation, after a rough one
 EARLY = 4e-3  # s by which the rough start may be late
-
-
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """The response ``G`` and how it was found.
-
-    measured: what was estimated. residual: share of the measurement that it leaves, weighted with
-    input power. modes: Hz and damping ratio of each that rings and counts, lowest first; of
-    racking, none.
-    """
-
-    G: ImpulseResponse
-    measured: Estimated
-    residual: float
-    modes: list[tuple[float, float]] = field(default_factory=list)
-
-    @property
-    def gain(self) -> float:
-        """Return the gain of the sensor, not part of G."""
-        return self.measured.gain
-
-    @property
-    def recording_delay(self) -> float:
-        """Return the delay of the recording, s, not part of G."""
-        return self.measured.delay
-
-    @property
-    def lag(self) -> float:
-        """Return how late the printer is at a constant speed, s."""
-        return self.G.lag * TS
-
-    def begun(self, late: float) -> Fit:
-        """Return the fit of recordings that began ``late``, s, found from what they were without
-        it."""
-        return replace(self, measured=replace(self.measured, delay=late))
-
-    def response(self, hz: Array) -> Complex:
-        """Return the model of the measurement at ``hz`` (k,), including gain and all delay."""
-        return self.measured.response(hz)
 
 
 # ---------------------------------------------------------------------- a known start
@@ -77,7 +36,7 @@ def fit_known_start(whole: FrequencyResponse) -> Fit:
     Raises IdentificationError.
     """
     found = known_start.estimated(whole)
-    return _described(found, whole, found.G.lag * TS)
+    return _described(found, whole, found.lag)
 
 
 def fit_racking(whole: FrequencyResponse, x: Fit, gain: float, in_time: bool) -> Fit:
@@ -86,10 +45,10 @@ def fit_racking(whole: FrequencyResponse, x: Fit, gain: float, in_time: bool) ->
     whole: rad/mm, as measured by a sensor of that gain in the recordings that ``x`` is of. in_time:
     whether they tell their start. Raises IdentificationError.
     """
-    in_step = advanced(whole, x.recording_delay)
-    found = known_start.estimated_coupling(in_step, gain, in_time)
+    in_step = advanced(whole, x.delay)
+    found = known_start.estimated_racking(in_step, gain, in_time)
     left = share_left(found.response(whole.hz), in_step, whole.power)
-    return Fit(found.G, found, left).begun(x.recording_delay)
+    return replace(found, residual=left, delay=x.delay)
 
 
 # ---------------------------------------------------------------------- an unknown start
@@ -118,7 +77,7 @@ def _from_its_damping(whole: FrequencyResponse) -> Fit:
     scaled = replace(whole, H=whole.H / gain)
     in_time = advanced(scaled, late)
     rough = known_start.estimated(in_time, UNCALIBRATED)
-    lag = rough.G.lag * TS
+    lag = rough.lag
     if modes := ringing(rough):
         seen = in_time.where(whole.hz >= rough.resonance_hz * unknown_start.MEASURED)
         late += shares(seen, modes, lag, speed=False)[1]
@@ -138,7 +97,7 @@ def _with_an_ideal_mode(whole: FrequencyResponse) -> Fit:
 # ---------------------------------------------------------------------- both
 
 
-def _described(found: Estimated, whole: FrequencyResponse, late: float) -> Fit:
+def _described(found: Fit, whole: FrequencyResponse, late: float) -> Fit:
     """Return the fit of a response; late: s, of the measurement, by recording and printer."""
     left = share_left(found.response(whole.hz), whole, whole.power)
-    return Fit(found.G, found, left, listed(found, whole, late))
+    return replace(found, residual=left, modes=listed(found, whole, late))

@@ -25,7 +25,7 @@ from hframe_post.identification.estimation.frequency_response import (
 from hframe_post.identification.estimation.regression import (
     LEAST_GAIN,
     Data,
-    Estimated,
+    Fit,
     Mode,
     Posterior,
     Prior,
@@ -45,29 +45,24 @@ LEAST_NOISE = 2e-3  # and at least
 LAG_SD = 10.0  # samples
 UNKNOWN = 64  # samples of the filter that holds the uncertainty
 FINE = 4096
-USUAL_PEAK = 5.0  # of an axis; a coupling is scaled to it
+USUAL_PEAK = 5.0  # of an axis; racking is scaled to it
 NONE = 1e-6  # standard deviation of what is zero
-NOTHING = (0.0, NONE)  # gain at rest of a coupling
+NOTHING = (0.0, NONE)  # gain at rest of racking
 
 
-def estimated(
-    measured: FrequencyResponse, sensor: tuple[float, float] = SENSOR, start: Prior | None = None,
-) -> Estimated:  # fmt: skip
+def estimated(measured: FrequencyResponse, sensor: tuple[float, float] = SENSOR) -> Fit:
     """Return the response of an axis that was measured, with what is not known of it.
 
-    All delay is the printer's. sensor: mean and standard deviation of its gain. start: what is
-    expected, by default modes are sought. Raises IdentificationError if there are too few
-    frequencies.
+    All delay is the printer's. sensor: mean and standard deviation of its gain. Raises
+    IdentificationError if there are too few frequencies.
     """
-    found, modelled = _regressed(measured, sensor, start)
-    gain = float(sensor[0] + found.mean[0])
-    lag = float(found.mean[1])
+    found, resonance_hz = _regressed(measured, sensor, None)
+    gain, lag = float(sensor[0] + found.mean[0]), float(found.mean[1])
     G = _response(found, 1.0, lag / gain, 1.0 / gain)
-    strongest = float(measured.hz[np.argmax(np.abs(modelled))])
-    return Estimated(G, gain, 0.0, strongest, found.prior)
+    return Fit(G, gain, 0.0, resonance_hz, found.prior.modes)
 
 
-def estimated_coupling(measured: FrequencyResponse, gain: float, in_time: bool) -> Estimated:
+def estimated_racking(measured: FrequencyResponse, gain: float, in_time: bool) -> Fit:
     """Return the response of what is 0 at rest and swept, in the units in which it was measured.
 
     gain: of the sensor. in_time: whether its start is known, so that it may show a lag. Raises
@@ -75,37 +70,31 @@ def estimated_coupling(measured: FrequencyResponse, gain: float, in_time: bool) 
     """
     scale = largest_response(measured) / USUAL_PEAK
     scaled = replace(measured, H=measured.H / scale)
-    found, modelled = _regressed(scaled, NOTHING, None, swept=True)
+    found, resonance_hz = _regressed(scaled, NOTHING, None, swept=True)
     lag, sd = float(found.mean[1]), float(np.sqrt(found.covariance[1, 1]))
     # of log evidence, that a lag brings (the ratio of Savage and Dickey)
     if not in_time or 0.5 * (lag / sd) ** 2 - np.log(LAG_SD / sd) < LEAST_GAIN:
-        found, modelled = _regressed(scaled, NOTHING, found.prior, 0.0, swept=True)
+        found, resonance_hz = _regressed(scaled, NOTHING, found.prior, 0.0, swept=True)
     G = _response(found, 0.0, float(found.mean[1]) * scale / gain, scale / gain)
-    strongest = float(measured.hz[np.argmax(np.abs(modelled))])
-    return Estimated(G, gain, 0.0, strongest, found.prior)
+    return Fit(G, gain, 0.0, resonance_hz, found.prior.modes)
 
 
 def _response(found: Posterior, rest: float, lag: float, scale: float) -> ImpulseResponse:
     """Return the response, as far as it is loud, and what is not known of it."""
     k = np.arange(-BEFORE, LONGEST, dtype=float)
     q = found.response(k)
-    loud = len(ended(q))
+    loud = int(np.flatnonzero(np.abs(q) >= SILENT * np.abs(q).max())[-1]) + 1
     unknown = _unknown(found.known(k[:loud]) * scale**2)
     return ImpulseResponse(scale * q[:loud], BEFORE, rest, lag, unknown=unknown)
-
-
-def ended(q: Array) -> Array:
-    """Return the samples up to the last one that counts."""
-    return q[: int(np.flatnonzero(np.abs(q) >= SILENT * np.abs(q).max())[-1]) + 1]
 
 
 def _regressed(
     measured: FrequencyResponse, sensor: tuple[float, float], prior: Prior | None,
     lag_sd: float = LAG_SD, swept: bool = False,
-) -> tuple[Posterior, Complex]:  # fmt: skip
-    """Return the posterior of (g − ĝ, g·lag, g·q), with the noise that it leaves, and its mean."""
+) -> tuple[Posterior, float]:  # fmt: skip
+    """Return the posterior of (g − ĝ, g·lag, g·q), and where its mean is greatest, Hz."""
     largest_response(measured)
-    linear, H, power = Linear(measured, sensor[0], max(lag_sd, NONE)), measured.H, measured.power
+    linear, H, power = _Linear(measured, sensor[0], max(lag_sd, NONE)), measured.H, measured.power
     least = power * (np.abs(H) ** 2 + 1.0) / measured.averages
     own = np.maximum(power * (measured.noise * np.abs(H)) ** 2, LEAST_NOISE**2 * least)
     left = np.zeros(len(H))
@@ -121,10 +110,10 @@ def _regressed(
         # what no linear model explains counts as noise, which in a sweep does not average out
         if noise is own or not swept:
             left = power * np.abs(H - modelled) ** 2 / (1.0 if swept else measured.averages)
-    return found, modelled
+    return found, float(measured.hz[np.argmax(np.abs(modelled))])
 
 
-class Linear:
+class _Linear:
     """A measured response as a linear function of (g − ĝ, g·lag, g·q) and of what modes add."""
 
     def __init__(self, measured: FrequencyResponse, gain: float, lag_sd: float) -> None:

@@ -23,7 +23,7 @@ from hframe_post.identification.estimation.frequency_response import (
     lowest,
     weights,
 )
-from hframe_post.identification.estimation.regression import Estimated, Mode
+from hframe_post.identification.estimation.regression import Fit, Mode
 
 RINGS = 0.3  # damping ratio below which a mode visibly rings
 LISTED = 0.03  # of the motion at rest: modes that contribute less are not listed
@@ -32,8 +32,8 @@ STEPS = 401  # of the delays that are tried: 10 µs
 NEAR = 0.1  # of the response's resonance, within which the measured peak is
 
 
-def ringing(found: Estimated) -> list[Mode]:
-    return [mode for mode in found.modes if mode.zeta < RINGS]
+def ringing(found: Fit) -> list[Mode]:
+    return [mode for mode in found.expected if mode.zeta < RINGS]
 
 
 def shares(
@@ -60,7 +60,7 @@ def shares(
     return np.hypot(c, d) / abs(float(c.sum())), delay
 
 
-def listed(found: Estimated, measured: FrequencyResponse, late: float) -> list[tuple[float, float]]:
+def listed(found: Fit, measured: FrequencyResponse, late: float) -> list[tuple[float, float]]:
     """Return (Hz, damping ratio) of each mode that rings and counts, lowest first.
 
     late: s, of the measurement. Where the regression found none it is the main resonance.
@@ -75,7 +75,7 @@ def listed(found: Estimated, measured: FrequencyResponse, late: float) -> list[t
     return [(hz, zeta) for hz, zeta in known if zeta < RINGS and hz <= measured.hz[-1]]
 
 
-def _resonance(found: Estimated, measured: FrequencyResponse) -> tuple[float, float]:
+def _resonance(found: Fit, measured: FrequencyResponse) -> tuple[float, float]:
     """Return Hz and damping ratio of the measured peak at the resonance, whose height is 1/2ζ."""
     near = np.abs(measured.hz / found.resonance_hz - 1.0) < NEAR
     size = np.abs(measured.H / found.gain) * near

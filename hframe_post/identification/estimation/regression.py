@@ -31,7 +31,7 @@ K_D, one without clear modes no K_M. c, β, α, the modes and d are hyperparamet
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg, optimize
@@ -202,17 +202,17 @@ class Posterior:
         return np.column_stack([k[:, None] == self.k, modes])
 
 
-def regress(data: Data, start: Prior | None = None, most: int = MOST_MODES) -> Posterior:
+def regress(data: Data, start: Prior | None = None) -> Posterior:
     """Return the posterior of greatest evidence.
 
-    start: hyperparameters to begin with, by default none. most: number of modes.
+    start: hyperparameters to begin with; without them modes are sought.
     """
     search = _Search(data, start or Prior(FIRST))
     if start is None:
-        search.add_modes(most)
+        search.add_modes()
     search.improve()
     if start is None:
-        if search.add_modes(most):
+        if search.add_modes():
             search.improve()
         plain = _Search(data, Prior(MUCH))
         plain.improve()
@@ -264,10 +264,10 @@ class _Search:
     def cost(self) -> float:
         return self._normal().solved(self.prior.decay)[2]
 
-    def add_modes(self, most: int) -> bool:
+    def add_modes(self) -> bool:
         """Add modes while each makes the measurement likelier than chance; tell if any does."""
         first = self.prior
-        while len(self.prior.modes) < most:
+        while len(self.prior.modes) < MOST_MODES:
             before, now = self.prior, self.cost()
             self.prior = replace(before, modes=(*before.modes, self._likeliest(TRIED)))
             self.refine()
@@ -417,22 +417,26 @@ def _integrated(M: Array, v: Array) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Estimated:
-    """The response G, without the sensor's gain and the delay (s) of the recording.
+class Fit:
+    """A response G, without the sensor's gain and the delay (s) of the recording.
 
-    resonance_hz: where |G| is greatest. prior: what was expected of it, if a regression found that.
+    resonance_hz: where |G| is greatest. expected: modes that the regression found, those that
+    explain most first. residual: share of the measurement that is left, weighted with input power.
+    modes: Hz and damping ratio of each that rings and counts, lowest first; of racking, none.
     """
 
     G: ImpulseResponse
     gain: float
     delay: float
     resonance_hz: float
-    prior: Prior | None = None
+    expected: tuple[Mode, ...] = ()
+    residual: float = 0.0
+    modes: list[tuple[float, float]] = field(default_factory=list)
 
     @property
-    def modes(self) -> tuple[Mode, ...]:
-        """Return the modes that it was expected to ring in, those that explain most first."""
-        return self.prior.modes if self.prior else ()
+    def lag(self) -> float:
+        """Return how late the printer is at a constant speed, s."""
+        return self.G.lag * TS
 
     def response(self, hz: Array) -> Complex:
         """Return what the sensor shows at ``hz`` (k,), including gain and delay."""

@@ -28,7 +28,7 @@ from hframe_post.identification.estimation.frequency_response import (
 from hframe_post.identification.estimation.regression import (
     Data,
     Decay,
-    Estimated,
+    Fit,
     Prior,
     posterior,
     rows,
@@ -48,7 +48,7 @@ SLOW_HZ = 5.0  # of strokes as long as a bed
 FIT_WEIGHT = 3000.0  # of the result against its kernel
 
 
-def estimated(measured: FrequencyResponse) -> Estimated:
+def estimated(measured: FrequencyResponse) -> Fit:
     """Return the response that was measured where it was excited.
 
     Raises IdentificationError if there are too few frequencies.
@@ -59,7 +59,7 @@ def estimated(measured: FrequencyResponse) -> Estimated:
     gain, delay = gain_and_delay(measured)
     in_time = measured.H / gain * np.exp(2j * np.pi * hz * delay)
     h = _estimate(measured, in_time, f0)
-    return Estimated(_handed_over(h, f0), gain, delay, f0)
+    return Fit(_handed_over(h, f0), gain, delay, f0)
 
 
 def _strongest(measured: FrequencyResponse) -> float:
