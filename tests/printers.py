@@ -31,6 +31,13 @@ def profile_of(config: KlipperConfig, kinematics: str = "") -> Printer:
     return parse(profile_text(tables, "own"), "own")
 
 
+def with_marlin(printer: Printer, **own: object) -> Printer:
+    """Return the printer with other settings of its board."""
+    assert printer.firmware.marlin is not None
+    table = replace(printer.firmware.marlin, **own)  # type: ignore[arg-type]
+    return replace(printer, firmware=replace(printer.firmware, tables=(table,)))
+
+
 Windows = tuple[Window, Window]
 
 

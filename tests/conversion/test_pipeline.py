@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Item
 from tests.gcode_tools import assert_same_stream, converted, follow, layers, sample, small_rectangle
-from tests.quantities import below
 from tests.same_print import print_of, unstamped
 
 STRICT = Options("racking", clamp=False)
@@ -78,22 +76,6 @@ TO_THE_EDGE = [  # the command leads the motion away from the edge by moving bey
 def test_command_outside_the_bed_is_an_error_with_its_line(paper: Printer) -> None:
     with pytest.raises(LimitError, match=r"line 3: x \(mm\) would be -0\.\d+"):
         converted(TO_THE_EDGE, paper, STRICT)
-
-
-def weak(profile: Printer, **motors: float) -> Printer:
-    return replace(profile, motors=replace(profile.motors, **motors))
-
-
-def test_moves_become_slower_where_the_belts_could_not_follow_their_commands(
-    paper: Printer,
-) -> None:
-    limited = weak(paper, belt_acceleration=16_000.0)
-    options = Options("racking", ("none", "racking"), clamp=False)
-    _, report = converted(sample("rectangle.gcode"), limited, options)
-    assert report.peaks.belt_acceleration <= 16_000.0
-    assert report.slowed > 0.0
-    error = report.as_json()["contour_error_um"]
-    below(error["racking"]["rms"], 0.1 * error["none"]["rms"], "RMS contour error, µm")
 
 
 def test_lost_filament_is_an_error(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:

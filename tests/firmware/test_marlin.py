@@ -25,6 +25,7 @@ from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, Position
 from tests.gcode_tools import assert_same_stream, converted, follow, layers, sample
+from tests.printers import with_marlin
 from tests.quantities import below
 from tests.same_print import assert_same_print
 
@@ -43,12 +44,6 @@ def from_there(way: Position) -> Way:
 @pytest.fixture(scope="module")
 def marlin() -> Printer:
     return load("paper-marlin")
-
-
-def with_own(profile: Printer, **own: object) -> Printer:
-    assert profile.firmware.marlin is not None
-    table = replace(profile.firmware.marlin, **own)  # type: ignore[arg-type]
-    return replace(profile, firmware=replace(profile.firmware, tables=(table,)))
 
 
 def code(profile: Printer) -> MarlinCode:
@@ -75,7 +70,7 @@ def test_stream_begins_unshaped_with_its_own_limits_and_modes(marlin: Printer) -
 
 
 def test_stream_ends_with_the_users_settings_to_the_last_digit(marlin: Printer) -> None:
-    mine = with_own(
+    mine = with_marlin(
         marlin, max_acceleration=(9000.125, 7000.375), max_acceleration_e=1800.625,
         max_velocity=(280.125, 310.375), acceleration=2800.125, travel_acceleration=2900.375,
         retract_acceleration=1234.625, min_segment_time=0.012345, min_velocity=0.125,
@@ -95,7 +90,7 @@ def test_segments_begin_at_their_own_speed_with_classic_jerk(marlin: Printer, pl
     at = np.array([[100.0, 100.0, 1.0, 0.0], [110.0, 100.0, 1.0, 0.5]])
     jerk = {"junction_deviation": 0.0, "jerk": (8.0, 9.0), "jerk_e": 5.0}
     for own, begins in ((jerk, 80.0), ({}, 0.0)):
-        mine = motion(with_own(marlin, planner=planner, **own))
+        mine = motion(with_marlin(marlin, planner=planner, **own))
         assert mine.entry(at, 80.0, 0.0) == begins, "mm/s"
         assert mine.entry(at, 80.0, 90.0) == 80.0, "mm/s, after a faster one"
 
@@ -122,7 +117,7 @@ def test_strokes_begin_and_end_with_the_users_corners(marlin: Printer) -> None:
 @pytest.mark.parametrize("planner", GENERATIONS)
 def test_strokes_last_as_long_as_they_were_planned_to(marlin: Printer, planner: str) -> None:
     """The speeds of the user's corners would make them faster than from rest to rest."""
-    mine = motion(with_own(marlin, planner=planner))
+    mine = motion(with_marlin(marlin, planner=planner))
     for way, speed in (((0.0, 0.0, 0.4, 0.0), 10.0), ((0.0, 0.0, 0.0, -2.0), 40.0)):
         a = mine.code.limits.z_acceleration if way[2] else mine.code.limits.extruder_acceleration
         planned, stroked = max(map(abs, way)) / speed + speed / a, from_there(way)
@@ -145,7 +140,7 @@ def test_blocks_reach_what_their_acceleration_allows(marlin: Printer, planner: s
     """Three of 1 mm at 1000 mm/s² and 60 mm/s, from rest to rest."""
     blocks = Blocks(np.full(3, 80.0), np.ones(3), np.full(3, 80_000.0))
     joint, v = np.array([0.0, 60.0, 60.0, 0.0]), np.full(3, 60.0)
-    v_s, v_e, _ = motion(with_own(marlin, planner=planner)).planner.stroke(blocks, joint, v)
+    v_s, v_e, _ = motion(with_marlin(marlin, planner=planner)).planner.stroke(blocks, joint, v)
     reached = np.sqrt(2.0 * 1000.0)
     np.testing.assert_allclose(v_e[:2], reached, rtol=0.03)
     np.testing.assert_allclose(v_s[1:], reached, rtol=0.03)
@@ -160,7 +155,7 @@ def test_turning_back_is_a_stop_and_going_on_is_none(marlin: Printer) -> None:
 
 
 def test_limits_are_set_in_whole_numbers_and_corners_to_a_hundredth(marlin: Printer) -> None:
-    assert code(with_own(marlin, **JERKS)).set_limits(150.4, 1234.6, 3.14159)[4:] == [
+    assert code(with_marlin(marlin, **JERKS)).set_limits(150.4, 1234.6, 3.14159)[4:] == [
         "M201 X1235 Y1235", "M203 X150 Y150", "M204 P1235 T1235", "M205 X3.14 Y3.14",
     ]  # fmt: skip
     assert code(marlin).set_limits(150.0, 1000.0, 5.0)[-1] == "M205 J0.0104"
@@ -213,7 +208,7 @@ def test_counting_filament_again_keeps_the_fraction_of_a_step(marlin: Printer) -
 
 def test_fixed_time_motion_fills_its_queue_before_it_moves(marlin: Printer) -> None:
     """It goes up and down by what a block needs, for longer than it plans ahead."""
-    begin = code(with_own(marlin, planner="ft-motion")).begin(NOWHERE, AT)
+    begin = code(with_marlin(marlin, planner="ft-motion")).begin(NOWHERE, AT)
     (up, feed), (down, _) = (map(float, WORDS.findall(line)) for line in begin[-3:-1])
     assert begin[-4] == b"M201 Z100000"  # else it overshoots downwards
     assert begin[-1] == b"M201 Z%d" % marlin.limits.z_acceleration
@@ -257,13 +252,15 @@ def test_filament_is_counted_anew_before_floats_forget(marlin: Printer) -> None:
 
 def test_bound_on_lines_is_kept_or_told(marlin: Printer) -> None:
     for bound in (60.0, 125.0, 500.0):
-        report = converted(sample("rectangle.gcode"), with_own(marlin, lines_per_second=bound))[1]
+        report = converted(sample("rectangle.gcode"), with_marlin(marlin, lines_per_second=bound))[
+            1
+        ]
         assert report.written.busiest_second <= bound
         assert "lines in a second" not in report.as_text()
     hops = [b"G1 X100 Y100 Z1 F6000\n"]
     hops += [b"G1 X%d Z%d\n" % (100 + k % 2, 1 + k % 2) for k in range(4)]
     hops += [b"G1 E%s F3600\n" % (b"0.1" if k % 2 else b"0") for k in range(300)]
-    report = converted(hops, with_own(marlin, lines_per_second=60.0))[1]
+    report = converted(hops, with_marlin(marlin, lines_per_second=60.0))[1]
     assert "lines in a second" in report.as_text()
 
 
@@ -307,21 +304,21 @@ def test_a_print_that_whole_steps_spoil_is_reported(marlin: Printer) -> None:
 @pytest.mark.parametrize("planner", MARLIN_PLANNERS)
 def test_rectangle(marlin: Printer, golden: Callable[[str, bytes], bytes], planner: str) -> None:
     """Other machines may round to another tick of the timer."""
-    whole = converted(sample("rectangle.gcode"), with_own(marlin, planner=planner))[0]
+    whole = converted(sample("rectangle.gcode"), with_marlin(marlin, planner=planner))[0]
     rows = whole.splitlines(keepends=True)
     now = b"".join([*rows[:1], *rows[2:]])  # the stamp apart: it changes with every option
     assert_same_stream(now, golden(f"rectangle.marlin-{planner}.gcode", now))
 
 
 def test_fixed_time_motion_is_on_without_shapers_while_the_stream_runs(marlin: Printer) -> None:
-    mine = code(with_own(marlin, planner="ft-motion", fixed_time_shaper=(1.0, 8.0)))
+    mine = code(with_marlin(marlin, planner="ft-motion", fixed_time_shaper=(1.0, 8.0)))
     assert b"M493 S1 X0 Y0 C0 P0" in mine.begin(NOWHERE, AT)
     end = mine.end(STATE, AT)
     assert [line for line in end if b"M493" in line] == [b"M493 S0", b"M493 X1 C1", b"M493 Y8 C8"]
 
 
 def test_trajectory_and_smoothing_are_those_of_the_user_again(marlin: Printer) -> None:
-    smoothed = with_own(marlin, fixed_time_trajectory=2, fixed_time_smoothing=(0.02, 0.03))
+    smoothed = with_marlin(marlin, fixed_time_trajectory=2, fixed_time_smoothing=(0.02, 0.03))
     assert b"M494 T0 X0 Y0 Z0 E0" in code(smoothed).begin(NOWHERE, AT)
     assert b"M494 T2 X0.02 Y0.03 Z0 E0" in code(smoothed).end(STATE, AT)
     assert not any(b"M494" in line for line in code(marlin).end(STATE, AT))
@@ -330,7 +327,7 @@ def test_trajectory_and_smoothing_are_those_of_the_user_again(marlin: Printer) -
 def test_advance_is_computed_into_e_and_said(marlin: Printer) -> None:
     """A line's filament is that of the file at both ends; in between E is ahead of it."""
     lines = [b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X160 E2\n", b"G1 X100 E2\n"]
-    plain, advanced = (converted(lines, with_own(marlin, linear_advance=K)) for K in (0.0, 0.05))
+    plain, advanced = (converted(lines, with_marlin(marlin, linear_advance=K)) for K in (0.0, 0.05))
     assert advanced[1].advancing.most
     said = (
         "advance          0.05 s, computed into E; the firmware's own is off while the file moves"
@@ -345,7 +342,7 @@ def test_advance_is_computed_into_e_and_said(marlin: Printer) -> None:
 
 
 def test_a_slow_sender_gets_fewer_lines(marlin: Printer) -> None:
-    slow, usual = (with_own(marlin, baud=250_000, latency=t) for t in (4e-3, 2e-3))
+    slow, usual = (with_marlin(marlin, baud=250_000, latency=t) for t in (4e-3, 2e-3))
     assert motion(slow).lines_per_second == pytest.approx(172.4, abs=0.1)
     assert motion(usual).lines_per_second == 250.0
     assert "takes 4 ms (latency)" in code(slow).notices[0]
@@ -362,7 +359,7 @@ def test_retractions_begin_as_the_users_do(
     marlin: Printer, own: dict[str, object], users: bytes, ours: bytes
 ) -> None:
     lines = [b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X120 E1\n", b"G1 E-3 F2700\n", b"G1 X140\n"]
-    text = converted(lines, with_own(marlin, **own))[0].splitlines()
+    text = converted(lines, with_marlin(marlin, **own))[0].splitlines()
     (retraction,) = (k for k, line in enumerate(text) if line.startswith(b"G1 E-3 F"))
     assert text[retraction - 1] == users
     assert text[retraction + 2] == ours
@@ -403,7 +400,7 @@ def test_segments_are_long_on_any_path(seed: int, kind: str, rate: float, last: 
     v[n // 3 : n // 2] = 0.0
     points = np.zeros((n + 1, 4))
     points[1:, :2] = np.cumsum(v, axis=0)
-    paper = replace(with_own(load("paper-marlin"), lines_per_second=rate))
+    paper = replace(with_marlin(load("paper-marlin"), lines_per_second=rate))
     machine = motion(replace(paper, kinematics=Kinematics(kind)))
     ends, at = machine.segments(points, np.zeros(n + 1, dtype=bool), last)
     assert (np.diff(ends) > 0).all()

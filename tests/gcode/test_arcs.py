@@ -59,6 +59,30 @@ def test_arcs_with_rounded_numbers_keep_their_centre(
         assert turned(points, start, centre) == pytest.approx(sweep / math.tau, abs=0.01 / radius)
 
 
+@pytest.mark.parametrize(
+    ("line", "centre", "middle"),
+    [
+        ("G2 X10 Y0 R5", (5, 0), (5, 5)),
+        ("G3 X10 Y0 R5", (5, 0), (5, -5)),
+        ("G2 X10 Y0 I5 J0", (5, 0), (5, 5)),
+        ("G3 X10 Y0 R-13", (5, -12), (5, -25)),
+        ("G2 X6 Y0 R-5", (3, 4), (3, 9)),
+    ],
+)
+def test_arcs(line: str, centre: tuple[float, float], middle: tuple[float, float]) -> None:
+    points = np.array(ends(line))[:, :2]
+    assert off_circle(points, (0.0, 0.0), centre) <= curves.CHORD_ERROR_MM + 1e-9
+    assert np.hypot(*(points - middle).T).min() < 0.5
+
+
+def test_full_circle_and_helix_in_proportion() -> None:
+    points = np.array(ends("G3 X0 Y0 Z2 I-10 J0 E4"))
+    assert off_circle(points[:, :2], (0.0, 0.0), (-10.0, 0.0)) <= curves.CHORD_ERROR_MM + 1e-9
+    assert points[-1].tolist() == [0, 0, 2, 4]
+    np.testing.assert_allclose(points[:, 3], 2 * points[:, 2], atol=1e-9)
+    assert points[:, 0].min() == pytest.approx(-20, abs=0.05)
+
+
 @pytest.mark.parametrize("ignored", ["", "P1", "P3", "P1.5", "K7"])
 def test_an_arc_makes_at_most_a_turn(ignored: str) -> None:
     """As Klipper's gcode_arcs plays it, and Marlin without ARC_P_CIRCLES."""

@@ -1,23 +1,22 @@
 """Reading: modal state, pass-through lines, and what is refused."""
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hframe_post.arrays import Array
 from hframe_post.errors import GcodeError
 from hframe_post.firmware.registry import FIRMWARES
-from hframe_post.gcode import batching, curves
+from hframe_post.gcode import batching
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.profile import load
 from hframe_post.stream.types import Handling, MoveAtRest, Moves, Passthrough
 from tests.gcode.reading import HOME, carried, ends, items, moves
 from tests.mark_tools import mark
+from tests.printers import with_marlin
 
 KLIPPER = FIRMWARES["klipper"].dialect
 
@@ -105,11 +104,7 @@ def test_a_board_obeys_its_own_kind_of_corners(
     own: dict[str, object], line: str, corner: float, deviation: float
 ) -> None:
     """Marlin is built with junction deviation (J) or with jerk (X, Y) and ignores the other."""
-    printer = load("paper-marlin")
-    table = printer.firmware.marlin
-    assert table is not None
-    tables = (replace(table, **own),)  # type: ignore[arg-type]
-    printer = replace(printer, firmware=replace(printer.firmware, tables=tables))
+    printer = with_marlin(load("paper-marlin"), **own)
     lines = [f"{text}\n".encode() for text in (*HOME, line, "G1 X1")]
     (block,) = (
         item for item in read(lines, ReadOptions.from_printer(printer)) if isinstance(item, Moves)
@@ -218,38 +213,3 @@ def test_a_line_that_could_be_misread_is_an_error(line: str) -> None:
         items(*HOME, line)
     assert caught.value.line == len(HOME) + 1
     assert str(caught.value).startswith(f"line {len(HOME) + 1}: ")
-
-
-# ---------------------------------------------------------------------- arcs
-
-
-def arc_is_right(points: Array, start: tuple[float, float], centre: tuple[float, float]) -> None:
-    radius = math.dist(start, centre)
-    whole = np.vstack([start, points])
-    np.testing.assert_allclose(np.hypot(*(whole - centre).T), radius, atol=1e-9)
-    middles = (whole[1:] + whole[:-1]) / 2
-    assert (radius - np.hypot(*(middles - centre).T)).max() <= curves.CHORD_ERROR_MM + 1e-9
-
-
-@pytest.mark.parametrize(
-    ("line", "centre", "middle"),
-    [
-        ("G2 X10 Y0 R5", (5, 0), (5, 5)),
-        ("G3 X10 Y0 R5", (5, 0), (5, -5)),
-        ("G2 X10 Y0 I5 J0", (5, 0), (5, 5)),
-        ("G3 X10 Y0 R-13", (5, -12), (5, -25)),
-        ("G2 X6 Y0 R-5", (3, 4), (3, 9)),
-    ],
-)
-def test_arcs(line: str, centre: tuple[float, float], middle: tuple[float, float]) -> None:
-    points = np.array(ends(line))[:, :2]
-    arc_is_right(points, (0.0, 0.0), centre)
-    assert np.hypot(*(points - middle).T).min() < 0.5
-
-
-def test_full_circle_and_helix_in_proportion() -> None:
-    points = np.array(ends("G3 X0 Y0 Z2 I-10 J0 E4"))
-    arc_is_right(points[:, :2], (0.0, 0.0), (-10.0, 0.0))
-    assert points[-1].tolist() == [0, 0, 2, 4]
-    np.testing.assert_allclose(points[:, 3], 2 * points[:, 2], atol=1e-9)
-    assert points[:, 0].min() == pytest.approx(-20, abs=0.05)

@@ -126,36 +126,6 @@ def test_catching_up_on_a_left_out_object_has_the_users_limits(tmp_path: Path) -
     assert moves["accel"][long].max() <= 10_000.0
 
 
-def test_with_the_macros_a_paused_print_goes_on_as_it_was(tmp_path: Path) -> None:
-    """Begun and ended by macros; what the pause's own moves do, they do with the user's limits."""
-    paper = load("paper")
-    assert paper.firmware.klipper is not None
-    klipper = replace(paper.firmware.klipper, begin_macro="_HFRAME_BEGIN", end_macro="_HFRAME_END")
-    named = replace(paper, firmware=replace(paper.firmware, tables=(klipper,)))
-    lines = [line.encode() + b"\n" for line in [*HEAD, *objects(1)]]
-    text, _ = converted(lines, named)
-    rows = text.splitlines(keepends=True)
-    half = [k for k in range(len(rows)) if rows[k].startswith(b"G1 X")][len(rows) // 2]
-    rows[half:half] = [b"PAUSE\n", b"G90\n", b"G1 X20 Y20 F18000\n", b"RESUME\n"]
-    played = {}
-    sections = SECTIONS.replace("[pause_resume]\n", "") + macros(named)
-    for name, content in (("whole", text), ("paused", b"".join(rows))):
-        (tmp_path / f"{name}.gcode").write_bytes(content)
-        played[name] = play(
-            tmp_path / f"{name}.gcode", workdir=tmp_path / name, sections=sections,
-            limits={"max_accel": 1000.0, "max_velocity": 150.0},
-        )  # fmt: skip
-    whole, paused = played["whole"], played["paused"]
-    assert whole.warnings == paused.warnings == ()
-    np.testing.assert_allclose(
-        paused.position(paused.end + 1.0), whole.position(whole.end + 1.0), atol=1e-3
-    )
-    assert paused.extruded(paused.end + 1.0) == pytest.approx(whole.extruded(whole.end + 1.0))
-    slow = paused.moves["accel"] <= 1000.0
-    assert slow[paused.moves["cruise_v"] > 140.0].any()  # to the park place and back
-    assert paused.moves["accel"].max() == pytest.approx(35355.0)
-
-
 # ---------------------------------------------------------------------- stopped anywhere
 
 MOTORS = 50_000.0  # mm/s², of the profile

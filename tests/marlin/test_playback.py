@@ -20,6 +20,7 @@ from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
 from tests.conftest import few
 from tests.gcode_tools import converted, sample, sliced
+from tests.printers import with_marlin
 from tests.quantities import below, near
 
 from .planner import Build, FixedTimeRun, Machine, Run, xy
@@ -110,13 +111,6 @@ def marlin() -> Printer:
     return load("paper-marlin")
 
 
-def with_own(printer: Printer, **own: object) -> Printer:
-    table = printer.firmware.marlin
-    assert table is not None
-    changed = replace(table, **own)  # type: ignore[arg-type]
-    return replace(printer, firmware=replace(printer.firmware, tables=(changed,)))
-
-
 # ---------------------------------------------------------------------- the simulation itself
 
 # The rectangle of half a minute, as version 0.1.0 wrote it for a planner of its own belief, at
@@ -177,7 +171,7 @@ BUILDS: list[tuple[dict[str, object], dict[str, object]]] = [
 def test_rectangle_keeps_time_and_place(
     marlin: Printer, own: dict[str, object], how: dict[str, object]
 ) -> None:
-    rectangle = played(laps(), with_own(marlin, **own), planner=own["planner"], **how)
+    rectangle = played(laps(), with_marlin(marlin, **own), planner=own["planner"], **how)
     first, late, off = rectangle.track()
     assert rectangle.machine.merged == 0
     below(abs(drift(first, late)), 3.0, "drift, ms a minute")
@@ -194,7 +188,7 @@ SWING = [b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 E2 F1800\n", b"G1 X130 Y93 E
 @pytest.mark.parametrize("planner", ["2.1", "2.1-dev", "ft-motion"])
 def test_a_start_that_swings_by_a_few_steps_is_waited_for(marlin: Printer, planner: str) -> None:
     """The command swings by 50 µm before it sets out: as one long segment it is off by 204 µm."""
-    start = played(SWING, with_own(marlin, planner=planner), planner=planner)
+    start = played(SWING, with_marlin(marlin, planner=planner), planner=planner)
     away = np.hypot(*(start.command - start.command[0]).T) > 0.012
     first = int(away.argmax())
     _, off = start.lateness(first, start.run.sets_out - first * TS, 0.4)
@@ -203,7 +197,7 @@ def test_a_start_that_swings_by_a_few_steps_is_waited_for(marlin: Printer, plann
 
 def test_while_fixed_time_motion_fills_its_queue_z_moves_by_six_steps_up(marlin: Printer) -> None:
     """With the acceleration of z it dips by 21 steps, and snaps back as x sets out."""
-    run = played(laps(1), with_own(marlin, planner="ft-motion"), planner="ft-motion").run
+    run = played(laps(1), with_marlin(marlin, planner="ft-motion"), planner="ft-motion").run
     assert isinstance(run, FixedTimeRun)
     z = run.frames[:, Z] - run.frames[0, Z]
     assert z.min() > -0.5
@@ -214,7 +208,7 @@ def test_while_fixed_time_motion_fills_its_queue_z_moves_by_six_steps_up(marlin:
 @pytest.mark.parametrize("planner", few(["2.1-dev"], 0))
 def test_classic_jerk_plays_the_same(marlin: Printer, planner: str) -> None:
     jerk = {"junction_deviation": 0.0, "jerk": (8.0, 8.0), "jerk_e": 5.0}
-    mine = with_own(marlin, planner=planner, **jerk)
+    mine = with_marlin(marlin, planner=planner, **jerk)
     first, late, off = played(laps(), mine, classic_jerk=True, planner=planner).track()
     below(abs(drift(first, late)), 5.0, "drift, ms a minute")
     below(rms(off), 0.012, "RMS distance to the command, mm")
@@ -231,7 +225,7 @@ def test_lifts_and_retractions_take_the_time_that_they_are_planned_to(
             b"G1 X%d E3 F2400\n" % (100 + 60 * (k % 2)), b"G1 E-2 F1800\n", b"G1 Z1.4 F600\n",
             b"G1 Y%d F6000\n" % (100 + 3 * k), b"G1 Z1.5 F600\n", b"G1 Z1\n", b"G1 E2 F1800\n",
         ]  # fmt: skip
-    _, late, _ = played(lines, with_own(marlin, planner=planner), planner=planner).track()
+    _, late, _ = played(lines, with_marlin(marlin, planner=planner), planner=planner).track()
     most = 5e-3 if planner == "2.0" else 2e-3  # 2.0 makes a first step after a turn in 8 ms
     below(np.ptp(late[1:]), most, "range of the lateness after the start, s")
 
@@ -246,7 +240,7 @@ def layers_of_cube(last: int) -> list[bytes]:
 def test_cube_keeps_time_and_place_across_lifts_and_retractions(
     marlin: Printer, planner: str
 ) -> None:
-    cube = played(layers_of_cube(2), with_own(marlin, planner=planner), planner=planner)
+    cube = played(layers_of_cube(2), with_marlin(marlin, planner=planner), planner=planner)
     _, late, off = cube.track()
     below(np.ptp(late), 6e-3, "range of the lateness, s")
     below(rms(off), 0.011, "RMS distance to the command, mm")
@@ -258,7 +252,7 @@ def test_cube_keeps_time_and_place_across_lifts_and_retractions(
 @pytest.mark.parametrize("planner", GENERATIONS)
 def test_a_slow_board_takes_as_long_for_a_layer_as_sliced_as_is_told(planner: str) -> None:
     """At 500 mm/s², what its planner makes of ramps is up to 1 % of the time."""
-    slinger = with_own(load("example-ender"), planner=planner)
+    slinger = with_marlin(load("example-ender"), planner=planner)
     build = built(slinger, planner=planner, cartesian=True, junction_deviation=0.08)
     board, told = [], []
     for layers in (1, 2):
@@ -281,7 +275,7 @@ HOPS = [
 @pytest.mark.parametrize("planner", few(["2.1", "2.0", "2.1-dev"], 1))
 def test_retractions_and_lifts_cost_no_time_and_the_file_sets_their_limits(planner: str) -> None:
     """The board passes them at a corner speed, at M203 Z and E and with M204 R of the file."""
-    slinger = with_own(load("example-ender"), planner=planner)
+    slinger = with_marlin(load("example-ender"), planner=planner)
     own = replace(
         built(slinger, planner=planner, cartesian=True, junction_deviation=0.08),
         max_velocity=[500.0, 500.0, 5.0, 25.0], max_acceleration=[500.0, 500.0, 100.0, 5000.0],
@@ -352,7 +346,7 @@ def test_the_extruder_is_ahead_as_computed_and_no_time_is_lost(
     At this acceleration it can follow, so the path is planned as without advance.
     """
     lines, limits = laps(3), replace(marlin.limits, acceleration=8000.0)
-    plain = replace(with_own(marlin, planner=planner), limits=limits)
+    plain = replace(with_marlin(marlin, planner=planner), limits=limits)
     advanced = replace(plain, extruder=Extruder(0.05))
     without, one = (played(lines, each, planner=planner) for each in (plain, advanced))
     filament, ahead = asked_of_the_extruder(lines, advanced)

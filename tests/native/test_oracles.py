@@ -11,38 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post import native
-from hframe_post.firmware.klipper.klipper_code import StreamLimits
 from hframe_post.firmware.marlin.planner import SteppedPlanner, make_planner
-from hframe_post.native import ramps
 from hframe_post.native.block_times import Timer, block_times, step_times
 from hframe_post.native.linear import product, pseudo_inverse, recursion
 from hframe_post.native.whole_steps import Blocks
-from hframe_post.printer.settings import Printer
-from tests.native import oracles
-
-SEEDS = range(30)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_klipper_feeds(paper: Printer, seed: int) -> None:
-    """Some segments are straight on or straight back, and some are too short for their time."""
-    rng = np.random.default_rng(seed)
-    k, power, lifts = int(rng.integers(1, 300)), rng.uniform(-4.0, 1.0), rng.random() < 0.5
-    limits = StreamLimits.from_limits(paper.limits, paper.motors, paper.kinematics).row
-    moves = rng.normal(0.0, 10.0**power, (k, 4)).round(3) * (1.0, 1.0, lifts, 0.04)
-    moves[rng.random(k) < 0.2] = moves[0] * rng.choice([1.0, -1.0])
-    moves[:, 0] = np.where(moves[:, 0] == 0.0, 0.001, moves[:, 0])
-    at = np.cumsum(np.vstack([np.zeros(4), moves]), axis=0)
-    rest, before = rng.random(k + 1) < rng.choice([0.0, 0.1]), float(rng.choice([0.0, 60.0]))
-    given = at, 1e-3 * np.ceil(rng.uniform(0.0, 200.0, k)), rest, before, np.inf, limits
-    for one, other in zip(ramps.klipper_feeds(*given, 600.0), oracles.klipper_feeds(*given, 600.0),
-                          strict=True):  # fmt: skip
-        assert one.tobytes() == other.tobytes()
-    v = rng.uniform(0.1, 700.0, k)
-    taken = ramps.klipper_durations(at, v, rest, before, np.inf, limits)
-    expected = oracles.Ramped.from_moves(np.diff(at, axis=0), rest, limits).durations(v, before)
-    assert taken.tobytes() == expected.tobytes()
-
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -1,7 +1,5 @@
 """Time as the writer keeps it, and filament where lines are carried through motion."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -16,6 +14,7 @@ from hframe_post.writers.carried import NOTHING_BETWEEN
 from hframe_post.writers.decimation import Batch, Units, check_filament
 from hframe_post.writers.machine import Motion
 from hframe_post.writers.timing import TimedMotion, Timing
+from tests.printers import with_marlin
 
 UNITS = Units(finer=2)  # of a sweep
 STEADY = 200  # segments
@@ -53,10 +52,7 @@ def test_a_motion_between_rests_is_in_time_with_the_ramps_at_both_ends(paper: Pr
 
 def test_a_short_motion_that_must_be_late_gets_a_speed_that_can_be_written() -> None:
     """To be in time, its first segment of six steps would have to take less than no time."""
-    printer = load("paper-marlin")
-    assert printer.firmware.marlin is not None
-    marlin = replace(printer.firmware.marlin, planner="2.1-dev")
-    printer = replace(printer, firmware=replace(printer.firmware, tables=(marlin,)))
+    printer = with_marlin(load("paper-marlin"), planner="2.1-dev")
     timing = Timing(firmware(printer).motion(None), Units(0))
     timing._before = 39.68  # mm/s, of the retraction before it
     x, e = [113.218, 113.341, 113.218], [0.0, 0.00281, 0.00996]
