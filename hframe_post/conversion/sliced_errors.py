@@ -9,17 +9,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
-from hframe_post.arrays import TS, E
+from hframe_post.arrays import TS, Array, E
 from hframe_post.compensation.shape import LIVE, SHAPER, Shapes, shape
 from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
-from hframe_post.planner.sliced import AsSliced
+from hframe_post.planner.lookahead import part
+from hframe_post.planner.sliced import AsSliced, Timed
 from hframe_post.prediction.best_shaper import Paths, paths, ranked
 from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.predict import quantise
@@ -27,14 +27,14 @@ from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.marks import NO_MARKS, Marks
-from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Planned, Samples, frozen
+from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Samples, frozen
 
 PIECE_S = 3.0  # of motion in a piece; more only if a single run lasts longer, 4 times at most
 SETTLING_SAMPLES = 300  # samples after which it does not matter how a piece began
 KEPT_S = 120.0  # to keep of a print; at most twice as much is kept
 SHAPED_PIECES = 4  # pieces on which the shaper is chosen: its error is within 5 % of that on all
 
-Piece = tuple[float, tuple[Planned, ...]]  # its seconds, and what it consists of
+Piece = tuple[float, tuple[Plan | Passthrough, ...]]  # its seconds, and what it consists of
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class SlicedFile:
         self._firmware = own or firmware(printer)
         self._printer, self.own = printer, AsSliced(self._firmware.limits())
         self._pieces, self._every, self._count = list[Piece](), 1, 0
-        self._piece, self._seconds = list[Planned](), 0.0  # of motion
+        self._piece, self._seconds = list[Plan | Passthrough](), 0.0  # of motion
         self._total, self._extrudes = 0.0, False  # seconds of all pieces that count
 
     @classmethod
@@ -71,9 +71,9 @@ class SlicedFile:
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:
         for item in items:
-            self._keep(self.own.planned(item))
+            self._keep(self.own.timed(item))
             yield item
-        self._keep(self.own.planned(None))
+        self._keep(self.own.timed(None))
         self._end()
 
     @cached_property
@@ -110,7 +110,7 @@ class SlicedFile:
     def _samples(self, pieces: Iterable[Piece]) -> Iterator[Samples]:
         return successive(ended(self._motion(piece)) for _, piece in pieces)
 
-    def _motion(self, piece: tuple[Planned, ...]) -> Iterator[Samples]:
+    def _motion(self, piece: tuple[Plan | Passthrough, ...]) -> Iterator[Samples]:
         """Yield a piece's samples, not many more than it may have.
 
         Of a piece that begins in motion the first samples do not count: they extrude nothing.
@@ -126,25 +126,40 @@ class SlicedFile:
             if (most := most - len(chunk)) <= 0:
                 return
 
-    def _keep(self, planned: Iterable[Planned]) -> None:
+    def _keep(self, planned: Iterable[Timed | Passthrough | Marks]) -> None:
         for item in planned:
-            if isinstance(item, Plan):
-                for part, seconds in _parts(item):
-                    self._piece.append(part)
-                    self._seconds += seconds
-                    if self._seconds >= PIECE_S:
-                        self._end()
-            elif isinstance(item, Passthrough) and item.handling is Handling.RELEASE:
+            if isinstance(item, tuple):
+                self._cut(*item)
+            elif isinstance(item, Passthrough):
+                if item.handling is Handling.RELEASE:
+                    self._end()
+                else:
+                    self._piece.append(item)
+
+    def _cut(self, plan: Plan, seconds: Array) -> None:
+        """Add a plan to the piece, and end that wherever it is long enough."""
+        low, passed = 0, [0.0, *seconds.cumsum().tolist()]
+        begun = 0.0
+        for high in _ends(seconds):
+            self._seconds += passed[high] - begun
+            begun = passed[high]
+            if self._seconds >= PIECE_S:
+                self._add(plan, low, high)
                 self._end()
-            elif not isinstance(item, Marks):
-                self._piece.append(item)
+                low = high
+        self._add(plan, low, len(seconds))
+
+    def _add(self, plan: Plan, low: int, high: int) -> None:
+        if high > low:
+            first, last = plan.ends[[low, high]].tolist()
+            self._piece.append(replace(part(plan, first, last), marks=NO_MARKS))
 
     def _end(self) -> None:
         """End the piece; keep every n-th that extrudes anything, or every n-th if no piece does."""
         piece, seconds = tuple(self._piece), self._seconds
         self._piece, self._seconds = [], 0.0
-        plans = [item.points[:, E] for item in piece if isinstance(item, Plan)]
-        extrudes = any((e[1:] > e[:-1]).any() for e in plans)
+        plans = [item.points for item in piece if isinstance(item, Plan)]
+        extrudes = any(map(_extrudes, plans))
         if extrudes and not self._extrudes:
             self._pieces, self._every, self._count, self._total = [], 1, 0, 0.0
             self._extrudes = True
@@ -162,21 +177,18 @@ class SlicedFile:
         return sum(seconds for seconds, _ in self._pieces)
 
 
-def _parts(plan: Plan) -> Iterator[tuple[Plan, float]]:
-    """Yield a plan in parts of about a piece's duration, each with its seconds."""
-    seconds = plan.seconds
-    passed = seconds.cumsum()
-    if passed[-1] < PIECE_S:
-        yield plan if not plan.marks else replace(plan, marks=NO_MARKS), float(passed[-1])
-        return
-    at = passed // PIECE_S
-    cuts = [0, *(np.flatnonzero(np.diff(at)) + 1).tolist(), len(seconds)]
-    for low, high in pairwise(cuts):
-        first, last = plan.ends[[low, high]].tolist()
-        part = Plan(
-            plan.line[first:last], plan.points[first : last + 1],
-            plan.s[first : last + 1] - plan.s[first], plan.ends[low : high + 1] - first,
-            plan.speed[low : high + 1], plan.cruise[low:high], plan.acceleration[low:high],
-            NO_MARKS,
-        )  # fmt: skip
-        yield part, float(seconds[low:high].sum())
+def _ends(seconds: Array) -> Iterator[int]:
+    """Yield before which runs (r,) a piece may end: at rest, or in motion of a piece's duration."""
+    low = 0
+    for rest in (*np.flatnonzero(seconds == 0.0).tolist(), len(seconds)):
+        passed = seconds[low:rest].cumsum()
+        if rest > low and passed[-1] >= PIECE_S:
+            yield from (np.flatnonzero(np.diff(passed // PIECE_S)) + low + 1).tolist()
+        yield rest
+        low = rest + 1
+
+
+def _extrudes(points: Array) -> bool:
+    """Return whether a move between points (n + 1, 4) extrudes while x or y moves."""
+    x, y, _, e = np.diff(points, axis=0).T
+    return bool(((e > 0.0) & ((x != 0.0) | (y != 0.0))).any())

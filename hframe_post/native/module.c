@@ -28,7 +28,6 @@
     EACH(finite_filter)                                                                       \
     EACH(limit_moves)                                                                         \
     EACH(lower_moves)                                                                         \
-    EACH(run_seconds)                                                                         \
     EACH(smoothed_runs)                                                                       \
     EACH(solve_stop)                                                                          \
     EACH(line_pieces)                                                                         \

@@ -1,9 +1,10 @@
 #include "kernels.h"
 
-struct limited { /* a move; the deviation is that of its junctions; alone: x and y rest */
+struct limited { /* a move; the deviation is that of its junctions; alone: x and y rest; REST: so does
+                    * the machine before and after it */
     double length, cruise, acceleration, deviation, alone;
 };
-enum { OF_MOVE = 5 };
+enum { OF_MOVE = 5, REST = 2 };
 
 struct rules { /* those of the printer, and of the file for motors A and B, z and e */
     double cruise, acceleration, z_cruise, retraction, melted, z_acceleration, e_acceleration, corner,
@@ -61,7 +62,7 @@ static int64_t limit_moves(const double *points, const double *speed, const doub
         int alone = delta[X] == 0.0 && delta[Y] == 0.0;
         double cruise = lesser(speed[k], alone ? INFINITY : rules->cruise);
         double a = lesser(acceleration[k], alone ? INFINITY : rules->acceleration);
-        double retracting = delta[E] < 0.0 ? share[E] : 0.0, extruding = share[E] - retracting;
+        double retracting = delta[E] < 0.0 || alone ? share[E] : 0.0, extruding = share[E] - retracting;
         for (int c = 0; c < COLUMNS; c++)
             cruise = lesser(cruise, rules->axis_velocity[c] / share[c]);
         for (int c = 0; c < COLUMNS && !(alone && share[Z] == 0.0); c++) /* filament has its own */
@@ -156,7 +157,7 @@ static int64_t junctions(const double *points, const struct limited *moves, int6
                          : junction_speed(before, now, moves[k - 1], moves[k], extruder_corner);
         int stops = (!(joins && moves[k - 1].alone) && is_steep(before, steep)) ||
                     (!(joins && moves[k].alone) && is_steep(now, steep));
-        if (stops || v < creep)
+        if (stops || moves[k - 1].alone == REST || moves[k].alone == REST || v < creep)
             v = 0.0;
         caps[k] = lesser(v, lesser(below_cruise * moves[k - 1].cruise, cruise));
     }
@@ -228,11 +229,10 @@ static void fit_squares(const double *caps2, const double *reach2, const double 
     v2[0] = caps2[0];
 }
 
-/* Find the vertices that end runs, and the speeds there; return the number of runs. s, ends and speed
- * (n + 1); s: path length at the vertices. room (8, n + 1). */
-static int64_t find_runs(const struct limited *moves, const double *caps, int64_t n, double jerk,
-                         double deceleration, double last, double feasible, int64_t plateau,
-                         double *room, double *s, int64_t *ends, double *speed)
+/* As find_runs, for moves in which the machine does not rest. */
+static int64_t runs_between_rests(const struct limited *moves, const double *caps, int64_t n, double jerk,
+                                 double deceleration, double last, double feasible,
+                                 int64_t plateau, double *room, double *s, int64_t *ends, double *speed)
 {
     double *caps2 = room, *reach2 = caps2 + n + 1, *stop2 = reach2 + n + 1, *v2 = stop2 + n + 1;
     struct run *runs = (struct run *)(v2 + n + 1);
@@ -273,6 +273,30 @@ static int64_t find_runs(const struct limited *moves, const double *caps, int64_
     return r - 1;
 }
 
+/* Find the vertices that end runs, and the speeds there; return the number of runs. s, ends and speed
+ * (n + 1); s: path length at the vertices, from 0 on again after a move at which the machine rests: that
+ * is a run by itself. room (8, n + 1). */
+static int64_t find_runs(const struct limited *moves, const double *caps, int64_t n, double jerk,
+                         double deceleration, double last, double feasible, int64_t plateau,
+                         double *room, double *s, int64_t *ends, double *speed)
+{
+    int64_t r = 0;
+    for (int64_t from = 0, to = 0; from <= n; from = ++to) {
+        while (to < n && moves[to].alone != REST)
+            to++;
+        if (to == from) {
+            s[from] = speed[r] = 0.0, ends[r++] = from;
+            continue;
+        }
+        int64_t first = r;
+        r += 1 + runs_between_rests(moves + from, caps + from, to - from, jerk, deceleration,
+                                    to < n ? 0.0 : last, feasible, plateau, room, s + from, ends + r, speed + r);
+        for (int64_t i = first; i < r; i++)
+            ends[i] += from;
+    }
+    return r - 1;
+}
+
 LOOP(find_runs, (const struct limited *)FLOATS(0, OF_MOVE * COUNT(2)), FLOATS(1, COUNT(2) + 1), COUNT(2),
      REAL(3), REAL(4), REAL(5), REAL(6), WITHIN(7, 1, MOST_ITEMS), OUT_FLOATS(8, 8 * (COUNT(2) + 1)),
      OUT_FLOATS(9, COUNT(2) + 1), OUT_INTEGERS(10, COUNT(2) + 1), OUT_FLOATS(11, COUNT(2) + 1))
@@ -295,35 +319,13 @@ static double run_time(struct planned run, double top, double begun, double ende
     return (2.0 * top - begun - ended) / run.acceleration + greater(run.length - ramped, 0.0) / top;
 }
 
-/* Time (r) of runs that end at vertices (r + 1) of a path, whose lengths are s (m): as fast as their
- * cruise and acceleration (r) allow from one speed (r + 1) to the next. */
-static int64_t run_seconds(const double *s, int64_t m, const int64_t *ends, const double *speed,
-                           const double *cruise, const double *acceleration, int64_t r, double *seconds)
-{
-    (void)m;
-    for (int64_t i = 0; i < r; i++) {
-        struct planned run = planned(s, ends, speed, acceleration, i);
-        double least2 = greater(run.begun2, run.ended2);
-        double reached2 = run.acceleration * run.length + (run.begun2 + run.ended2) / 2.0;
-        double top = lesser(cruise[i], sqrt(greater(reached2, least2)));
-        seconds[i] = run_time(run, top, speed[i], speed[i + 1]);
-    }
-    return r;
-}
-
-LOOP(run_seconds, FLOATS(0, COUNT(1)), COUNT(1), INDICES(2, COUNT(6) + 1, 0, COUNT(1)),
-     FLOATS(3, COUNT(6) + 1), FLOATS(4, COUNT(6)), FLOATS(5, COUNT(6)), COUNT(6), OUT_FLOATS(7, COUNT(6)))
-
-/* Lower the speeds (r + 1) of runs, and find the greatest speed and the time of each, (r), as Klipper
- * plays them. It plans a second time, where the square of the speed changes by no more than a gain,
+/* As smoothed_runs, for runs between which the machine does not rest. It plans a second time, where the square of the speed changes by no more than a gain,
  * which is smaller by ratios (r). Where that plan accelerates, the path gets no faster
- * than the plan's next peak; where it brakes all along, no faster than where it begins to.
- * room (4, r + 1). */
-static int64_t smoothed_runs(const double *s, int64_t m, const int64_t *ends, const double *cruise,
+ * than the plan's next peak; where it brakes all along, no faster than where it begins to. */
+static int64_t smoothed_between_rests(const double *s, const int64_t *ends, const double *cruise,
                              const double *acceleration, const double *ratios, int64_t r, double *room,
                              double *speed, double *top, double *seconds)
 {
-    (void)m;
     double *summed = room, *both = summed + r + 1, *gain = both + r + 1, *height = gain + r + 1;
     double least = INFINITY;
     summed[0] = 0.0;
@@ -367,6 +369,25 @@ static int64_t smoothed_runs(const double *s, int64_t m, const int64_t *ends, co
     }
     for (int64_t i = 0; i < r; i++)
         seconds[i] = run_time(planned(s, ends, speed, acceleration, i), top[i], speed[i], speed[i + 1]);
+    return r;
+}
+
+/* Lower the speeds (r + 1) of runs, and find the greatest speed and the time of each, (r), as Klipper
+ * plays them; 0 for runs in which s begins again. room (4, r + 1). */
+static int64_t smoothed_runs(const double *s, int64_t m, const int64_t *ends, const double *cruise,
+                             const double *acceleration, const double *ratios, int64_t r, double *room,
+                             double *speed, double *top, double *seconds)
+{
+    (void)m;
+    for (int64_t from = 0, to = 0; from < r; from = ++to) {
+        while (to < r && s[ends[to + 1]] > s[ends[to]])
+            to++;
+        if (to > from)
+            smoothed_between_rests(s, ends + from, cruise + from, acceleration + from, ratios + from,
+                                   to - from, room, speed + from, top + from, seconds + from);
+        if (to < r)
+            top[to] = seconds[to] = 0.0;
+    }
     return r;
 }
 

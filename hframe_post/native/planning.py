@@ -75,7 +75,8 @@ def junction_speeds(
 # Look-ahead over a queue of moves: limits, junctions, and speeds of runs.
 #
 # Moves are a table (n, 5): length, cruise speed, acceleration and junction deviation of each, and
-# whether x and y rest. See ``planner.lookahead`` for the rules.
+# whether x and y rest, 1, and the machine before and after it, 2. See ``planner.lookahead`` for the
+# rules.
 
 PLATEAU = 256  # moves at cruise speed in a run
 # Shares of acceleration and jerk, and of the cruise speed at vertices, that keep Ruckig off the
@@ -130,7 +131,8 @@ def greatest_speeds(
 def find_runs(moves: Array, caps: Array, jerk: float, deceleration: float, last: float) -> Runs:
     """Return the path length at each vertex, which vertices end runs, and the speeds there.
 
-    caps (n + 1,): greatest speeds at the vertices; last: speed at the last vertex, mm/s.
+    caps (n + 1,): greatest speeds at the vertices; last: speed at the last vertex, mm/s. A move at
+    which the machine rests is a run; after it, lengths begin again at 0.
     """
     n = len(moves)
     (s, speed), ends = np.empty((2, n + 1)), np.empty(n + 1, np.int64)
@@ -139,23 +141,14 @@ def find_runs(moves: Array, caps: Array, jerk: float, deceleration: float, last:
     return s, ends[: r + 1], speed[: r + 1]
 
 
-def run_seconds(s: Array, ends: Integers, speed: Array, cruise: Array, most: Array) -> Array:
-    """Return how long runs take if nothing limits their jerk, (r,).
-
-    s: path length at the vertices; ends, speed (r + 1,): see ``find_runs``; cruise, most (r,):
-    greatest speed and acceleration.
-    """
-    seconds = np.empty(len(cruise))
-    kernels.run_seconds(s, len(s), ends, speed, cruise, most, len(cruise), seconds)
-    return seconds
-
-
 def smoothed_runs(
     s: Array, ends: Integers, speed: Array, cruise: Array, most: Array, ratios: Array
 ) -> tuple[Array, Array, Array]:
     """Return speeds at the ends of runs, (r + 1,), top speeds and seconds (r,), as Klipper's.
 
-    ratios (r,): see ``FileLimits.cruise_ratio``. See ``run_seconds`` for the others.
+    s: path length at the vertices; ends, speed (r + 1,): see ``find_runs``; cruise, most (r,):
+    greatest speed and acceleration; ratios (r,): see ``FileLimits.cruise_ratio``. Runs in which s
+    begins again take no time.
     """
     r = len(cruise)
     speed, top, seconds = speed.copy(), np.empty(r), np.empty(r)

@@ -22,10 +22,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
-from hframe_post.arrays import Array, Integers
+from hframe_post.arrays import Array, Integers, Z
 from hframe_post.native.planning import (
     BELOW_CRUISE,
     STEEP,
@@ -41,14 +42,17 @@ from hframe_post.stream.types import (
     Item,
     MoveAtRest,
     Moves,
+    Passthrough,
     Plan,
     Planned,
+    Standing,
 )
 
 BATCH = 4096  # moves planned at once; more if none of their speeds is final
 LONGEST_QUEUE = 16 * BATCH
 MELTED = 50.0  # mm/s of filament, more than any hot end melts
 CRUISE, ACCELERATION, ALONE = 1, 2, 4  # columns of ``limit_moves``
+AT_REST = 2.0  # in the last of these: the machine rests before and after the move
 SHORT = 1.0  # mm; only into shorter moves must an arc fit, on a board with junction deviation
 # of the accelerations in z, and in filament taken back, while x and y move: what compensation adds
 # needs the rest. On a host's steps of a slice, the nozzle was off by 5 % more with all of them
@@ -65,68 +69,133 @@ def plan(
     late: see ``Lookahead``.
     """
     queue = Lookahead(limits, batch, longest, joins=joins, late=late)
-    for item in items:
-        if isinstance(item, Marks) and queue.count:
-            queue.carry(item)
-        elif isinstance(item, Moves) or (isinstance(item, MoveAtRest) and queue.joins):
-            queue.append(item)
-            while (ready := queue.take_final()) is not None:
-                yield from queue.parts(ready)
-        else:
-            for ready in queue.stop():
-                yield from queue.parts(ready)
-            yield item
-    for ready in queue.stop():
-        yield from queue.parts(ready)
+    for item in chain(items, [None]):
+        for planned in queue.planned(item):
+            if isinstance(planned, Plan):
+                yield from parts(planned)
+            else:
+                yield planned
 
 
 class Lookahead:
     """Queue of moves that are not planned yet, and the speed at which the first of them begins.
 
+    Lifts and retractions are moves of the queue, too. The machine rests at those that the firmware
+    makes from rest; what is between two of these is planned by itself, but many of them at once.
+
     batch, longest: see ``plan``. z_share: of the z acceleration while x and y move; steep: rise
-    over run above which a move starts and ends at rest. late: mm by which the firmware brakes late,
-    so that it reaches corners faster than it means to. joins: whether its junctions are those of a
-    board with junction deviation, which passes lifts and retractions at a speed: they are moves of
-    the queue, too.
+    over run above which a move starts and ends at rest; inf: lifts do not, either. late: mm by
+    which the firmware brakes late, so that it reaches corners faster than it means to. joins:
+    whether its junctions are those of a board with junction deviation, which passes lifts and
+    retractions at a speed. others: limits of the file before its first move.
     """
 
     def __init__(
         self, limits: Limits, batch: int = BATCH, longest: int = LONGEST_QUEUE,
         z_share: float = Z_SHARE, steep: float = STEEP, joins: bool = False, late: float = 0.0,
+        others: FileLimits | None = None,
     ) -> None:  # fmt: skip
         self.joins, self._late = joins, late
         self._limits, self._batch, self._longest = limits, batch, longest
         self._z_share, self._steep = z_share, steep
-        self._moves: list[_Limited] = []
-        self._file_limits: FileLimits | None = None  # of the latest moves
-        self._rules = np.zeros(0)
+        self._new = list[Moves | MoveAtRest]()  # without limits yet
+        self._moves = list[_Limited]()
+        self._file_limits = others or FileLimits()  # of the latest moves
+        self._like = math.inf, math.inf  # their acceleration and corner
         self._last: tuple[Array, Array] | None = None  # start and limits of the latest move
         self._marks = list[Marks]()
-        self._standing: list[tuple[int, MoveAtRest | Marks]] = []  # by their place, for parts
-        self._corners = np.zeros(0)  # mm/s at which moves begin, for parts
+        self._standing = list[Standing]()
+        self._closed = 0  # moves until the latest at which the machine rests
+        self._at_rest = False  # after the latest move
         self._speed = 0.0
         self._want = self._batch
         self.count = 0
 
-    def append(self, item: Moves | MoveAtRest) -> None:
-        if isinstance(item, MoveAtRest):
-            self._standing.append((self.count, item))
-            item = standing(item, self._file_limits or FileLimits())
-        self._corners = np.append(self._corners, self.add(item))
+    def planned(self, item: Item | None) -> Iterator[Plan | Passthrough | Marks]:
+        """Take the next item, or None at the end; yield what is final."""
+        if isinstance(item, Marks) and self.count:
+            self._carry(item)
+        elif isinstance(item, Moves | MoveAtRest):
+            self._add(item)
+            while (ready := self._take_final()) is not None:
+                yield ready
+        else:
+            if self.count:
+                self._closed = self.count
+                yield self._take_closed()
+                self._last = None
+            if item is not None:
+                yield item
 
-    def add(self, moves: Moves) -> Array:
-        """Add moves, in which x and y may rest; return the firmware's corner speeds before each."""
-        if moves.marks:
-            self._marks.append(moves.marks.shifted(self.count))
-        if moves.limits is not self._file_limits:
-            self._file_limits, self._rules = moves.limits, self._rules_with(moves.limits)
-        table = limit_moves(
-            moves.points, moves.speed, moves.acceleration, moves.corner, self._rules
-        )
-        corners, caps = self._caps(moves.points, table)
-        self._moves.append(_Limited(moves.line, moves.points, table, caps[:-1]))
-        self.count += len(moves.line)
-        return corners[:-1]
+    def _add(self, item: Moves | MoveAtRest) -> None:
+        """Add moves, in which x and y may rest."""
+        if isinstance(item, Moves):
+            if item.limits is not self._file_limits:
+                self._limit_new()
+                self._file_limits = item.limits
+            if item.marks:
+                self._marks.append(item.marks.shifted(self.count))
+        else:
+            self._standing.append((self.count, item))
+        self._new.append(item)
+        self._at_rest = isinstance(item, MoveAtRest)
+        self.count += len(item.line) if isinstance(item, Moves) else 1
+        if self._rests(item):
+            self._closed, self._want = self.count, self._batch
+
+    def _rests(self, item: Moves | MoveAtRest) -> bool:
+        """Return whether the machine is at rest before and after an item."""
+        if self.joins or isinstance(item, Moves):
+            return False
+        return self._steep < math.inf or item.start[Z] == item.end[Z]
+
+    def _limit_new(self) -> None:
+        """Find the limits of the moves that are new, which have the same limits of the file."""
+        if not self._new:
+            return
+        items, self._new = self._new, []
+        rules = self._rules_with(self._file_limits)
+        stand = [k for k, item in enumerate(items) if isinstance(item, MoveAtRest)]
+        moves = self._as_moves(items, stand) if stand or len(items) > 1 else items[0]
+        assert isinstance(moves, Moves)
+        table = limit_moves(moves.points, moves.speed, moves.acceleration, moves.corner, rules)
+        if stand and not self.joins:
+            first = np.cumsum([0, *(len(m.line) if isinstance(m, Moves) else 1 for m in items)])
+            rests = [k for k in stand if self._rests(items[k])]
+            table[first[rests], ALONE] = AT_REST
+        corners, caps = self._caps(moves.points, table, rules)
+        self._moves.append(_Limited(moves.line, moves.points, table, caps[:-1], corners[:-1]))
+
+    def _as_moves(self, items: list[Moves | MoveAtRest], stand: list[int]) -> Moves:
+        """Return items as one; those with the numbers ``stand`` are lifts and retractions."""
+        rows, n = list[tuple[float, ...]](), 0
+        at = list[int]()
+        for item in items:
+            if isinstance(item, Moves):
+                n += len(item.line)
+                self._like = float(item.acceleration[-1]), float(item.corner[-1])
+                continue
+            passes = not (self.joins or self._rests(item))
+            own = self._like if passes else (item.acceleration, math.inf)
+            rows.append((*item.end, item.speed, *own, item.line))
+            at.append(n)
+            n += 1
+        first = items[0]
+        points = np.empty((n + 1, 4))
+        points[0] = first.points[0] if isinstance(first, Moves) else first.start
+        moves = [item for item in items if isinstance(item, Moves)]
+        travels = np.ones(n, bool)
+        travels[at] = False
+        table = np.empty((n, 4))
+        if moves:
+            points[1:][travels] = np.concatenate([item.points[1:] for item in moves])
+            for column, name in enumerate(("speed", "acceleration", "corner", "line")):
+                table[travels, column] = np.concatenate([getattr(item, name) for item in moves])
+        if rows:
+            own_rows = np.array(rows)
+            points[1:][at], table[at] = own_rows[:, :4], own_rows[:, 4:]
+        speed, acceleration, corner, line = table.T.copy()
+        return Moves(line.astype(np.int64), points, speed, acceleration, corner, self._file_limits)
 
     def _rules_with(self, own: FileLimits) -> Array:
         """Return the limits of the profile and of the file, as ``limit_moves`` takes them."""
@@ -139,47 +208,28 @@ class Lookahead:
             *own.velocity, *own.acceleration, *own.belts[0], *own.belts[1],
         ])  # fmt: skip
 
-    def mark(self, lines: Marks) -> None:
-        self._marks.append(lines.moved_to(self.count))
-
-    def carry(self, lines: Marks) -> None:
+    def _carry(self, lines: Marks) -> None:
         """Add lines that do not stop the motion, to those of its parts."""
-        if self._standing and self._last is not None and self._last[1][0, ALONE]:
+        if self._at_rest:
             self._standing.append((self.count, lines))
         else:
-            self.mark(lines)
+            self._marks.append(lines.moved_to(self.count))
 
-    def parts(self, plan: Plan) -> Iterator[Planned]:
-        """Yield the parts of a plan of this queue: motion, lifts and retractions, and their lines.
+    def _take_closed(self) -> Plan:
+        """Return the plan of all moves until the latest at which the machine rests."""
+        moves, n = self._limited(), self._closed
+        closed = moves.part(0, n)
+        self._moves = [moves.part(n, len(moves.line))] if n < len(moves.line) else []
+        runs = self._runs(closed, self._joints(closed), 0.0)
+        self._closed, self._want = 0, self._batch
+        return self._take(closed, *runs)
 
-        x and y come to rest between them. A step by which motion brakes late is none of theirs.
-        """
-        at, n, speed = 0, len(plan.line), plan.speed
-        while self._standing:
-            index, item = self._standing[0]
-            if index + isinstance(item, MoveAtRest) > n:
-                break
-            del self._standing[0]
-            if index > at:
-                yield _part(plan, at, index)
-            at = index
-            if isinstance(item, MoveAtRest):
-                ends = speed[np.searchsorted(plan.ends, [index, index + 1])]
-                corners = self._corners[index : index + 2]
-                entry, leaving = np.minimum(ends, np.append(corners, 0.0)[:2]).tolist()
-                item, at = replace(item, entry=entry, leaving=leaving), index + 1
-            yield item
-        if not at:
-            yield plan
-        elif at < n:
-            yield _part(plan, at, n)
-        self._standing = [(index - n, item) for index, item in self._standing]
-        self._corners = self._corners[n:]
-
-    def take_final(self) -> Plan | None:
+    def _take_final(self) -> Plan | None:
         """Return the final part of the first ``_want`` moves, or None if it is empty."""
         while self.count >= self._want:
-            moves = _joined(self._moves)
+            if self._closed:
+                return self._take_closed()
+            moves = self._limited()
             batch = moves.part(0, self._want)
             caps = self._joints(batch)
             stopping = self._runs(batch, caps, 0.0)
@@ -195,13 +245,6 @@ class Lookahead:
             self._want *= 2
         return None
 
-    def stop(self) -> Iterator[Plan]:
-        if self.count:
-            moves = _joined(self._moves)
-            runs = self._runs(moves, self._joints(moves), 0.0)
-            self._moves, self._want, self._last = [], self._batch, None
-            yield self._take(moves, *runs)
-
     def _separable(self, moves: _Limited, ends: Integers, count: int) -> int:
         """Return the greatest number of runs, no more than ``count``, that do not end at a stop.
 
@@ -214,7 +257,13 @@ class Lookahead:
             count -= 1
         return max(count, 0)
 
-    def _caps(self, points: Array, table: Array) -> tuple[Array, Array]:
+    def _limited(self) -> _Limited:
+        """Return all moves of the queue with their limits."""
+        self._limit_new()
+        self._moves = [_joined(self._moves)]
+        return self._moves[0]
+
+    def _caps(self, points: Array, table: Array, rules: Array) -> tuple[Array, Array]:
         """Return the firmware's corner speeds and those that count, (n + 1,) each.
 
         They are at the ends of moves that follow the latest.
@@ -225,7 +274,7 @@ class Lookahead:
         self._last = points[-2:-1], table[-1:]
         extruder = self._limits.extruder_corner_velocity
         shorter = SHORT if self.joins else math.inf
-        caps = greatest_speeds(points, table, self._rules, extruder, shorter, self._steep)
+        caps = greatest_speeds(points, table, rules, extruder, shorter, self._steep)
         raised = caps.copy()
         if self._late:
             self._brake_late(raised[1:-1], table)
@@ -261,21 +310,46 @@ class Lookahead:
         return Plan(
             moves.line[:n], moves.points[: n + 1], s[: n + 1],
             ends, speed, cruise, acceleration, marks.rows(0, passed) if marks else marks,
+            standing=self._taken(n, ends, speed, moves.corners),
         )  # fmt: skip
+
+    def _taken(
+        self, n: int, ends: Integers, speed: Array, corners: Array
+    ) -> tuple[Standing, ...]:  # fmt: skip
+        """Return what stands among the first n moves, and take it out of the queue."""
+        items, k = self._standing, 0
+        while k < len(items) and items[k][0] + isinstance(items[k][1], MoveAtRest) <= n:
+            k += 1
+        self._standing = [(index - n, item) for index, item in items[k:]]
+        if not self.joins:
+            return tuple(items[:k])
+        corners = np.append(corners, 0.0)
+        found = list[Standing]()
+        for index, item in items[:k]:
+            if isinstance(item, MoveAtRest):
+                own = speed[np.searchsorted(ends, [index, index + 1])]
+                entry, leaving = np.minimum(own, corners[index : index + 2]).tolist()
+                item = replace(item, entry=entry, leaving=leaving)
+            found.append((index, item))
+        return tuple(found)
 
 
 @dataclass(frozen=True, slots=True)
 class _Limited:
-    """Moves; limits (n, 5): see ``limit_moves``; caps (n,): greatest speeds at which they begin."""
+    """Moves; limits (n, 5): see ``limit_moves``; caps (n,): greatest speeds at which they begin.
+
+    corners (n,): those at which the firmware means to.
+    """
 
     line: Integers
     points: Array
     limits: Array
     caps: Array
+    corners: Array
 
     def part(self, start: int, stop: int) -> _Limited:
         points = self.points[start : stop + 1]
-        own = self.limits[start:stop], self.caps[start:stop]
+        own = self.limits[start:stop], self.caps[start:stop], self.corners[start:stop]
         return _Limited(self.line[start:stop], points, *own)
 
 
@@ -288,31 +362,40 @@ def _joined(parts: list[_Limited]) -> _Limited:
         np.concatenate(points),
         np.concatenate([p.limits for p in parts]),
         np.concatenate([p.caps for p in parts]),
+        np.concatenate([p.corners for p in parts]),
     )
 
 
-def standing(move: MoveAtRest, limits: FileLimits, like: Moves | None = None) -> Moves:
-    """Return a lift or a retraction as a move. limits: of the moves around it.
+def parts(plan: Plan) -> Iterator[Plan | MoveAtRest | Marks]:
+    """Yield the parts of a plan: motion, lifts and retractions, and the lines between them.
 
-    like: moves with the acceleration and the corner velocity that it has.
+    x and y come to rest between them. A step by which motion brakes late is none of theirs.
     """
-    points, line = np.array([move.start, move.end]), np.array([move.line])
-    speed, acceleration, corner = np.array([[move.speed], [move.acceleration], [math.inf]])
-    if like is not None:
-        acceleration, corner = like.acceleration[-1:], like.corner[-1:]
-    return Moves(line, points, speed, acceleration, corner, limits)
+    at, n = 0, len(plan.line)
+    for index, item in plan.standing:
+        if index > at:
+            yield part(plan, at, index)
+        at = index + isinstance(item, MoveAtRest)
+        yield item
+    if not at:
+        yield plan
+    elif at < n:
+        yield part(plan, at, n)
 
 
-def _part(plan: Plan, first: int, last: int) -> Plan:
-    """Return moves ``first`` … ``last`` − 1 of a plan, which end where the plan does or rest."""
-    a, b = np.searchsorted(plan.ends, [first, last]).tolist()
-    begin = plan.marks.count_before(first + 1) if first else 0
-    marks = plan.marks.rows(begin, plan.marks.count_before(last + 1)).shifted(-first)
+def part(plan: Plan, first: int, last: int) -> Plan:
+    """Return moves ``first`` … ``last`` − 1 of a plan, which end where a run does, or rest."""
+    a, b = plan.ends.searchsorted((first, last)).tolist()
+    marks = plan.marks
+    if marks:
+        begin = marks.count_before(first + 1) if first else 0
+        marks = marks.rows(begin, marks.count_before(last + 1)).shifted(-first)
+    inside = [(index - first, item) for index, item in plan.standing if first <= index < last]
     return Plan(
         plan.line[first:last], plan.points[first : last + 1],
         plan.s[first : last + 1] - plan.s[first], plan.ends[a : b + 1] - first,
         plan.speed[a : b + 1], plan.cruise[a:b], plan.acceleration[a:b], marks,
-        rests=last < len(plan.line),
+        rests=last < len(plan.line), standing=tuple(inside),
     )  # fmt: skip
 
 

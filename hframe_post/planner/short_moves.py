@@ -6,12 +6,13 @@ The next move sets out from where the last one ended that was long enough, at it
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from hframe_post.arrays import Array, E, Flags
 from hframe_post.stream.marks import NO_MARKS
-from hframe_post.stream.types import Item, Moves, Position, frozen
+from hframe_post.stream.types import Item, MoveAtRest, Moves, Position, frozen
 
 
 class ShortMoves:
@@ -29,14 +30,20 @@ class ShortMoves:
         """Begin again at a place that the file sets."""
         self._origin = None
 
-    def joined(self, moves: Moves) -> tuple[Moves | None, Flags]:
-        """Return the moves in whole steps, if any are left, and which of them are kept, (n,)."""
-        points = np.rint(moves.points / self._step) * self._step
+    def joined(self, item: Moves | MoveAtRest) -> Moves | MoveAtRest | None:
+        """Return the moves in whole steps that are long enough, if any are left."""
+        points = item.points if isinstance(item, Moves) else np.array([item.start, item.end])
+        points = np.rint(points / self._step) * self._step
         if self._origin is not None:
             points[0] = self._origin
         kept = self._kept(points)
         self._origin = points[1:][kept][-1] if kept.any() else points[0]
-        return _among(moves, points, kept) if kept.any() else None, kept
+        if not kept.any():
+            return None
+        if not isinstance(item, MoveAtRest):
+            return _among(item, points, kept)
+        start, end = (_position(place) for place in points.tolist())
+        return replace(item, start=start, end=end)
 
     def joined_travel(self, items: Iterable[Item]) -> Iterator[Item]:
         """Yield the items; where travel has a short move, the next move of it begins there."""
@@ -63,6 +70,11 @@ class ShortMoves:
                 done += 1
             done += 1
         return kept
+
+
+def _position(place: list[float]) -> Position:
+    x, y, z, e = place
+    return x, y, z, e
 
 
 def _among(moves: Moves, points: Array, kept: Flags) -> Moves:

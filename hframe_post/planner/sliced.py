@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import Array, Z
+from hframe_post.arrays import Array, Flags, Integers, Z
 from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.native.planning import smoothed_runs
-from hframe_post.planner.lookahead import Lookahead, standing
-from hframe_post.planner.profiles import ProfileAtRest
+from hframe_post.planner.lookahead import Lookahead, parts
 from hframe_post.planner.sampling import sample
 from hframe_post.planner.short_moves import ShortMoves
 from hframe_post.stream.marks import Marks
@@ -29,10 +28,12 @@ from hframe_post.stream.types import (
     Moves,
     Passthrough,
     Plan,
-    Planned,
     Samples,
     StopRules,
 )
+
+NO_RATIO = np.zeros(1)  # of a lift or a retraction
+Timed = tuple[Plan, Array]  # with the speeds that it reaches; seconds of each run in motion
 
 
 class AsSliced:
@@ -43,88 +44,77 @@ class AsSliced:
 
     def __init__(self, rules: FirmwareLimits) -> None:
         self._rules = rules
-        self._queue = Lookahead(rules.limits, z_share=1.0, steep=math.inf, joins=rules.joins)
-        self._last: Moves | None = None  # moves before the item
+        self._queue = Lookahead(
+            rules.limits, z_share=1.0, steep=math.inf, joins=rules.joins, others=rules.others
+        )
         self.seconds = self.elsewhere = 0.0
         self._ratio = list[Array]()  # cruise ratios of the queued moves
         self._short = ShortMoves(rules.least, rules.step, rules.motors) if rules.least else None
 
     def samples(self, items: Iterable[Item]) -> Iterator[Samples]:
         """Yield the motion for all items, which is its own command."""
-        planned = (each for item in chain(items, [None]) for each in self.planned(item))
-        return self.sampled(planned)
+        timed = (each for item in chain(items, [None]) for each in self.timed(item))
+        return self.sampled(each[0] if isinstance(each, tuple) else each for each in timed)
 
-    def sampled(self, planned: Iterable[Planned], size: int | None = None) -> Iterator[Samples]:
+    def sampled(
+        self, planned: Iterable[Plan | Passthrough | Marks], size: int | None = None
+    ) -> Iterator[Samples]:
         """Yield the motion for what was planned, which is its own command."""
-        for chunk in sample(planned, self._rules.limits, StopRules(), size, skip_slow=True):
+        separate = (
+            each
+            for item in planned
+            for each in (parts(item) if isinstance(item, Plan) else (item,))
+        )
+        for chunk in sample(separate, self._rules.limits, StopRules(), size, skip_slow=True):
             yield replace(chunk, commands={"none": chunk.xyze[:, :Z]})
 
-    def planned(self, item: Item | None) -> Iterator[Planned]:
+    def timed(self, item: Item | None) -> Iterator[Timed | Passthrough | Marks]:
         """Take the next item, or None at the end; yield what is final."""
-        if isinstance(item, Moves):
-            self._last = item
-            yield from self._moved(item, item.limits.cruise_ratio)
-            return
-        if isinstance(item, MoveAtRest) and self._joins(item):
-            yield from self._moved(self._standing(item), 0.0)
-            return
-        if isinstance(item, Marks):
-            if self._queue.count:
-                self._queue.mark(item)
-            else:
-                yield item
-            return
-        yield from map(self._timed, self._queue.stop())
-        if self._short and isinstance(item, Passthrough) and item.handling is Handling.RELEASE:
-            self._short.forget()
-        if isinstance(item, Passthrough) and item.cause and item.end is None:
-            self.elsewhere += item.seconds
-            yield item
-        elif isinstance(item, Passthrough):
-            self.seconds += item.seconds
-            yield item
-        elif item is not None:
-            self.seconds += ProfileAtRest.from_move(item, self._rules.limits).trapezoid.seconds
-            yield item
-
-    def _moved(self, moves: Moves, ratio: float) -> Iterator[Plan]:
-        """Add moves to the queue; yield what is final."""
-        if self._short is not None:
-            whole, _ = self._short.joined(moves)
-            if whole is None:
+        if isinstance(item, Moves | MoveAtRest):
+            if self._short and (item := self._short.joined(item)) is None:
                 return
-            moves = whole
-        self._queue.add(moves)
-        self._ratio.append(np.full(len(moves.line), ratio))
-        while (plan := self._queue.take_final()) is not None:
-            yield self._timed(plan)
+            ratio = NO_RATIO
+            if isinstance(item, Moves):
+                ratio = np.full(len(item.line), item.limits.cruise_ratio)
+            self._ratio.append(ratio)
+        elif isinstance(item, Passthrough):
+            self._note(item)
+        for planned in self._queue.planned(item):
+            yield self._timed(planned) if isinstance(planned, Plan) else planned
 
-    def _joins(self, move: MoveAtRest) -> bool:
-        """Return whether the firmware passes a move at rest at a speed."""
-        return self._queue.joins or (self._last is not None and move.start[Z] != move.end[Z])
+    def _note(self, item: Passthrough) -> None:
+        if item.cause and item.end is None:
+            self.elsewhere += item.seconds
+        else:
+            self.seconds += item.seconds
+        if self._short and item.handling is Handling.RELEASE:
+            self._short.forget()
 
-    def _standing(self, move: MoveAtRest) -> Moves:
-        """Return a move at rest as a move, with the limits of the moves before it."""
-        if (before := self._last) is None:
-            return standing(move, self._rules.others)
-        return standing(move, before.limits, None if self._queue.joins else before)
-
-    def _timed(self, plan: Plan) -> Plan:
+    def _timed(self, plan: Plan) -> Timed:
         """Add the time of a plan; return it with the speeds that it reaches."""
         ratio, n, cruise = _joined(self._ratio), len(plan.line), plan.cruise
         self._ratio = [ratio[n:]]
+        first, most = plan.ends[:-1], plan.acceleration
         speed, top, seconds = smoothed_runs(
-            plan.s, plan.ends, plan.speed, cruise, plan.acceleration, ratio[plan.ends[:-1]]
+            plan.s, plan.ends, plan.speed, cruise, most, ratio[first]
         )
+        d = np.diff(plan.s[plan.ends])
         if (durations := self._rules.durations) is not None:
             way = np.abs(np.diff(plan.points, axis=0) @ self._rules.motors.T).max(axis=1)
-            lead = np.add.reduceat(way, plan.ends[:-1])
-            d = np.diff(plan.s[plan.ends])
-            seconds = durations(lead, d, speed[:-1], speed[1:], cruise, plan.acceleration)
-        self.seconds += float(seconds.sum())
-        return Plan(
-            plan.line, plan.points, plan.s, plan.ends, speed, top, plan.acceleration, plan.marks
-        )
+            lead, runs = np.add.reduceat(way, first), d > 0.0
+            of_runs = (each[runs] for each in (lead, d, speed[:-1], speed[1:], cruise, most))
+            seconds[runs] = durations(*of_runs)
+        rests = d <= 0.0
+        self.seconds += float(seconds.sum()) + self._at_rest(plan, first[rests], rests)
+        return replace(plan, speed=speed, cruise=top), seconds
+
+    @staticmethod
+    def _at_rest(plan: Plan, moves: Integers, rests: Flags) -> float:
+        """Return the seconds of moves, all from rest to rest, in which only z or e changes."""
+        z, e = np.abs(plan.points[moves + 1, Z:] - plan.points[moves, Z:]).T
+        length, a = np.where(z > 0.0, z, e), plan.acceleration[rests]
+        peak = np.minimum(plan.cruise[rests], np.sqrt(length * a))
+        return float(((length + peak * peak / a) / peak).sum())
 
 
 def _joined(parts: list[Any]) -> Any:

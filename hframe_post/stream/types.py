@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.native.planning import lower_moves, run_seconds
+from hframe_post.native.planning import lower_moves
 from hframe_post.stream.marks import NO_MARKS, Marks
 
 Position = tuple[float, float, float, float]  # x, y, z, e
@@ -150,6 +150,7 @@ class Passthrough:
     end: Position | None = None
 
 
+Standing = tuple[int, MoveAtRest | Marks]
 Item = Moves | MoveAtRest | Passthrough | Marks
 
 
@@ -160,6 +161,8 @@ class Plan:
     line (n,), points (n + 1, 4), s (n + 1,): path length at the vertices. ends (r + 1,):
     vertices between runs, speed (r + 1,) there. cruise, acceleration (r,): limits of each
     run. marks: index is a vertex. rests: x and y rest at the end, from whatever speed there.
+    standing: lifts and retractions that are among the moves, and lines after them, each with the
+    move that it is, or that follows; s begins again at 0 where the machine rests in one of them.
     """
 
     line: Integers
@@ -171,11 +174,7 @@ class Plan:
     acceleration: Array
     marks: Marks
     rests: bool = False
-
-    @property
-    def seconds(self) -> Array:
-        """Return how long each run takes if nothing limits its jerk, (r,)."""
-        return run_seconds(self.s, self.ends, self.speed, self.cruise, self.acceleration)
+    standing: tuple[Standing, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

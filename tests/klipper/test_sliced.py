@@ -64,7 +64,7 @@ def test_it_has_klippers_cruise_ratio_and_lifts(lines: list[bytes], tmp_path: Pa
     printer, lines = load("paper"), [*lines[:1], b"G92 X0 Y0 Z0\n", *lines[1:]]
     own = AsSliced(firmware(printer).limits())
     for item in [*Chain(printer, Options("racking").resolved(printer)).read(lines), None]:
-        list(own.planned(item))
+        list(own.timed(item))
     path = tmp_path / "sliced.gcode"
     path.write_bytes(b"".join(lines))
     played = play(path, workdir=tmp_path / "host")

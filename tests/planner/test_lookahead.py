@@ -265,7 +265,7 @@ def test_batches_give_the_speeds_of_one_plan() -> None:
 def test_the_firmwares_own_time_is_that_of_its_ramps(length: float, seconds: float) -> None:
     own = AsSliced(FirmwareLimits(replace(LIMITS, acceleration=1e3), 1e3, 1e3, 5.0))
     for item in (moves(line((length, 0, 0, 1))), None):
-        list(own.planned(item))
+        list(own.timed(item))
     assert own.seconds == pytest.approx(seconds)
 
 
