@@ -300,3 +300,30 @@ LOOP(motion_segments, FLOATS(0, COLUMNS * COUNT(2)), INDICES(1, COUNT(2), 0, COU
      BYTES(3, COUNT(4)), COUNT(4), FLOATS(5, COLUMNS), INTEGERS(6, COLUMNS), WHOLE(7), WHOLE(8), REAL(9),
      OUT_INTEGERS(10, COLUMNS * (COUNT(2) + 1)), OUT_INTEGERS(11, COUNT(2)),
      OUT_FLOATS(12, COUNT(2)), OUT_INTEGERS(13, COUNT(2)))
+
+/* Find the first of m lines with too much filament on its wrong side, or m; off (1): mm. A line
+ * precedes segment rows (m) and has the point marked (m): see Python. */
+static int64_t misplaced(const double *points, int64_t n, const int64_t *ends, int64_t k,
+                         const int64_t *rows, const int64_t *marked, int64_t m, const double *e,
+                         double before, double slack, double *off)
+{
+    (void)n, (void)k;
+    for (int64_t i = 0; i < m; i++) {
+        int64_t row = rows[i], begun = row ? ends[row - 1] : 0;
+        double low = points[COLUMNS * begun + E], high = low;
+        if (row == 0)
+            low = lesser(low, low - before), high = greater(high, high - before);
+        for (int64_t j = begun; j <= marked[i]; j++) {
+            low = lesser(low, points[COLUMNS * j + E]);
+            high = greater(high, points[COLUMNS * j + E]);
+        }
+        *off = greater(low - e[row], e[row] - high);
+        if (!(*off <= slack))
+            return i;
+    }
+    return m;
+}
+
+LOOP(misplaced, FLOATS(0, COLUMNS * COUNT(1)), COUNT(1), INDICES(2, COUNT(3), 0, COUNT(1)), COUNT(3),
+     INDICES(4, COUNT(6), 0, COUNT(3) + 1), INDICES(5, COUNT(6), 0, COUNT(1)), COUNT(6),
+     FLOATS(7, COUNT(3) + 1), REAL(8), REAL(9), OUT_FLOATS(10, 1))

@@ -86,3 +86,24 @@ def motion_segments(
         places, ends, k, forced, n, per_mm, start, still, DWELL, TS, at, ended, T, dwell
     )
     return at[: count + 1], ended[:count], T[:count], dwell[:count]
+
+
+# ----------------------------------------------------------------------
+# Filament at lines of the file.
+
+
+def misplaced(
+    points: Array, ends: Integers, rows: Integers, marked: Integers, e: Array, before: float,
+    slack: float,
+) -> tuple[int, float]:  # fmt: skip
+    """Return the first of m lines with more than ``slack`` mm of filament on its wrong side.
+
+    It is m if there is none. Returns also how many mm are.
+
+    points (n, 4): the path, at whose points ``ends`` (k,) segments end. rows (m,), marked (m,): the
+    segment that each line precedes, and its point. e (k + 1,): filament out where segments begin
+    and at the last end, mm; before: mm that the path fed before its first point.
+    """
+    of_lines, off = (rows, np.ascontiguousarray(marked), len(rows)), np.zeros(1)
+    path = points, len(points), ends, len(ends)
+    return kernels.misplaced(*path, *of_lines, e, float(before), slack, off), float(off[0])

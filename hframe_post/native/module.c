@@ -37,6 +37,7 @@
     EACH(marlin_segment_ends)                                                                 \
     EACH(marlin_slow_ends)                                                                    \
     EACH(marlin_times)                                                                        \
+    EACH(misplaced)                                                                           \
     EACH(misses)                                                                              \
     EACH(motion_lines)                                                                        \
     EACH(motion_segments)                                                                     \

@@ -11,7 +11,7 @@ import numpy as np
 from hframe_post.arrays import Array, E, Flags, Integers, X, Y
 from hframe_post.errors import HframeError
 from hframe_post.firmware.motion import DECIMALS, MotionRules
-from hframe_post.native.decimate import motion_segments
+from hframe_post.native.decimate import misplaced, motion_segments
 from hframe_post.stream.marks import NO_MARKS, Marks
 from hframe_post.stream.types import Position
 
@@ -203,20 +203,10 @@ def check_filament(batch: Batch, ends: Integers, e: Array, still: int = 0) -> No
     path has at its point, or at most a segment earlier. The first segment begins before the batch:
     there the path is taken to feed as fast as at its beginning.
     """
-    fed, rows, points = batch.points[:, E], rows_before(batch, ends), batch.marked
-    begun = np.concatenate([[0], ends])[rows]
-    # of each mark the path from where its segment begins to its point: two cuts, of which only
-    # what lies between the first and the second counts
-    cuts = np.column_stack([begun, points + 1]).ravel()
-    path = np.append(fed, fed[-1])
-    low, high = (each.reduceat(path, cuts)[::2] for each in (np.minimum, np.maximum))
-    before = float(fed[0] - still * (fed[1] - fed[0]))
-    low = np.where(rows == 0, np.minimum(low, before), low)
-    high = np.where(rows == 0, np.maximum(high, before), high)
-    off = np.maximum(low - e[rows], e[rows] - high)
-    if not (off <= FILAMENT_SLACK_MM).all():
-        k = int((off <= FILAMENT_SLACK_MM).argmin())
-        missed = float(off[k])
+    rows = rows_before(batch, ends)
+    before = still * (batch.points[1, E] - batch.points[0, E])
+    k, missed = misplaced(batch.points, ends, rows, batch.marked, e, before, FILAMENT_SLACK_MM)
+    if k < len(rows):
         text = next(iter(batch.marks.rows(k))).text[:80].decode("latin-1")
         raise HframeError(
             f"{missed:.4f} mm of filament would be on the wrong side of {text!r}; "

@@ -206,7 +206,7 @@ class Machine:
             between = self._between(batch, made, still) if batch.marks else NOTHING_BETWEEN
             stops = batch.last and not (speed and not self._still)
             x, y, z, e = made.at[-1].tolist()
-            self.ledger.moved((batch.first + made.ends).tolist(), e - self._at[E])
+            self.ledger.moved(batch.first + made.ends, e - self._at[E])
             self._at = x, y, z, e
             yield Motion(made.at, made.T, made.dwell, between, stops, speed or math.inf)
         else:
@@ -303,12 +303,12 @@ class Ledger:
         self._counted = steps  # when the firmware last began to count
         self._second, self._lines = 0, 0  # lines in that second, so far
 
-    def moved(self, samples: Sequence[int], steps: int) -> None:
+    def moved(self, samples: Sequence[int] | Integers, steps: int) -> None:
         """Add lines that extrude these steps in all and are due at these samples, ascending."""
         self._steps += steps
         a_second, done = round(1.0 / TS), 0
-        for second in range(samples[0] // a_second, samples[-1] // a_second + 1):
-            end = bisect_left(samples, (second + 1) * a_second)
+        for second in range(int(samples[0]) // a_second, int(samples[-1]) // a_second + 1):
+            end = bisect_left(samples, (second + 1) * a_second)  # type: ignore[arg-type]
             self._lines = end - done + (self._lines if second == self._second else 0)
             self._second, self.busiest, done = second, max(self.busiest, self._lines), end
 

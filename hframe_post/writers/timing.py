@@ -166,7 +166,7 @@ class Timing:
     def _possible(self, at: Array, planned: Array) -> Array:
         """Return times (k,) that segments can last, beginning early where they need longer."""
         possible = self._rules.possible_times(at, planned, self._before)
-        if not (possible > planned).any():
+        if possible is planned or not (possible > planned).any():
             return possible
         return self._rules.possible_times(at, _begun_early(planned, possible), self._before)
 
