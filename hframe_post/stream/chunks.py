@@ -165,14 +165,9 @@ def _between(events: Iterable[Event], low: int, high: int, to_end: bool) -> Iter
     """Yield the events at samples low … high − 1; to_end: those that follow, too."""
     for event in events:
         if isinstance(event, Marks):
-            if not event:
-                continue
-            first, last = event.index, event.last
-            if first >= low and (last < high or to_end):
-                yield event
-            elif last >= low and (first < high or to_end):
-                stop = None if to_end else event.count_before(high)
-                yield event.rows(event.count_before(low), stop)
+            stop = len(event) if to_end else event.count_before(high)
+            if (start := event.count_before(low)) < stop:
+                yield event if stop - start == len(event) else event.rows(start, stop)
         elif low <= event.index and (event.index < high or to_end):
             yield event
 

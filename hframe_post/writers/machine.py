@@ -308,7 +308,7 @@ class Ledger:
         self._steps += steps
         a_second, done = round(1.0 / TS), 0
         for second in range(int(samples[0]) // a_second, int(samples[-1]) // a_second + 1):
-            end = bisect_left(samples, (second + 1) * a_second)  # type: ignore[arg-type]
+            end = bisect_left(samples, (second + 1) * a_second)
             self._lines = end - done + (self._lines if second == self._second else 0)
             self._second, self.busiest, done = second, max(self.busiest, self._lines), end
 

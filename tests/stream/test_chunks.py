@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
 from hframe_post.stream.chunks import branches, join, part, smaller, stretches, with_neighbours
+from hframe_post.stream.marks import Mark, Marks
 from hframe_post.stream.types import (
     Dwell,
     Event,
@@ -61,6 +62,13 @@ def test_join_keeps_samples_events_and_commands_in_order(sizes: list[int]) -> No
     np.testing.assert_array_equal(joined.commands["racking"], joined.xyze[:, :2] + 0.5)
     assert joined.events == tuple(e for b in blocks for e in b.events)
     assert not joined.xyze.flags.writeable
+
+
+def test_a_part_between_two_lines_has_neither() -> None:
+    lines = Marks.from_lines([Mark(7, b";first"), Mark(12, b";last")])
+    whole = replace(stream([10])[0], events=(lines,))
+    assert part(whole, 3, 6).events == ()
+    assert part(whole, 2, 3).events == (lines.rows(0, 1),)
 
 
 @given(st.integers(1, 30), st.lists(st.integers(1, 29), unique=True))
