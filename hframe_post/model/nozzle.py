@@ -15,13 +15,15 @@ class Response:
     """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,).
 
     late: samples by which the motion comes later than the command, at least and by default the
-    plant's ``ahead``.
+    plant's ``ahead``. single: in single precision.
     """
 
-    def __init__(self, plant: Plant, origin: Array, late: int | None = None) -> None:
+    def __init__(
+        self, plant: Plant, origin: Array, late: int | None = None, single: bool = False
+    ) -> None:
         self.late = plant.ahead if late is None else late
         self._racking, self._origin = plant.racking, origin
-        self._filters = [FiniteFilter(G, self.late) for G in plant.responses]
+        self._filters = [FiniteFilter(G, self.late, single) for G in plant.responses]
 
     def run(self, command: Array, out: Array | None = None) -> Array:
         """Return the nozzle's x, y (n, 2) at samples that lag behind those of command (n, 2).
@@ -86,7 +88,8 @@ class Responses:
     def __init__(self, plants: Sequence[Plant], origin: Array, commands: int) -> None:
         self.late = max(plant.ahead for plant in plants)
         self._each = [
-            [Response(plant, origin, self.late) for _ in range(commands)] for plant in plants
+            [Response(plant, origin, self.late, single=True) for _ in range(commands)]
+            for plant in plants
         ]
 
     def run(self, commands: Sequence[Array]) -> Array:

@@ -2,7 +2,7 @@
 
 #include "kernels.h"
 
-enum { BLOCK = 32 }; /* sums that are computed together, in registers */
+enum { BLOCK = 32, WIDER = 64 }; /* sums that are computed together, in registers */
 
 /* BLOCK sums of the m factors in turn, each times a number of u. */
 INSIDE void sum_block(const double *factors, int64_t m, const double *u, double *sums)
@@ -29,17 +29,47 @@ WIDE static int64_t sliding_sums(const double *factors, int64_t m, const double 
     return n;
 }
 
+/* sums (n): as sliding_sums, of the m factors and numbers of u in single precision. */
+WIDE static void single_sums(const float *factors, int64_t m, const float *u, int64_t n, double *sums)
+{
+    for (int64_t k = 0; k < n && n < WIDER; k++) {
+        float sum = 0.0f;
+        for (int64_t i = 0; i < m; i++)
+            sum += factors[i] * u[i + k];
+        sums[k] = (double)sum;
+    }
+    for (int64_t k = 0; k < n && n >= WIDER; k += WIDER) {
+        float sum[WIDER] = {0.0f};
+        int64_t at = k + WIDER <= n ? k : n - WIDER;
+        for (int64_t i = 0; i < m; i++)
+            for (int j = 0; j < WIDER; j++)
+                sum[j] += factors[i] * u[at + i + j];
+        for (int j = 0; j < WIDER; j++)
+            sums[at + j] = (double)sum[j];
+    }
+}
+
 /* Output y (n) of a finite filter at the last samples of its input u (h): taps (m), that of the oldest
  * acceleration first, then rest times the input ``late`` samples before, less its speed times lag.
- * room (n + m - 1). */
+ * single: in single precision. room (n + m). */
 static int64_t finite_filter(const double *taps, int64_t m, const double *u, int64_t h, int64_t n,
-                             int64_t late, double rest, double lag, double *room, double *y)
+                             int64_t late, double rest, double lag, int64_t single, double *room,
+                             double *y)
 {
     const double *from = u + h - n - m - 1, *then = u + h - n - late;
-    for (int64_t i = 0; i < n + m - 1; i++)
-        room[i] = (from[i + 2] - from[i + 1]) - (from[i + 1] - from[i]);
-    memset(y, 0, sizeof(double) * (size_t)n);
-    sliding_sums(taps, m, room, n, y);
+    if (single) {
+        float *factors = (float *)room, *a = factors + m;
+        for (int64_t i = 0; i < m; i++)
+            factors[i] = (float)taps[i];
+        for (int64_t i = 0; i < n + m - 1; i++)
+            a[i] = (float)((from[i + 2] - from[i + 1]) - (from[i + 1] - from[i]));
+        single_sums(factors, m, a, n, y);
+    } else {
+        for (int64_t i = 0; i < n + m - 1; i++)
+            room[i] = (from[i + 2] - from[i + 1]) - (from[i + 1] - from[i]);
+        memset(y, 0, sizeof(double) * (size_t)n);
+        sliding_sums(taps, m, room, n, y);
+    }
     for (int64_t i = 0; i < n; i++)
         y[i] += rest * then[i];
     for (int64_t i = 0; i < n && lag != 0.0; i++)
@@ -49,8 +79,8 @@ static int64_t finite_filter(const double *taps, int64_t m, const double *u, int
 
 LOOP(finite_filter, FLOATS(0, COUNT(1)), WITHIN(1, 1, MOST_ITEMS), FLOATS(2, COUNT(3)),
      WITHIN(3, COUNT(4) + greater(COUNT(1), WITHIN(5, 0, MOST_FEW)) + 1, MOST_ITEMS), COUNT(4),
-     WITHIN(5, 0, MOST_FEW), REAL(6), REAL(7), OUT_FLOATS(8, COUNT(4) + COUNT(1) - 1),
-     OUT_FLOATS(9, COUNT(4)))
+     WITHIN(5, 0, MOST_FEW), REAL(6), REAL(7), WITHIN(8, 0, 1), OUT_FLOATS(9, COUNT(4) + COUNT(1)),
+     OUT_FLOATS(10, COUNT(4)))
 
 LOOP(sliding_sums, FLOATS(0, COUNT(1)), COUNT(1), FLOATS(2, COUNT(1) - 1 + COUNT(3)), COUNT(3),
      OUT_FLOATS(4, COUNT(3)))

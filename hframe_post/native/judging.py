@@ -10,15 +10,16 @@ from hframe_post.native import kernels
 
 
 def finite_filter(
-    taps: Array, u: Array, n: int, late: int, rest: float, lag: float
-) -> Array:  # fmt: skip
+    taps: Array, u: Array, n: int, late: int, rest: float, lag: float, single: bool = False
+) -> Array:
     """Return the output (n,) of a filter at the last n samples of its input u (h,).
 
     taps (m,): by acceleration, that of the oldest sample first; rest: gain of the input ``late``
     samples before; lag: s⁻¹ of its speed. h is at least n + 1 + the greater of m and ``late``.
+    single: sums of taps in single precision, which miss a deviation by about a millionth of it.
     """
-    y, room = np.empty(n), np.empty(n + len(taps) - 1)
-    kernels.finite_filter(taps, len(taps), u, len(u), n, late, rest, lag, room, y)
+    y, room = np.empty(n), np.empty(n + len(taps))
+    kernels.finite_filter(taps, len(taps), u, len(u), n, late, rest, lag, int(single), room, y)
     return y
 
 

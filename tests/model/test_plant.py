@@ -83,7 +83,9 @@ def test_side_by_side(paper: Printer, plants: int, commands: int, racks: bool) -
     together = Plants(drawn).at_rest(origin, commands, 0.0)
     cuts = ([xy[cut] for xy in each] for cut in (slice(0, 1), slice(1, 400), slice(400, None)))
     motion = np.concatenate([together.run(pieces) for pieces in cuts], axis=2)
-    alone = [[Response(plant, origin).run(xy) for xy in each] for plant in drawn]
+    alone = [[Response(plant, origin, single=True).run(xy) for xy in each] for plant in drawn]
+    exact = [[Response(plant, origin).run(xy) for xy in each] for plant in drawn]
+    np.testing.assert_allclose(motion, exact, rtol=0.0, atol=1e-5)  # mm, of a walk of some mm
     assert motion.tobytes() == np.array(alone).tobytes()
 
 
