@@ -1,15 +1,8 @@
-"""Sweeps, and their recordings by accelerometers with all their faults.
+"""Sweeps, and files of recordings."""
 
-The nozzle moves as eq. 1 and 2 say. Between the 1 ms samples the motion is a spline, whose second
-derivative a sensor samples at its own, uneven times.
-"""
-
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
-from scipy.spatial.transform import Rotation
 
 from hframe_post.arrays import TS, Array
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
@@ -57,39 +50,6 @@ def chirp(low: float, high: float, n: int, edge: int) -> Array:
 def fading(n: int, edge: int) -> Array:
     u = np.clip(np.minimum(np.arange(n), np.arange(n)[::-1]) / edge, 0.0, 1.0)
     return np.asarray(u**3 * (10.0 - u * (15.0 - 6.0 * u)))
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """An accelerometer. turned: rotation in degrees about z, y, x; lead: s before the command."""
-
-    turned: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    drift: float = 0.0
-    noise: float = 3.0  # mm/s²/√Hz
-    step: float = SIXTEEN_BITS
-    jitter: float = 2e-6
-    rate: float = 3200.0
-    lead: float = 0.0
-    clock: float = 1234.5
-    offset: tuple[float, float, float] = (120.0, -80.0, 250.0)
-
-    def record(self, motion: BSpline, seconds: float, seed: int = 0) -> Recording:
-        """Return its recording of a motion: x, y, z in mm as a function of time in s."""
-        rng = np.random.default_rng(seed)
-        t = np.arange(-self.lead, seconds + self.lead, 1.0 / (self.rate * (1.0 + self.drift)))
-        t += rng.uniform(0.0, 1.0 / self.rate) + rng.normal(0.0, self.jitter, len(t))
-        playing = (t >= 0.0) & (t <= seconds)
-        a = np.where(playing[:, None], motion.derivative(2)(np.clip(t, 0.0, seconds)), 0.0)
-        a[:, 2] += GRAVITY
-        a = Rotation.from_euler("ZYX", self.turned, degrees=True).inv().apply(a) + self.offset
-        a += rng.normal(0.0, 1.0, a.shape) * self.noise * np.sqrt(self.rate / 2.0)
-        a = np.round(a / self.step) * self.step
-        return Recording(self.clock + t * (1.0 + self.drift), a, self.lead == 0.0)
-
-
-def spline(x: Array, y: Array) -> BSpline:
-    motion = np.column_stack([x, y, np.zeros(len(x))])
-    return make_interp_spline(np.arange(len(x)) * TS, motion, 9)
 
 
 def write_klipper(path: Path, recording: Recording) -> Path:

@@ -13,11 +13,13 @@ import hashlib
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy import signal
+from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from hframe_post.arrays import TS, Array
@@ -29,6 +31,7 @@ from tests.plants import as_response
 RATE = 20000
 STEPS = 20  # a millisecond
 ADXL345 = 76.5  # mm/s², its least step at 16 g
+BEGUN = 1234.5  # s of a recording's clock, when the motion begins
 
 SOURCE = r"""
 #include <math.h>
@@ -214,25 +217,42 @@ class Chip:
 
     def record(self, machine: Machine, command: Array, seed: int, step: float = 0.0) -> Recording:
         """Return its recording while the machine plays the command. step: as in ``played``."""
-        rng = np.random.default_rng(seed)
         motion = machine.played(command, 1, step)
-        seconds = len(motion) / RATE
-        t = np.arange(-self.lead, seconds + self.lead, 1.0 / (self.rate * (1.0 + self.rate_error)))
-        t += rng.uniform(0.0, 1.0 / self.rate) + rng.normal(0.0, self.jitter, len(t))
         grid = np.arange(len(motion)) / RATE
         ax = motion[:, 2] - self.offset[1] * motion[:, 5]
         ay = motion[:, 3] + self.offset[0] * motion[:, 5]
         if self.filtered:
             taps = signal.firwin(2 * int(5 * RATE / self.rate) + 1, 0.45 * self.rate, fs=RATE)
             ax, ay = (signal.oaconvolve(one, taps, "same") for one in (ax, ay))
-        a = np.column_stack([np.interp(t, grid, one, 0.0, 0.0) for one in (ax, ay)] + [0.0 * t])
-        a[:, 2] += GRAVITY
+
+        def felt(t: Array) -> Array:
+            return np.column_stack([np.interp(t, grid, one, 0.0, 0.0) for one in (ax, ay)])
+
+        return self._sampled(felt, len(motion) / RATE, seed)
+
+    def on_nozzle(self, x: Array, y: Array, seed: int = 0) -> Recording:
+        """Return its recording of a nozzle that moves through x and y, mm every 1 ms."""
+        whole, xy = (len(x) - 1) * TS, np.column_stack([x, y])
+        motion = make_interp_spline(np.arange(len(x)) * TS, xy, 9).derivative(2)
+
+        def felt(t: Array) -> Array:
+            playing = (t >= 0.0) & (t <= whole)
+            return np.where(playing[:, None], motion(np.clip(t, 0.0, whole)), 0.0)
+
+        return self._sampled(felt, whole, seed)
+
+    def _sampled(self, felt: Callable[[Array], Array], seconds: float, seed: int) -> Recording:
+        """Return its recording of accelerations that times t (n,) in s have, (n, 2) in mm/s²."""
+        rng = np.random.default_rng(seed)
+        t = np.arange(-self.lead, seconds + self.lead, 1.0 / (self.rate * (1.0 + self.rate_error)))
+        t += rng.uniform(0.0, 1.0 / self.rate) + rng.normal(0.0, self.jitter, len(t))
+        a = np.column_stack([felt(t), np.full(len(t), GRAVITY)])
         a = Rotation.from_euler("ZYX", self.turned, degrees=True).inv().apply(a)
         mixing = np.diag(self.gains) + self.cross * (np.ones((3, 3)) - np.eye(3))
         a = a @ mixing.T + self.bias
         a += rng.normal(0.0, 1.0, a.shape) * self.noise * np.sqrt(self.rate / 2.0)
         a = np.round(a / self.step) * self.step
-        return Recording(1234.5 + t * (1.0 + self.drift), a, self.lead == 0.0)
+        return Recording(BEGUN + t * (1.0 + self.drift), a, self.lead == 0.0)
 
 
 # ---------------------------------------------------------------------- the C part

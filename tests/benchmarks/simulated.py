@@ -11,12 +11,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from hframe_post.arrays import TS, X, Y
+from hframe_post.arrays import X, Y
 from hframe_post.cli.main import main
 from hframe_post.model.nozzle import nozzle
 from hframe_post.printer.profile import load
 from tests.owners.owners import FILES, OWNERS
-from tests.recordings import Sensor, spline, write_klipper
+from tests.recordings import write_klipper
+from tests.simulator import Chip
 
 OWN, PROFILE = Path(__file__).parent / "owners", "printer.toml"
 HBOT_CFG = """\
@@ -60,9 +61,7 @@ def hbot(home: Path) -> None:
         for seed, file in enumerate(sorted(Path().glob("measure.*.csv"))):
             command = np.loadtxt(file, delimiter=",", skiprows=1)[:, 1:]
             moved = nozzle(plant, command[0], command)
-            recording = Sensor().record(
-                spline(moved[:, X], moved[:, Y]), (len(command) - 1) * TS, seed
-            )
+            recording = Chip().on_nozzle(moved[:, X], moved[:, Y], seed)
             name = file.stem.removeprefix("measure.")
             write_klipper(Path(f"recordings/adxl345-{name}.csv"), recording)
             shutil.copy(file, "recordings")

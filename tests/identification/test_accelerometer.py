@@ -14,7 +14,8 @@ from hframe_post.identification.recordings.accelerometer import (
     axis_map,
     read,
 )
-from tests.recordings import SIXTEEN_BITS, THIRTEEN_BITS, Sensor, spline, sweep
+from tests.recordings import SIXTEEN_BITS, THIRTEEN_BITS, sweep
+from tests.simulator import Chip
 
 NAMES = b"#time,accel_x,accel_y,accel_z\n"
 COLUMNS = ("t", "ax", "ay", "az")
@@ -24,7 +25,7 @@ COLUMNS = ("t", "ax", "ay", "az")
 def rows() -> Array:
     """Return time and three accelerations of a moving sensor, (n, 4)."""
     swept = sweep(rate=60.0)
-    recording = Sensor(drift=0.004).record(spline(swept, 0.0 * swept), (len(swept) - 1) / 1000.0)
+    recording = Chip(drift=0.004, step=SIXTEEN_BITS).on_nozzle(swept, 0.0 * swept)
     return np.column_stack([recording.t, recording.a])
 
 
@@ -197,7 +198,7 @@ def test_timestamps_that_are_not_in_seconds_are_refused(tmp_path: Path, rows: Ar
 @pytest.mark.parametrize("column", [1, 2])
 def test_clipping_is_refused(tmp_path: Path, step: float, column: int) -> None:
     swept = sweep(rate=60.0)
-    recording = Sensor(step=step).record(spline(swept, swept), (len(swept) - 1) / 1000.0)
+    recording = Chip(step=step, noise=3.0).on_nozzle(swept, swept)
     rows = np.column_stack([recording.t, recording.a])
     level = round(0.8 * np.abs(rows[:, column]).max() / step) * step
     rows[:, column] = np.clip(rows[:, column], -level, level)
@@ -220,8 +221,7 @@ def test_end_of_the_sensor_is_clipping_however_short(tmp_path: Path, rows: Array
 )
 def test_peaks_in_coarse_steps_are_not_clipping(tmp_path: Path, step: float, noise: float) -> None:
     swept = sweep(rate=20.0)
-    sensor = Sensor(step=step, noise=noise)
-    recording = sensor.record(spline(swept, swept), (len(swept) - 1) / 1000.0)
+    recording = Chip(step=step, noise=noise).on_nozzle(swept, swept)
     rows = np.column_stack([recording.t, recording.a])
     assert read(file(tmp_path, klipper(rows))).started
 

@@ -1,30 +1,45 @@
-"""The responses of all axes, from recordings of each kind.
+"""The responses of all axes, from recordings of each kind, and the modes they ring in, for people.
 
 ===============  ================================================================================
 strokes          the start is known, so all delay is the printer's
 others           all delay is the recording's, but for what damping explains
 ===============  ================================================================================
+
+What damping explains follows from the modes that the regression found,
+
+    H(f) = e^{−sτ}·sinc²(f·Ts)·Σ c_i / (p_i² + 2ζ_i p_i + 1),   p_i = s/ω_i,  s = 2πjf
+
+with τ the delay of the recording. sinc² stands for the command, played as straight lines between
+samples of Ts. All but τ is linear.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from hframe_post.arrays import TS
 from hframe_post.identification.estimation import known_start, unknown_start
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     advanced,
+    lowest,
     share_left,
+    weights,
 )
-from hframe_post.identification.estimation.modes import listed, ringing, shares
-from hframe_post.identification.estimation.regression import Fit
+from hframe_post.identification.estimation.regression import Fit, Mode
 
 # share of the measurement that a response without an assumed mode may leave: of drawn linear
 # printers 0.005 to 0.035, of real ones 0.06 to 0.3
 LINEAR = 0.05
 UNCALIBRATED = (1.0, 0.05)  # gain, as mean and standard deviation, after a rough one
 EARLY = 4e-3  # s by which the rough start may be late
+RINGS = 0.3  # damping ratio below which a mode visibly rings
+LATE = 2e-3  # s by which the delay of modes may differ from the response's lag
+STEPS = 401  # of the delays that are tried: 10 µs
+NEAR = 0.1  # of the response's resonance, within which the measured peak is
 
 
 # ---------------------------------------------------------------------- a known start
@@ -36,7 +51,7 @@ def fit_known_start(whole: FrequencyResponse) -> Fit:
     Raises IdentificationError.
     """
     found = known_start.estimated(whole)
-    return _described(found, whole, found.lag)
+    return described(found, whole)
 
 
 def fit_racking(whole: FrequencyResponse, x: Fit, gain: float, in_time: bool) -> Fit:
@@ -80,24 +95,55 @@ def _from_its_damping(whole: FrequencyResponse) -> Fit:
     lag = rough.lag
     if modes := ringing(rough):
         seen = in_time.where(whole.hz >= rough.resonance_hz * unknown_start.MEASURED)
-        late += shares(seen, modes, lag, speed=False)[1]
+        late += delay_of(seen, modes, lag)
     else:  # too stiff to ring, so in time with it
         late += lag
     found = known_start.estimated(advanced(scaled, late), UNCALIBRATED)
     found = replace(found, gain=gain * found.gain, delay=late)
-    return _described(found, whole, late)
+    return described(found, whole)
 
 
 def _with_an_ideal_mode(whole: FrequencyResponse) -> Fit:
     """Return the response that follows its command below the resonance as one mode does."""
     found = unknown_start.estimated(whole)
-    return _described(found, whole, found.delay)
+    return described(found, whole)
 
 
 # ---------------------------------------------------------------------- both
 
 
-def _described(found: Fit, whole: FrequencyResponse, late: float) -> Fit:
-    """Return the fit of a response; late: s, of the measurement, by recording and printer."""
+def described(found: Fit, whole: FrequencyResponse) -> Fit:
+    """Return the fit with the share that it leaves, and the modes that ring in the band.
+
+    Where the regression found none, it is the main resonance.
+    """
     left = share_left(found.response(whole.hz), whole, whole.power)
-    return replace(found, residual=left, modes=listed(found, whole, late))
+    modes = [(mode.omega / (2.0 * np.pi * TS), mode.zeta) for mode in ringing(found)]
+    known = sorted(modes) or [_resonance(found, whole)]
+    listed = [(hz, zeta) for hz, zeta in known if zeta < RINGS and hz <= whole.hz[-1]]
+    return replace(found, residual=left, modes=listed)
+
+
+def ringing(found: Fit) -> list[Mode]:
+    return [mode for mode in found.expected if mode.zeta < RINGS]
+
+
+def _resonance(found: Fit, measured: FrequencyResponse) -> tuple[float, float]:
+    """Return Hz and damping ratio of the measured peak at the resonance, whose height is 1/2ζ."""
+    near = np.abs(measured.hz / found.resonance_hz - 1.0) < NEAR
+    size = np.abs(measured.H / found.gain) * near
+    peak = int(size.argmax())
+    return float(measured.hz[peak]), float(0.5 / size[peak])
+
+
+def delay_of(measured: FrequencyResponse, modes: Sequence[Mode], late: float) -> float:
+    """Return the delay in s with which modes explain most of a response. late: s, about that."""
+    s = np.asarray(2j * np.pi * TS * measured.hz)
+    weight = weights(measured) * np.sinc(measured.hz * TS) ** 2
+    p = s[:, None] / np.array([mode.omega for mode in modes])
+    columns = weight[:, None] / (p * p + 2.0 * np.array([mode.zeta for mode in modes]) * p + 1.0)
+    delays = np.linspace(late - LATE, late + LATE, STEPS)
+    seen = (weight * measured.H)[:, None] * np.exp(np.outer(s, delays / TS))
+    Q, _ = np.linalg.qr(np.concatenate([columns.real, columns.imag]))
+    explained = Q.T @ np.concatenate([seen.real, seen.imag])  # by each delay
+    return lowest(delays, (-np.square(explained).sum(axis=0)).tolist())

@@ -149,7 +149,6 @@ def _at_rest(response: Complex, hz: Array, weight: Array) -> Array:
 
 ALIKE = np.cos(np.radians(8.0))  # of gravity in two recordings of one mounting
 SQUARE = np.sin(np.radians(25.0))  # by which directions in the sensor may differ from the command's
-ALONG = 0.3  # of a motion's direction, from which it tells of an axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +177,7 @@ def uncalibrated_responses(
     groups = {}
     for axis in (X, Y):
         alone = [one for one in located if abs(one.commanded[axis]) > 1.0 - 1e-6]
-        chosen = alone or [one for one in located if abs(one.commanded[axis]) > ALONG]
+        chosen = alone or [one for one in located if one.commanded[axis]]
         if chosen:
             groups[tuple(AXIS)[axis]] = _group(axis, chosen, located, settings)
     return groups
