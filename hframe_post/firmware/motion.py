@@ -17,7 +17,6 @@ from hframe_post.stream.types import Position, StopRules
 
 USED_LINES_SHARE = 0.9  # of those that a firmware can take in a second; at all it stutters
 DECIMALS = 3  # of x, y and z in mm, as lines have them
-VELOCITY_HEADROOM = 1.1  # of the belts' limit: what the stream may do, so that it is never limited
 
 
 class NextTo(Enum):

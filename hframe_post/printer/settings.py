@@ -42,6 +42,7 @@ MORE_ACCELERATION = 1.5  # times the path's, as far as HARD
 MORE_FOR_RACKING = 5.0
 HARD = 8000.0  # mm/s²
 CORNER_S = 0.002  # s
+# times the path's speed, the guess of a belt's limit; times that, the stream's, never to limit it
 VELOCITY_HEADROOM = 1.1
 SMOOTH_TIME_S = 0.04  # s, Klipper's default
 STREAM_SMOOTH_TIME_S = 0.02  # s; below it, lines get no more even

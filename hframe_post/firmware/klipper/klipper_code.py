@@ -13,11 +13,10 @@ from hframe_post.arrays import Array, E
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.code import Code, coordinates, modes, plain
 from hframe_post.firmware.dialect import klipper_advance
-from hframe_post.firmware.motion import VELOCITY_HEADROOM
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.native.planning import junction_deviation
 from hframe_post.printer.firmware_tables import KlipperTable
-from hframe_post.printer.settings import Extruder, Limits, Motors, Printer
+from hframe_post.printer.settings import VELOCITY_HEADROOM, Extruder, Limits, Motors, Printer
 from hframe_post.stream.types import ModalState, Passthrough
 
 STAND = "G4 P0"  # comes to rest without flushing the queue of the motors, as M400 would
@@ -164,12 +163,9 @@ class StreamLimits:
         return cls(
             VELOCITY_HEADROOM * kinematics.max_speed_ratio * motors.belt_velocity,
             math.floor(kinematics.min_speed_ratio * motors.belt_acceleration),
-            limits.z_velocity,
-            limits.z_acceleration,
-            limits.extruder_velocity,
-            limits.extruder_acceleration,
-            limits.extruder_corner_velocity,
-        )
+            limits.z_velocity, limits.z_acceleration, limits.extruder_velocity,
+            limits.extruder_acceleration, limits.extruder_corner_velocity,
+        )  # fmt: skip
 
     @cached_property
     def row(self) -> Array:

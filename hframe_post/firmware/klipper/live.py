@@ -44,13 +44,9 @@ def by_itself(printer: Printer, name: str) -> dict[str, Kernel]:
 def bounds_of(printer: Printer) -> Bounds:
     table, motors, travel = table_of(printer), printer.motors, printer.travel
     return Bounds(
-        table.velocity,
-        table.acceleration,
-        table.square_corner_velocity,
-        motors.belt_velocity,
-        motors.belt_acceleration,
-        (sum(travel.x) / 2.0, sum(travel.y) / 2.0),
-    )
+        table.velocity, table.acceleration, table.square_corner_velocity, motors.belt_velocity,
+        motors.belt_acceleration, (sum(travel.x) / 2.0, sum(travel.y) / 2.0),
+    )  # fmt: skip
 
 
 def kernel_file(printer: Printer) -> bytes | None:
@@ -63,24 +59,20 @@ def kernel_file(printer: Printer) -> bytes | None:
     bounds = bounds_of(printer)
     try:
         made, figures = live_kernel(printer)
-        racking = [made.racking] if made.racking else []
     except ArgumentError as error:
         return f"no kernel: {error}\n".encode()
-    return signed(
-        {
-            "profile": printer.name,
-            "made_by": f"hframe-post {__version__}",
-            "measured": str(printer.measured or "on an unknown day"),
-            "kinematics": klipper_name(printer.kinematics.type),
-            "limits": dict(
-                zip(LIMITS, (bounds.velocity, bounds.acceleration, bounds.corner), strict=True)
-            ),
-            **{name: float(f"{getattr(figures, name):.6g}") for name in FIGURES},
-            "x": made.axes[X].tolist(),
-            "y": made.axes[Y].tolist(),
-            "couplings": [(Y, X, X, its.x_c, h.tolist()) for its, h in racking],
-        }
-    )  # fmt: skip
+    limits = bounds.velocity, bounds.acceleration, bounds.corner
+    racking = [made.racking] if made.racking else []
+    return signed({
+        "profile": printer.name,
+        "made_by": f"hframe-post {__version__}",
+        "measured": str(printer.measured or "on an unknown day"),
+        "kinematics": klipper_name(printer.kinematics.type),
+        "limits": dict(zip(LIMITS, limits, strict=True)),
+        **{name: float(f"{getattr(figures, name):.6g}") for name in FIGURES},
+        "x": made.axes[X].tolist(), "y": made.axes[Y].tolist(),
+        "couplings": [(Y, X, X, its.x_c, h.tolist()) for its, h in racking],
+    })  # fmt: skip
 
 
 def klipper_name(kind: str) -> str:

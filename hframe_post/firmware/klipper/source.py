@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,13 +29,34 @@ KINEMATICS = {  # ours, the safest first, by Klipper's name
     "corexz": ("corexz",),
     "cartesian": ("cartesian",),
 }
-RETRACTION = {  # by key of a profile: the option, and Klipper's default
-    "length": ("retract_length", 0.0), "speed": ("retract_speed", 20.0),
-    "return_speed": ("unretract_speed", 10.0), "extra": ("unretract_extra_length", 0.0),
-}  # fmt: skip
-EXTRUDER = {
-    "advance": ("pressure_advance", 0.0),
-    "smooth_time": ("pressure_advance_smooth_time", SMOOTH_TIME_S),
+# By key of a profile: section and option of printer.cfg, and what holds without the option:
+# Klipper's default, the value of another key, or None where Klipper needs it.
+Options = dict[str, tuple[str, str, float | str | None]]
+PATH: Options = {
+    "velocity": ("printer", "max_velocity", None),
+    "acceleration": ("printer", "max_accel", None),
+    "square_corner_velocity": ("printer", "square_corner_velocity", 5.0),
+}
+LIMITS: Options = {
+    "z_velocity": ("printer", "max_z_velocity", "velocity"),
+    "z_acceleration": ("printer", "max_z_accel", "acceleration"),
+    "extruder_velocity": ("extruder", "max_extrude_only_velocity", "flow"),
+    "extruder_acceleration": ("extruder", "max_extrude_only_accel", "growth"),
+    "extruder_corner_velocity": ("extruder", "instantaneous_corner_velocity", 1.0),
+    "filament_diameter": ("extruder", "filament_diameter", 1.75),
+}
+RETRACTION: Options = {
+    "length": ("firmware_retraction", "retract_length", 0.0),
+    "speed": ("firmware_retraction", "retract_speed", 20.0),
+    "return_speed": ("firmware_retraction", "unretract_speed", 10.0),
+    "extra": ("firmware_retraction", "unretract_extra_length", 0.0),
+}
+EXTRUDER: Options = {
+    "advance": ("extruder", "pressure_advance", 0.0),
+    "smooth_time": ("extruder", "pressure_advance_smooth_time", SMOOTH_TIME_S),
+}
+SHAPERS: Options = {
+    key: ("input_shaper", key, 0.0) for key in (f"shaper_freq_{axis}" for axis in "xyz")
 }
 DEFAULT = "Klipper's default"
 SHAPES = re.compile(r"^\s*SET_INPUT_SHAPER\b[^\n]*SHAPER_FREQ", re.MULTILINE | re.IGNORECASE)
@@ -55,29 +76,27 @@ def kinematics_in(config: KlipperConfig) -> tuple[str, ...]:
 
 def from_klipper(config: KlipperConfig) -> Tables:
     """Return the settings that a printer.cfg decides. Raises HframeError if a number is missing."""
-    velocity = _needed(config, "printer", "max_velocity")
-    acceleration = _needed(config, "printer", "max_accel")
-    path = {
-        "velocity": velocity, "acceleration": acceleration,
-        "square_corner_velocity": _or(config, "printer", "square_corner_velocity", 5.0),
-    }  # fmt: skip
+    path = _read(config, PATH)
+    acceleration = path["acceleration"]
+    retracts = config.number("firmware_retraction", "retract_length", 0.0) > 0.0
+    # a file that was not found may set a shaper
+    shapers = {k: v for k, v in SHAPERS.items() if not config.missing or config.text(*v[:2])}
     tables: Tables = {
         "travel": {axis: _range(config, axis) for axis in "xy"},
-        "limits": {
-            **path,
-            "z_velocity": _or(config, "printer", "max_z_velocity", velocity),
-            "z_acceleration": _or(config, "printer", "max_z_accel", acceleration),
-            **extruder(config, velocity, acceleration),
-        },
-        "retraction": _retraction(config),
-        "extruder": {  # also where slicers set the advance: the stream restores the averaging
-            key: _or(config, "extruder", option, default)
-            for key, (option, default) in EXTRUDER.items()
-            if config.has("extruder")
-        },
+        "limits": path | _read(config, LIMITS, path | _extruder(config, path)),
+        "retraction": _read(config, RETRACTION) if retracts else {},
+        # also where slicers set the advance: the stream restores the averaging
+        "extruder": _read(config, EXTRUDER) if config.has("extruder") else {},
         "speed": {"acceleration": acceleration},
         "sweep": {**sweep(acceleration), **_chips(config)},
-        "firmware.klipper": {**path, **_own(config)},
+        "firmware.klipper": {
+            **path,
+            "minimum_cruise_ratio": _option(
+                config, "printer", "minimum_cruise_ratio", config.cruise_ratio()
+            ),
+            **_read(config, shapers),
+            "end_macro": Known(END_MACRO, "of hframe.cfg: restores what printer.cfg sets"),
+        },
     }
     if (steps := _steps(config)) is not None:
         tables["steps"] = steps
@@ -103,27 +122,31 @@ def _chips(config: KlipperConfig) -> dict[str, Known]:
     return found
 
 
-def _needed(config: KlipperConfig, section: str, key: str) -> Known:
-    value = config.number(section, key)
-    if math.isnan(value):
-        where = f"{config.path}: [{section}] {key} is missing"
-        lost = f"; {config.missing[0]}" if config.missing else ""
-        raise HframeError(where + lost)
-    if not 0.0 < value < 1e9:
-        raise HframeError(f"{config.path}: [{section}] {key}: {value:g} is not possible")
-    return Known(value, f"{key} of [{section}]", config.place(section, key))
+def _read(
+    config: KlipperConfig, options: Options, others: Mapping[str, Known] | None = None
+) -> dict[str, Known]:
+    """Return values by key of a profile. others: those that may hold without an option, by key."""
+    found = dict[str, Known]()
+    for key, (section, option, default) in options.items():
+        usual = (others or {})[default] if isinstance(default, str) else default
+        found[key] = _option(config, section, option, usual)
+    return found
 
 
-def _or(config: KlipperConfig, section: str, key: str, default: float | Known) -> Known:
-    """Return the number in printer.cfg, or what Klipper uses without it."""
-    value = config.number(section, key)
-    place = config.place(section, key)
+def _option(config: KlipperConfig, section: str, key: str, default: float | Known | None) -> Known:
+    """Return the number in printer.cfg, or what Klipper uses without it. Raises HframeError."""
+    value, place = config.number(section, key), config.place(section, key)
     if not math.isnan(value):
+        if default is None and not 0.0 < value < 1e9:
+            raise HframeError(f"{config.path}: [{section}] {key}: {value:g} is not possible")
         return Known(value, f"{key} of [{section}]", place)
-    if not isinstance(default, Known):
-        default = Known(default, f"{DEFAULT} for {key}")
-    else:
+    if default is None:
+        lost = f"; {config.missing[0]}" if config.missing else ""
+        raise HframeError(f"{config.path}: [{section}] {key} is missing{lost}")
+    if isinstance(default, Known):
         default = replace(default, origin=f"{default.origin}, without {key}")
+    else:
+        default = Known(default, f"{DEFAULT} for {key}")
     return replace(default, place=place, assumed=bool(config.missing))
 
 
@@ -139,28 +162,22 @@ def _range(config: KlipperConfig, axis: str) -> Known:
     return Known((low, high), origin, config.place(section, "position_max"))
 
 
-def extruder(config: KlipperConfig, velocity: Known, acceleration: Known) -> dict[str, Known]:
-    """Return the limits of filament; those not given as Klipper computes them.
+def _extruder(config: KlipperConfig, path: Mapping[str, Known]) -> dict[str, Known]:
+    """Return the limits of filament as Klipper computes them from those of the path.
 
     Klipper lets the extruder follow a move whose line is max_extrude_cross_section (mm²) thick.
     """
-    diameter = _or(config, "extruder", "filament_diameter", 1.75)
-    if not as_float(diameter) > 0.0:
+    if not (diameter := config.number("extruder", "filament_diameter", 1.75)) > 0.0:
         raise HframeError(f"{config.path}: [extruder] filament_diameter must be above 0")
     thickest = 4.0 * config.number("extruder", "nozzle_diameter", 0.4) ** 2
     thickest = config.number("extruder", "max_extrude_cross_section", thickest)
-    share = thickest / (math.pi / 4.0 * as_float(diameter) ** 2)
-
-    def limit(key: str, of: Known, most: float) -> Known:
-        computed = min(float(f"{share * as_float(of):.6g}"), most)  # what a profile takes
-        return _or(config, "extruder", key, Known(computed, "as Klipper computes it"))
-
-    return {
-        "extruder_velocity": limit("max_extrude_only_velocity", velocity, 1e4),
-        "extruder_acceleration": limit("max_extrude_only_accel", acceleration, 1e6),
-        "extruder_corner_velocity": _or(config, "extruder", "instantaneous_corner_velocity", 1.0),
-        "filament_diameter": diameter,
-    }
+    share = thickest / (math.pi / 4.0 * diameter**2)
+    most = {"flow": ("velocity", 1e4), "growth": ("acceleration", 1e6)}  # what a profile takes
+    found = dict[str, Known]()
+    for name, (of, limit) in most.items():
+        value = min(float(f"{share * as_float(path[of]):.6g}"), limit)
+        found[name] = Known(value, "as Klipper computes it")
+    return found
 
 
 def _steps(config: KlipperConfig) -> dict[str, Known] | None:
@@ -177,32 +194,6 @@ def _steps(config: KlipperConfig) -> dict[str, Known] | None:
                     config.place(section, "rotation_distance"))
         for name, section in sections.items()
     }  # fmt: skip
-
-
-def _retraction(config: KlipperConfig) -> dict[str, Known]:
-    if not config.number("firmware_retraction", "retract_length", 0.0) > 0.0:
-        return {}
-    return {
-        key: _or(config, "firmware_retraction", option, default)
-        for key, (option, default) in RETRACTION.items()
-    }
-
-
-def _own(config: KlipperConfig) -> dict[str, Known]:
-    """Return what the stream restores at its end, in addition to the path's limits."""
-    shaper = {
-        key: _or(config, "input_shaper", key, 0.0)
-        for key in (f"shaper_freq_{axis}" for axis in "xyz")
-        # a file that was not found may set it
-        if not config.missing or config.text("input_shaper", key)
-    }
-    return {
-        "minimum_cruise_ratio": _or(
-            config, "printer", "minimum_cruise_ratio", config.cruise_ratio()
-        ),
-        **shaper,
-        "end_macro": Known(END_MACRO, "of hframe.cfg: restores what printer.cfg sets"),
-    }
 
 
 def text_from_klipper(config: KlipperConfig) -> str:

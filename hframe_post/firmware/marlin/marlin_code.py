@@ -12,11 +12,10 @@ from hframe_post.arrays import Array, E, Z
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.code import Code, coordinates, plain
 from hframe_post.firmware.marlin.planner import BRAKES_LATE_STEPS, Planner, make_planner
-from hframe_post.firmware.motion import VELOCITY_HEADROOM
 from hframe_post.native.block_times import Timer
 from hframe_post.native.whole_steps import Blocks
 from hframe_post.printer.firmware_tables import MarlinTable
-from hframe_post.printer.settings import Limits, Motors, Printer, Steps
+from hframe_post.printer.settings import VELOCITY_HEADROOM, Limits, Motors, Printer, Steps
 from hframe_post.stream.types import ModalState
 
 ACCELERATION_HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two

@@ -38,11 +38,10 @@ from hframe_post.firmware.code import plain
 from hframe_post.firmware.klipper.klipper_code import KlipperCode, StreamLimits
 from hframe_post.firmware.klipper.klipper_firmware import Klipper
 from hframe_post.firmware.klipper.klipper_motion import KlipperMotion
-from hframe_post.firmware.motion import VELOCITY_HEADROOM
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import STAMP
 from hframe_post.printer.firmware_tables import RECORDED, USUAL_CHIP
-from hframe_post.printer.settings import Printer
+from hframe_post.printer.settings import VELOCITY_HEADROOM, Printer
 from hframe_post.stream.types import (
     Dwell,
     Handling,
