@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 from time import monotonic
@@ -75,7 +75,7 @@ def batch(
     folder.mkdir(parents=True, exist_ok=True)
     converter = Converter(jobs, printer, options)
     compensates = (options.strategy or profile.compensation.strategy) != "none"
-    results = Results(quiet, chosen_printer().why, profile.warnings() if compensates else [])
+    results = Results(todo, quiet, chosen_printer().why, profile.warnings() if compensates else [])
     for path in packed:
         results.say(f"WARNING {path} is packed, so it is not converted: unpack it with gunzip")
     interruption = Interruption()
@@ -107,22 +107,17 @@ FORESEEN = 0.05  # share of the bytes that must be done before what is left can 
 
 
 class Results:
-    """Results of the files so far.
+    """Results of the jobs so far.
 
     why: what chose the profile. notices: warnings of the profile, which every file has: they are
     printed once.
     """
 
-    def __init__(self, quiet: bool, why: str, notices: Sequence[str]) -> None:
-        self.quiet, self._why = quiet, why
-        self._jobs: dict[Path, Job] = {}
-        self._notices = notices
+    def __init__(self, jobs: Sequence[Job], quiet: bool, why: str, notices: Sequence[str]) -> None:
+        self.quiet, self._why, self._jobs, self._notices = quiet, why, jobs, notices
         self._shown = set[str]()  # warnings
         for text in notices:
             self.say(f"WARNING {text}")
-
-    def add(self, jobs: Iterable[Job]) -> None:
-        self._jobs |= {job.source: job for job in jobs}
 
     def say(self, text: str) -> None:
         if not self.quiet:
@@ -136,11 +131,10 @@ class Results:
 
     @property
     def status(self) -> int:
-        return 0 if all(job.state in ("done", "skipped") for job in self._jobs.values()) else 1
+        return 0 if all(job.state in ("done", "skipped") for job in self._jobs) else 1
 
     def as_json(self) -> dict[str, Any]:
-        jobs = self._jobs.values()
-        files = [job.as_json() for job in jobs]
+        files = [job.as_json() for job in self._jobs]
         for summary in (file["summary"] for file in files if "summary" in file):
             summary["profile_chosen_by"] = self._why  # each was converted with -p
         return {"files": files, "failed": self._count("failed")}
@@ -148,10 +142,10 @@ class Results:
     def as_text(self) -> str:
         """Return what needs attention, each with its files, and the counts in the last line."""
         warned: dict[str, list[Path]] = {}
-        for job in self._jobs.values():
+        for job in self._jobs:
             for text in self._warnings(job):
                 warned.setdefault(text, []).append(job.source)
-        lines = [job.as_text() for job in self._jobs.values() if job.state == "failed"]
+        lines = [job.as_text() for job in self._jobs if job.state == "failed"]
         lines += [f"WARNING {_some(files)}: {text}" for text, files in warned.items()]
         counts = f"{self._count('done')} converted, {self._count('skipped')} skipped, "
         counts += f"{self._count('failed')} failed"
@@ -166,7 +160,7 @@ class Results:
         return [text for text in job.warnings if text not in self._notices]
 
     def _count(self, state: State) -> int:
-        return sum(job.state == state for job in self._jobs.values())
+        return sum(job.state == state for job in self._jobs)
 
 
 def _some(files: list[Path]) -> str:
@@ -193,4 +187,3 @@ def _convert(jobs: list[Job], converter: Converter, results: Results) -> None:
         for job in converter.run(jobs):
             results.show(job, CLEAR_LINE * terminal)
             bar.update(sizes[job.source], job)
-    results.add(jobs)

@@ -159,13 +159,8 @@ class _Commands(click.Group):
             if isinstance(failure, click.UsageError):
                 shown = click.UsageError(_misread(failure, context.meta[_GIVEN]), failure.ctx)
         else:
-            name = context.invoked_subcommand or ""
             text = _text(failure)
-            if (
-                isinstance(failure, LimitError)
-                and failure.clampable
-                and self._clamps(context, name)
-            ):
+            if isinstance(failure, LimitError) and failure.clampable and self._clamps(context):
                 text += ", or use --on-limit clamp"
             shown = _Failure(text)
         from hframe_post.cli.json_summary import write_failure  # imported by the command by now
@@ -173,8 +168,8 @@ class _Commands(click.Group):
         write_failure(context, shown.exit_code, shown.format_message(), failure)
         raise shown from None
 
-    def _clamps(self, context: click.Context, name: str) -> bool:
-        command = self.get_command(context, name)
+    def _clamps(self, context: click.Context) -> bool:
+        command = self.get_command(context, context.invoked_subcommand or "")
         return command is not None and any(each.name == "clamp" for each in command.params)
 
 

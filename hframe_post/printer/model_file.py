@@ -134,11 +134,11 @@ def _naming(text: str, model: str, printer: Printer, source: str) -> str:
         document: Any = tomlkit.parse(text)
         for name in ("model", "plant", "verified"):
             document.pop(name, None)
-        for table, keys in (("compensation", WINDOW),):
-            for key in keys if table in document else ():
-                document[table].pop(key, None)
-            if table in document and not document[table] and "#" not in document[table].as_string():
-                document.pop(table)
+        if (found := document.get("compensation")) is not None:
+            for key in WINDOW:
+                found.pop(key, None)
+            if not found and "#" not in found.as_string():
+                document.pop("compensation")
         for table, key, value, old in (
             ("kinematics", "type", now.kinematics.type, before.kinematics.type),
             ("compensation", "strategy", now.compensation.strategy, before.compensation.strategy),
@@ -184,36 +184,20 @@ def _lines(printer: Printer, notes: Sequence[str]) -> Iterator[str]:
 def _linear(G: ImpulseResponse, angle: bool) -> str:
     """Return the lines of a response; angle: one in rad."""
     unit, name = (MICRORAD, "µrad") if angle else (1.0, "µm")
-    comment = f"{name} at each ms, by a pulse of 1000 mm/s² for 1 ms"
+    lag, unknown = round(G.lag / unit, DIGITS), np.round(G.unknown / unit, DIGITS)
     lines = f"lead = {G.lead}\n"
-    for key, value in _known(G, unit).items():
-        if isinstance(value, list):
-            lines += _list(key, value, "standard deviation of what is not known, likewise")
-        else:
-            late = f"{name} behind at 1 mm/s"
-            meaning = late if key == "lag" else "standard deviation of all frequencies"
-            lines += f"{key} = {value!r}  # {meaning}\n"
-    lines += _list("deviation", _rounded(G.deviation, unit), comment)
-    return lines
+    if lag:
+        lines += f"lag = {lag!r}  # {name} behind at 1 mm/s\n"
+    if G.drift:
+        lines += f"drift = {G.drift!r}  # standard deviation of all frequencies\n"
+    if len(unknown):
+        lines += "unknown = [  # standard deviation of what is not known, likewise\n"
+        lines += f"{_rows(unknown)}]\n"
+    lines += f"deviation = [  # {name} at each ms, by a pulse of 1000 mm/s² for 1 ms\n"
+    return f"{lines}{_rows(np.round(G.deviation / unit, DIGITS))}]\n"
 
 
-def _known(G: ImpulseResponse, unit: float) -> dict[str, Any]:
-    """Return a response's lag, drift and unknown in the profile's units, those that are not 0."""
-    (lag,) = _rounded(np.array([G.lag]), unit)
-    known = {"lag": lag, "drift": G.drift, "unknown": _rounded(G.unknown, unit)}
-    return {key: value for key, value in known.items() if value}
-
-
-def _rounded(values: Array, unit: float) -> list[float]:
-    """Return values in the profile's units, to DIGITS."""
-    return [float(value) for value in np.round(values / unit, DIGITS) + 0.0]
-
-
-def _list(key: str, values: Sequence[float], comment: str) -> str:
-    return f"{key} = [  # {comment}\n{_rows(values)}]\n"
-
-
-def _rows(values: Sequence[float]) -> str:
-    shown = [f"{value:.{DIGITS}f}" for value in values]
+def _rows(values: Array) -> str:
+    shown = [f"{value:.{DIGITS}f}" for value in (values + 0.0).tolist()]  # no negative zero
     rows = (", ".join(shown[k : k + IN_A_LINE]) for k in range(0, len(shown), IN_A_LINE))
     return "".join(f"    {row},\n" for row in rows)

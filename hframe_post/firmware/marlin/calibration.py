@@ -17,7 +17,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.marlin.marlin_code import TRAPEZOIDS, MarlinCode
+from hframe_post.firmware.marlin.marlin_code import TRAPEZOIDS, MarlinCode, motion_limits
 from hframe_post.firmware.marlin.planner import GENERATIONS, Planner, make_planner
 from hframe_post.native.block_times import Timer
 from hframe_post.native.whole_steps import Blocks, most_steps, motor_steps
@@ -170,8 +170,7 @@ def _lines(printer: Printer, marlin: MarlinCode, parts: tuple[Part, ...]) -> lis
     motion = "M493 S1 X0 Y0 C0 P0" if table.planner == "ft-motion" else "M493 S0"
     text = [
         "; home first; the duration of each part shows the planner and the timer", "M400",
-        "M593 F0", "M900 K0", motion, TRAPEZOIDS, f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
-        f"M204 P{a} T{a}", f"M205 B0 S0 T0 {corners}", "G90",
+        "M593 F0", "M900 K0", motion, TRAPEZOIDS, *motion_limits(v, a, corners), "G90",
     ]  # fmt: skip
     for part in parts:
         x = [plain(place, 3) for place in part.x.tolist()]

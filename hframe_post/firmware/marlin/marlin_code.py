@@ -26,6 +26,17 @@ FIXED_TIME, RAMPED = "M493 S1 X0 Y0 C0 P0", "M493 S0"  # on without a shaper, fo
 TRAPEZOIDS = "M494 T0 X0 Y0 Z0 E0"  # of 2026; another trajectory leaves ramps unplanned
 
 
+def motion_limits(v: str, a: str, corners: str, filament: str = "") -> list[str]:
+    """Return the lines that set limits of motion, and no least speed or time of a segment.
+
+    filament: a further word of M201.
+    """
+    return [
+        f"M201 X{a} Y{a}{filament}", f"M203 X{v} Y{v}", f"M204 P{a} T{a}",
+        f"M205 B0 S0 T0 {corners}",
+    ]  # fmt: skip
+
+
 @dataclass(frozen=True, slots=True)
 class MarlinCode(Code):
     """Marlin's G-code. limits: the user's."""
@@ -106,11 +117,8 @@ class MarlinCode(Code):
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
         velocity = VELOCITY_HEADROOM * self.motors.belt_velocity
         a, v = plain(self.block_acceleration, 0), plain(velocity, 0)
-        start = [
-            "M400", "M593 F0", "M900 K0", self.motion_mode, TRAPEZOIDS,
-            f"M201 X{a} Y{a}{self._filament(self.block_acceleration)}", f"M203 X{v} Y{v}",
-            f"M204 P{a} T{a}", f"M205 B0 S0 T0 {self.corners(False)}",
-        ]  # fmt: skip
+        limits = motion_limits(v, a, self.corners(False), self._filament(self.block_acceleration))
+        start = ["M400", "M593 F0", "M900 K0", self.motion_mode, TRAPEZOIDS, *limits]
         start += ["G90", "M83", *coordinates(offset, at)]
         return [line.encode() for line in [*start, *self.filling_lines(float(at[Z]))]]
 

@@ -18,7 +18,12 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Flags, Integers, Z
 from hframe_post.firmware.code import plain
 from hframe_post.firmware.dialect import ExtruderLimits
-from hframe_post.firmware.marlin.marlin_code import JUNCTION_DEVIATION, TRAPEZOIDS, MarlinCode
+from hframe_post.firmware.marlin.marlin_code import (
+    JUNCTION_DEVIATION,
+    TRAPEZOIDS,
+    MarlinCode,
+    motion_limits,
+)
 from hframe_post.firmware.marlin.planner import Planner
 from hframe_post.firmware.motion import (
     USED_LINES_SHARE,
@@ -245,12 +250,9 @@ class MarlinMoves(WrittenMoves):
         return "send M501: it brings back the settings that are saved in the printer."
 
     def limits(self, fastest: float, acceleration: float) -> list[str]:
-        v, a = plain(fastest, 0), plain(acceleration, 0)
+        v = plain(fastest, 0)
         corners = f"X{v} Y{v} E1" if self.code.table.classic_jerk else "J0.3"
-        return [
-            "M400", f"M201 X{a} Y{a}", f"M203 X{v} Y{v}", f"M204 P{a} T{a}",
-            f"M205 B0 S0 T0 {corners}",
-        ]  # fmt: skip
+        return ["M400", *motion_limits(v, plain(acceleration, 0), corners)]
 
     def ahead(self, z: float) -> list[str]:
         return self.code.filling_lines(z)
