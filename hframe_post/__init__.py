@@ -22,7 +22,7 @@ from hframe_post.version import __version__
 
 if TYPE_CHECKING:
     from hframe_post.conversion.options import Options
-    from hframe_post.conversion.report import Report
+    from hframe_post.conversion.print_report import Report
     from hframe_post.errors import HframeError
     from hframe_post.identification.identify import MeasurementSettings, Run, identify
     from hframe_post.library import (
@@ -69,7 +69,7 @@ _ROOMS = {  # name → module, and the name in it if that differs
     "Options": "conversion.options",
     "Plant": "model.plant",
     "Printer": "printer.settings",
-    "Report": "conversion.report",
+    "Report": "conversion.print_report",
     "Run": "identification.identify",
     "TransferFunction": "model.transfer_function",
     "Window": "model.lpfbs",

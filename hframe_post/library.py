@@ -22,7 +22,7 @@ from hframe_post.compensation.compensate import settling_samples
 from hframe_post.conversion import files
 from hframe_post.conversion.options import Options, stamp
 from hframe_post.conversion.pipeline import Chain, prepared
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.errors import (
     ArgumentError,

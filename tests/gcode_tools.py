@@ -11,7 +11,7 @@ import pytest
 from hframe_post.compensation.stops import stop_rules
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.planner.lookahead import plan

@@ -8,7 +8,7 @@ import numpy as np
 from hframe_post.arrays import Array, Integers
 from hframe_post.conversion.conversions import StepConversion
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.types import Dwell, Event, Handling, ModalState, Passthrough, Samples

@@ -19,17 +19,17 @@ from hframe_post.version import __version__
 if TYPE_CHECKING:
     from hframe_post.printer.choice import Choice
 
-GROUPS = {  # by group: name, its function in a module of hframe_post.cli, a line of help
+GROUPS = {  # by group and command: its module in hframe_post.cli, a line of help
     "Start": {
         "setup": ("setup", "Make a profile from Klipper's printer.cfg or Marlin's M503."),
         "measure": ("measure", "Write the G-code that measures a printer."),
-        "identify": ("identify", "Compute the printer's model from the recordings."),
+        "identify": ("measurements", "Compute the printer's model from the recordings."),
         "calibrate-print": ("calibrate_print", "Measure a printer without a sensor."),
     },
     "Every print": {
         "convert": ("convert", "Convert a sliced file. This is the default command."),
         "batch": ("batch", "Convert many files and folders."),
-        "check": ("check", "Find what has drifted, and what compensation brings."),
+        "check": ("measurements", "Find what has drifted, and what compensation brings."),
         "doctor": ("doctor", "Check the installation, a profile and printer.cfg."),
     },
     "Study": {
@@ -114,7 +114,7 @@ class _Commands(click.Group):
         if name not in COMMANDS:
             return None
         module = import_module(f"hframe_post.cli.{COMMANDS[name]}")
-        command: click.Command = getattr(module, COMMANDS[name])
+        command: click.Command = getattr(module, name.replace("-", "_"))
         return command
 
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:

@@ -20,7 +20,7 @@ from hframe_post.arrays import Array
 from hframe_post.conversion.ledger import Ledger, StepTally
 from hframe_post.conversion.options import Options, first_line
 from hframe_post.conversion.pipeline import Chain, Stages, stop_solvers
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.conversion.spans import Span, Spans
 from hframe_post.conversion.whole_file import PlannedFile, SampleStream
 from hframe_post.errors import HframeError, PrinterError

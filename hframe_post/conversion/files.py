@@ -12,7 +12,7 @@ from typing import IO, Any, TypeAlias
 
 from hframe_post.conversion.conversions import GcodeConversion, SampleConversion, StepConversion
 from hframe_post.conversion.options import TOLERANCE, Kind, Options, stamp
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.errors import OptionError
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.lines import BINARY

@@ -10,7 +10,7 @@ from hframe_post.compensation.guard import check_prediction
 from hframe_post.conversion.ledger import FileNotes, Ledger
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain, Stages, read_ahead
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError

@@ -15,7 +15,7 @@ import numpy as np
 from hframe_post.arrays import Array, X, Y
 from hframe_post.compensation.shape import LIVE, SHAPER
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.model.error_range import SUMS, error_range
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES

@@ -18,7 +18,7 @@ from hframe_post.compensation.guard import check_prediction
 from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.conversion.rows import range_as_text
 from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.firmware.motion import MotionRules

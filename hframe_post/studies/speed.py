@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.conversion.rows import Row
 from hframe_post.errors import HframeError
 from hframe_post.prediction.statistics import ContourErrors

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.print_time import Deferred
 from tests.gcode_tools import follow

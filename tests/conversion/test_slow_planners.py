@@ -9,7 +9,7 @@ import pytest
 
 from hframe_post import library
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer

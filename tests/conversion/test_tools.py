@@ -2,7 +2,7 @@
 
 import pytest
 
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.printer.profile import parse
 from tests import gcode_tools
 

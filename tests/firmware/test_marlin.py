@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.report import NO_GAIN
+from hframe_post.conversion.print_report import NO_GAIN
 from hframe_post.errors import GcodeError, PrinterError
 from hframe_post.firmware.marlin.marlin_code import MarlinCode
 from hframe_post.firmware.marlin.marlin_motion import MarlinMotion

@@ -10,7 +10,7 @@ import pytest
 from hframe_post.arrays import TS, Array
 from hframe_post.conversion import spans
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.firmware.klipper.klipper_code import StreamLimits
 from hframe_post.prediction.predict import contour_error

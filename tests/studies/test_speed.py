@@ -8,7 +8,7 @@ import pytest
 
 from hframe_post import library
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.report import Report
+from hframe_post.conversion.print_report import Report
 from hframe_post.errors import HframeError
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.speed import FASTEST, NEAR, next_factor, worst
