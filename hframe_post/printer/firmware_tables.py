@@ -46,9 +46,8 @@ T = TypeVar("T", bound=FirmwareTable)
 class KlipperTable(FirmwareTable):
     """Klipper's own limits, which hold before and after the print.
 
-    lines_per_second: as many as the host shall take. begin_macro: macro to call instead of the
-    commands that set limits. end_macro: macro to call after those that restore them; Klipper goes
-    on if it has no macro of that name.
+    lines_per_second: as many as the host shall take. end_macro: macro to call after the commands
+    that restore limits; Klipper goes on if it has no macro of that name.
     """
 
     holds: ClassVar[str] = "Klipper's own limits"
@@ -63,7 +62,6 @@ class KlipperTable(FirmwareTable):
     shaper_freq_y: float = not_negative(0.0, most=1e3)
     shaper_freq_z: float = not_negative(0.0, most=1e3)
     lines_per_second: float = within(20.0, 1e3, default=math.inf)
-    begin_macro: str = ""
     end_macro: str = ""
 
 

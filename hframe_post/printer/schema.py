@@ -156,6 +156,7 @@ OLD_KEYS = {
     ),
     **{f"plant.{G}.{key}": ONE_PLACE for G in ("Gxx", "Gyy", "Gxtheta") for key in ("x", "places")},
     "plant.cross": "but for racking, what x does to y is another thing the next day",
+    "firmware.klipper.begin_macro": "the file sets the limits of its stream itself",
     "speed.avoid": "in the slicer, give outer walls a speed at which the motors shake less",
 }
 

@@ -92,10 +92,11 @@ def test_differences(own: Printer, tmp_path: Path, change: tuple[str, str], mess
 
 def test_macros_that_the_profile_names_must_be_there(own: Printer, tmp_path: Path) -> None:
     assert own.firmware.klipper is not None
-    table = replace(own.firmware.klipper, begin_macro="_HFRAME_BEGIN", end_macro="_HFRAME_END")
+    table = replace(own.firmware.klipper, end_macro="_OWN_END")
     named = replace(own, firmware=replace(own.firmware, tables=(table,)))
-    assert len(wrong(REAL, named)) == 1  # _HFRAME_END is of hframe.cfg: see `check_macros`
-    macros = "[gcode_macro _hframe_begin]\ngcode:\n  G4 P1\n\n  M400\n[gcode_macro _HFRAME_END]\n"
+    assert len(wrong(REAL, named)) == 1
+    assert not wrong(REAL, own)  # _HFRAME_END is of hframe.cfg: see `check_macros`
+    macros = "[gcode_macro _own_end]\ngcode:\n  G4 P1\n\n  M400\n[gcode_macro _HFRAME_END]\n"
     path = changed(tmp_path, ("[fan]", macros + "gcode: M400\n[fan]"))
     assert wrong(path, named) == []
 

@@ -79,7 +79,7 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
     changes = (
         "[limits]\nvelocity = 299.0",
         "[plant]\nx_c = 141.0",
-        "[firmware.klipper]\nbegin_macro = 'BEGIN'",
+        "[firmware.klipper]\nend_macro = 'BEGIN'",
         '[compensation]\nstops = "exact"',
     )
     assert len({digest(PAPER), *(digest(extending(change)) for change in changes)}) == 5
@@ -103,7 +103,7 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         ("[compensation]\nstrategy = 'best'", "compensation.strategy", "none, fbs, racking"),
         ("[firmware]\ndialect = 'marlin'", "firmware.marlin", "table is missing"),
         ("[firmware]\ndialect = 'other'", "firmware.dialect", "one of klipper, marlin"),
-        ("[firmware.klipper]\nbegin_macro = 3", "firmware.klipper.begin_macro", "must be text"),
+        ("[firmware.klipper]\nend_macro = 3", "firmware.klipper.end_macro", "must be text"),
         ("[firmware.klipper]\nminimum_cruise_ratio = 1.0",
          "firmware.klipper.minimum_cruise_ratio", "below 1"),
         ("[kinematics]\ntype = 'delta'", "kinematics.type", "hybrid-corexy, corexz, cart"),
@@ -114,7 +114,7 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
         ("[limits]\nvelocity = 1e14", "limits.velocity", "at most 10000"),
         ("[limits]\nacceleration = 2", "limits", "with this acceleration full speed takes 150 s"),
         ("[compensation]\nL = 300\nn_C = 7\nn_up = 3", "compensation", "window of 2100 samples"),
-        ("[firmware.klipper]\nbegin_macro = \"A\\nG1 X9999\"", "firmware.klipper.begin_macro",
+        ("[firmware.klipper]\nend_macro = \"A\\nG1 X9999\"", "firmware.klipper.end_macro",
          "one line of printable text"),
         ("[plant]\nTs = 0.002", "plant.Ts", "must be 0.001"),
         ("[plant]\nGxx = 1.0", "plant.Gxx", "must be a table"),

@@ -55,9 +55,8 @@ class KlipperCode(Code):
         return [] if self.extruder is None else [_averaging(self.extruder.stream_smooth_time)]
 
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
-        macro = self.table.begin_macro
-        start = [STAND, *([macro] if macro else self.limits_of_stream), *self.averaging_of_stream]
-        return [line.encode() for line in [*start, "G90", "M83", *coordinates(offset, at)]]
+        start = [STAND, *self.limits_of_stream, *self.averaging_of_stream, "G90", "M83"]
+        return [line.encode() for line in [*start, *coordinates(offset, at)]]
 
     def users_limits(self, acceleration: float = math.inf) -> str:
         """Return the command that sets the user's limits. acceleration: the file's, if known."""

@@ -1,8 +1,7 @@
 """The text of hframe.cfg: macros that bring back Klipper's own limits and input shaping.
 
 A print that stops inside the stream leaves Klipper with the stream's limits. The macros read the
-printer's own from its configuration, which G-code cannot. A profile may name two of them as
-``begin_macro`` and ``end_macro``.
+printer's own from its configuration, which G-code cannot. A profile may name one as ``end_macro``.
 
 Klipper merges two sections of one name, so a second ``[gcode_macro PAUSE]`` would replace an
 owner's. But it compares names of sections by case and those of commands without it. So a section in

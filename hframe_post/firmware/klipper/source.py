@@ -285,9 +285,9 @@ def warnings(config: KlipperConfig) -> Iterator[str]:
 def check_stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
     """Yield what converted files need and printer.cfg lacks, and what distorts them."""
     klipper = printer.firmware.klipper
-    for name in (klipper.begin_macro, klipper.end_macro) if klipper is not None else ():
-        if name and name != END_MACRO and not config.macros(name):  # see `check_macros`
-            yield Finding(True, f"[gcode_macro {name}] is missing; firmware.klipper names it")
+    name = klipper.end_macro if klipper is not None else ""
+    if name and name != END_MACRO and not config.macros(name):  # see `check_macros`
+        yield Finding(True, f"[gcode_macro {name}] is missing; firmware.klipper names it")
     if config.text("printer", "max_accel_to_decel"):
         place = config.place("printer", "max_accel_to_decel")
         yield Finding(

@@ -94,14 +94,20 @@ def calibration(printer: Printer) -> Calibration:
             "this calibration",
             "firmware.dialect", printer.name,
         )  # fmt: skip
-    marlin = MarlinCode.from_printer(printer)
-    parts = _steady(printer, marlin), _uneven(printer, marlin)
+    marlin, matrix = MarlinCode.from_printer(printer), printer.kinematics.matrix
+    left, right = (x + edge for x, edge in zip(printer.travel.x, (EDGE_MM, -EDGE_MM), strict=True))
+    if right - left < 2.0 * EDGE_MM:
+        cause = f"must be at least {4.0 * EDGE_MM:g} mm long for a calibration"
+        raise PrinterError(cause, "travel.x", printer.name)
+    belt = marlin.steps.belt
+    room = math.ceil(left / belt) * belt, math.floor(right / belt) * belt
+    parts = _steady(marlin, *room), _uneven(marlin, *room)
     durations = {
-        name: tuple(_duration(part, printer, marlin, planner) for part in parts)
+        name: tuple(_duration(part, marlin, matrix, planner) for part in parts)
         for name, planner in _boards(marlin)
     }
-    names = tuple(part.name for part in parts)
-    return Calibration(_lines(printer, marlin, parts), names, durations, marlin.table)
+    lines = _lines(marlin, sum(printer.travel.y) / 2.0, parts)
+    return Calibration(lines, tuple(part.name for part in parts), durations, marlin.table)
 
 
 def _boards(marlin: MarlinCode) -> list[tuple[str, Planner]]:
@@ -116,20 +122,18 @@ def _boards(marlin: MarlinCode) -> list[tuple[str, Planner]]:
     return found
 
 
-def _steady(printer: Printer, marlin: MarlinCode) -> Part:
-    left, right = _room(printer, marlin)
-    v = printer.limits.velocity
-    stroke = (right - left) / v + v / printer.limits.acceleration
+def _steady(marlin: MarlinCode, left: float, right: float) -> Part:
+    v = marlin.limits.velocity
+    stroke = (right - left) / v + v / marlin.limits.acceleration
     return Part("steady", np.array([left, right]), np.array([v]), _even(PART_S / stroke))
 
 
-def _uneven(printer: Printer, marlin: MarlinCode) -> Part:
+def _uneven(marlin: MarlinCode, left: float, right: float) -> Part:
     """Return blocks on whole steps, so short that they do not reach their fast speed."""
-    left, right = _room(printer, marlin)
-    d = BLOCK_STEPS * marlin.steps.belt
+    d, limits = BLOCK_STEPS * marlin.steps.belt, marlin.limits
     x = left + d * np.arange(int((right - left) / d) // 2 * 2 + 1)
     # at half the acceleration a fast block would just be reached
-    fast = min(math.sqrt(0.5 * 2.0 * printer.limits.acceleration * d), printer.limits.velocity)
+    fast = min(math.sqrt(0.5 * 2.0 * limits.acceleration * d), limits.velocity)
     v = np.where(np.arange(len(x) - 1) % 2, fast, 0.2 * fast)
     return Part("uneven", np.asarray(x), np.asarray(v), _even(PART_S / float((d / v).sum())))
 
@@ -138,34 +142,25 @@ def _even(strokes: float) -> int:
     return max(2, round(strokes / 2.0) * 2)
 
 
-def _room(printer: Printer, marlin: MarlinCode) -> tuple[float, float]:
-    belt = marlin.steps.belt
-    left, right = printer.travel.x[0] + EDGE_MM, printer.travel.x[1] - EDGE_MM
-    if right - left < 2.0 * EDGE_MM:
-        cause = f"must be at least {4.0 * EDGE_MM:g} mm long for a calibration"
-        raise PrinterError(cause, "travel.x", printer.name)
-    return math.ceil(left / belt) * belt, math.floor(right / belt) * belt
-
-
-def _duration(part: Part, printer: Printer, marlin: MarlinCode, planner: Planner) -> float:
+def _duration(part: Part, marlin: MarlinCode, matrix: Array, planner: Planner) -> float:
     belt = marlin.steps.belt
     cells = np.rint(np.column_stack([part.x, np.zeros_like(part.x)]) / belt).astype(np.int64)
-    n = most_steps(motor_steps(cells, printer.kinematics.matrix)).astype(np.float64)
+    n = most_steps(motor_steps(cells, matrix)).astype(np.float64)
     d = np.diff(cells[:, 0]) * belt
     total = 0.0
     for order in (1, -1):  # there, and back
         n_, d_, v = (each[::order].copy() for each in (n, d, part.v))
-        blocks = Blocks(n_, d_, np.floor(printer.limits.acceleration * n_ / d_))
+        blocks = Blocks(n_, d_, np.floor(marlin.limits.acceleration * n_ / d_))
         v = np.ceil(60.0 * v) / 60.0  # F is whole
         joint = np.concatenate([[0.0], np.minimum(v[:-1], v[1:]), [0.0]])
         total += float(planner.stroke(blocks, joint, v)[2].sum())
     return total * part.strokes / 2.0
 
 
-def _lines(printer: Printer, marlin: MarlinCode, parts: tuple[Part, ...]) -> list[bytes]:
-    limits, table = printer.limits, marlin.table
+def _lines(marlin: MarlinCode, y: float, parts: tuple[Part, ...]) -> list[bytes]:
+    """Return the file. y: where the strokes are, mm."""
+    limits, table = marlin.limits, marlin.table
     a, v = plain(limits.acceleration, 0), plain(limits.velocity + 1.0, 0)
-    y = plain(sum(printer.travel.y) / 2.0, 3)
     corners = "X1 Y1 E1" if table.classic_jerk else "J0.3"  # a reversal is a stop with either
     motion = "M493 S1 X0 Y0 C0 P0" if table.planner == "ft-motion" else "M493 S0"
     text = [
@@ -177,7 +172,13 @@ def _lines(printer: Printer, marlin: MarlinCode, parts: tuple[Part, ...]) -> lis
         f = [plain(np.ceil(60.0 * speed), 0) for speed in part.v.tolist()]
         there = [f"G1 X{place} F{feed}" for place, feed in zip(x[1:], f, strict=True)]
         back = [f"G1 X{place} F{feed}" for place, feed in zip(x[-2::-1], f[::-1], strict=True)]
-        text += [f"G1 X{x[0]} Y{y} F3000", "M400", "G4 P2000", f"M118 {part.name} begins", "M75"]
+        text += [
+            f"G1 X{x[0]} Y{plain(y, 3)} F3000",
+            "M400",
+            "G4 P2000",
+            f"M118 {part.name} begins",
+            "M75",
+        ]
         text += (there + back) * (part.strokes // 2)
         text += ["M400", "M77", f"M118 {part.name} ends", "M31"]
     text += ["M400", "G4 P2000", "M118 lines begins", "M75"]

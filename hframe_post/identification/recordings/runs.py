@@ -233,9 +233,7 @@ def _klipper(printer: Printer, planned: list[PlannedRun]) -> tuple[KlipperMotion
         velocity=min(motion.limits.velocity, math.ceil(VELOCITY_HEADROOM * speed)),
         acceleration=min(motion.limits.acceleration, math.ceil(MULTIPLE * acceleration)),
     )
-    # begin_macro would set the limits of a print
-    table = replace(code.table, begin_macro="")
-    return replace(motion, limits=limits), replace(code, stream=limits, table=table)
+    return replace(motion, limits=limits), replace(code, stream=limits)
 
 
 def _samples(
