@@ -6,9 +6,11 @@ all over the print: a print of any length needs four minutes of motion at most.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import itemgetter
 
 import numpy as np
 
@@ -18,7 +20,7 @@ from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
 from hframe_post.model.shapers import Shaping
-from hframe_post.planner.lookahead import part
+from hframe_post.planner.parts import part
 from hframe_post.planner.sliced import AsSliced, Timed
 from hframe_post.prediction.best_shaper import Paths, paths, ranked
 from hframe_post.prediction.error_meter import ErrorMeter
@@ -152,7 +154,10 @@ class SlicedFile:
     def _add(self, plan: Plan, low: int, high: int) -> None:
         if high > low:
             first, last = plan.ends[[low, high]].tolist()
-            self._piece.append(replace(part(plan, first, last), marks=NO_MARKS))
+            k, end = (bisect_left(plan.standing, at, key=itemgetter(0)) for at in (first, last))
+            standing = tuple((index - first, item) for index, item in plan.standing[k:end])
+            own = replace(part(plan, first, last), marks=NO_MARKS, standing=standing)
+            self._piece.append(own)
 
     def _end(self) -> None:
         """End the piece; keep every n-th that extrudes anything, or every n-th if no piece does."""

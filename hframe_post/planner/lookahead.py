@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -35,6 +35,7 @@ from hframe_post.native.planning import (
     greatest_speeds,
     limit_moves,
 )
+from hframe_post.planner.parts import Limited, joined, parts
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.marks import NO_MARKS, Marks
 from hframe_post.stream.types import (
@@ -99,7 +100,7 @@ class Lookahead:
         self._limits, self._batch, self._longest = limits, batch, longest
         self._z_share, self._steep = z_share, steep
         self._new = list[Moves | MoveAtRest]()  # without limits yet
-        self._moves = list[_Limited]()
+        self._moves = list[Limited]()
         self._file_limits = others or FileLimits()  # of the latest moves
         self._like = math.inf, math.inf  # their acceleration and corner
         self._last: tuple[Array, Array] | None = None  # start and limits of the latest move
@@ -164,7 +165,7 @@ class Lookahead:
             rests = [k for k in stand if self._rests(items[k])]
             table[first[rests], ALONE] = AT_REST
         corners, caps = self._caps(moves.points, table, rules)
-        self._moves.append(_Limited(moves.line, moves.points, table, caps[:-1], corners[:-1]))
+        self._moves.append(Limited(moves.line, moves.points, table, caps[:-1], corners[:-1]))
 
     def _as_moves(self, items: list[Moves | MoveAtRest], stand: list[int]) -> Moves:
         """Return items as one; those with the numbers ``stand`` are lifts and retractions."""
@@ -245,7 +246,7 @@ class Lookahead:
             self._want *= 2
         return None
 
-    def _separable(self, moves: _Limited, ends: Integers, count: int) -> int:
+    def _separable(self, moves: Limited, ends: Integers, count: int) -> int:
         """Return the greatest number of runs, no more than ``count``, that do not end at a stop.
 
         A stop may follow the last of them.
@@ -257,10 +258,10 @@ class Lookahead:
             count -= 1
         return max(count, 0)
 
-    def _limited(self) -> _Limited:
+    def _limited(self) -> Limited:
         """Return all moves of the queue with their limits."""
         self._limit_new()
-        self._moves = [_joined(self._moves)]
+        self._moves = [joined(self._moves)]
         return self._moves[0]
 
     def _caps(self, points: Array, table: Array, rules: Array) -> tuple[Array, Array]:
@@ -286,18 +287,18 @@ class Lookahead:
         slower = BELOW_CRUISE * np.minimum(table[:-1, CRUISE], table[1:, CRUISE])
         caps[:] = np.where(caps > 0.0, np.minimum(late, slower), 0.0)
 
-    def _joints(self, moves: _Limited) -> Array:
+    def _joints(self, moves: Limited) -> Array:
         """Return the greatest speeds (n + 1,) at the ends of moves; at the first, the speed."""
         caps = np.empty(len(moves.caps) + 1)
         caps[:-1], caps[-1] = moves.caps, BELOW_CRUISE * moves.limits[-1, CRUISE]
         caps[0] = self._speed
         return caps
 
-    def _runs(self, moves: _Limited, caps: Array, last: float) -> Runs:
+    def _runs(self, moves: Limited, caps: Array, last: float) -> Runs:
         limits = self._limits
         return find_runs(moves.limits, caps, limits.jerk, limits.deceleration, last)
 
-    def _take(self, moves: _Limited, s: Array, ends: Integers, speed: Array) -> Plan:
+    def _take(self, moves: Limited, s: Array, ends: Integers, speed: Array) -> Plan:
         """Return a plan of the moves up to the last of ``ends``, where the queue begins then."""
         n = int(ends[-1])
         whole = n == self.count
@@ -332,71 +333,6 @@ class Lookahead:
                 item = replace(item, entry=entry, leaving=leaving)
             found.append((index, item))
         return tuple(found)
-
-
-@dataclass(frozen=True, slots=True)
-class _Limited:
-    """Moves; limits (n, 5): see ``limit_moves``; caps (n,): greatest speeds at which they begin.
-
-    corners (n,): those at which the firmware means to.
-    """
-
-    line: Integers
-    points: Array
-    limits: Array
-    caps: Array
-    corners: Array
-
-    def part(self, start: int, stop: int) -> _Limited:
-        points = self.points[start : stop + 1]
-        own = self.limits[start:stop], self.caps[start:stop], self.corners[start:stop]
-        return _Limited(self.line[start:stop], points, *own)
-
-
-def _joined(parts: list[_Limited]) -> _Limited:
-    if len(parts) == 1:
-        return parts[0]
-    points = [parts[0].points, *(p.points[1:] for p in parts[1:])]
-    return _Limited(
-        np.concatenate([p.line for p in parts]),
-        np.concatenate(points),
-        np.concatenate([p.limits for p in parts]),
-        np.concatenate([p.caps for p in parts]),
-        np.concatenate([p.corners for p in parts]),
-    )
-
-
-def parts(plan: Plan) -> Iterator[Plan | MoveAtRest | Marks]:
-    """Yield the parts of a plan: motion, lifts and retractions, and the lines between them.
-
-    x and y come to rest between them. A step by which motion brakes late is none of theirs.
-    """
-    at, n = 0, len(plan.line)
-    for index, item in plan.standing:
-        if index > at:
-            yield part(plan, at, index)
-        at = index + isinstance(item, MoveAtRest)
-        yield item
-    if not at:
-        yield plan
-    elif at < n:
-        yield part(plan, at, n)
-
-
-def part(plan: Plan, first: int, last: int) -> Plan:
-    """Return moves ``first`` … ``last`` − 1 of a plan, which end where a run does, or rest."""
-    a, b = plan.ends.searchsorted((first, last)).tolist()
-    marks = plan.marks
-    if marks:
-        begin = marks.count_before(first + 1) if first else 0
-        marks = marks.rows(begin, marks.count_before(last + 1)).shifted(-first)
-    inside = [(index - first, item) for index, item in plan.standing if first <= index < last]
-    return Plan(
-        plan.line[first:last], plan.points[first : last + 1],
-        plan.s[first : last + 1] - plan.s[first], plan.ends[a : b + 1] - first,
-        plan.speed[a : b + 1], plan.cruise[a:b], plan.acceleration[a:b], marks,
-        rests=last < len(plan.line), standing=tuple(inside),
-    )  # fmt: skip
 
 
 def _agreement(one: Runs, other: Runs) -> int:

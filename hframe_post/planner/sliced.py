@@ -17,7 +17,8 @@ import numpy as np
 from hframe_post.arrays import Array, Flags, Integers, Z
 from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.native.planning import smoothed_runs
-from hframe_post.planner.lookahead import Lookahead, parts
+from hframe_post.planner.lookahead import Lookahead
+from hframe_post.planner.parts import parts
 from hframe_post.planner.sampling import sample
 from hframe_post.planner.short_moves import ShortMoves
 from hframe_post.stream.marks import Marks

@@ -1,5 +1,7 @@
 """Cost of a sample, a move, a stop and another line: differences between drawn prints.
 
+How it grows: the cost in prints of twice as many moves, times that in these; 1 is linear.
+
 CPU time depends on the machine and on what else it does; instructions, as valgrind counts them
 where it is installed, hardly do.
 """
@@ -20,21 +22,22 @@ from typing import NamedTuple
 from tests.benchmarks.speed import PAIRS, processor_s
 
 MOVES = 1500  # of 20 mm, at 100 mm/s: five minutes
-HEAD = ("cost of", "CPU, µs", "instructions")
+HEAD = ("cost of", "CPU, µs", "growth", "instructions", "growth")
 
 
 class Drawn(NamedTuple):
-    """A print of MOVES, each in ``split`` pieces, with stops and other lines before each."""
+    """A print of moves, each in ``split`` pieces, with stops and other lines before each."""
 
     feed: int = 6000
     split: int = 1
     stop: bool = False
     lines: int = 0
+    moves: int = MOVES
 
     def text(self) -> str:
         """Return its G-code."""
         rows, x, y = ["G28", "M83", "G90", "G1 X100 Y100 Z0.2 F6000"], 100.0, 100.0
-        for i in range(MOVES):
+        for i in range(self.moves):
             rows += ["G1 E-0.8 F3000", "G1 E0.8 F3000"] * self.stop
             rows += [f"M106 S{(i * self.lines + j) % 255}" for j in range(self.lines)]
             to_x, to_y = (150.0 + 60.0 * f(2.4 * i) for f in (math.cos, math.sin))
@@ -49,24 +52,26 @@ class Drawn(NamedTuple):
 
 
 PLAIN = Drawn()
-# what a print has more of than the plain one, and how many
+# what a print has more of than the plain one, and how many at each move
 MORE = {
-    "a sample (ms of print)": (PLAIN._replace(feed=3000), 200 * MOVES),
-    "a move": (PLAIN._replace(split=40), 39 * MOVES),
-    "a stop with a retraction": (PLAIN._replace(stop=True), MOVES),
-    "another line": (PLAIN._replace(lines=100), 100 * MOVES),
+    "a sample (ms of print)": (PLAIN._replace(feed=3000), 200),
+    "a move": (PLAIN._replace(split=40), 39),
+    "a stop with a retraction": (PLAIN._replace(stop=True), 1),
+    "another line": (PLAIN._replace(lines=100), 100),
 }
 
 
 def rows(printer: str) -> Iterator[list[str]]:
     """Yield a row for each of MORE, as HEAD names its cells; "–": not measured here."""
-    plain = costs(PLAIN, printer)
+    plain, longer = costs(PLAIN, printer), costs(PLAIN._replace(moves=2 * MOVES), printer)
     for name, (drawn, count) in MORE.items():
-        seconds, instructions = (
-            (b - a) / count for a, b in zip(plain, costs(drawn, printer), strict=True)
-        )
+        twice = costs(drawn._replace(moves=2 * MOVES), printer)
+        more = [b - a for a, b in zip(plain, costs(drawn, printer), strict=True)]
+        grown = [b - a for a, b in zip(longer, twice, strict=True)]
+        growth = [f"{b / (2.0 * a):.2f}" if a else "–" for a, b in zip(more, grown, strict=True)]
+        seconds, instructions = (each / (count * MOVES) for each in more)
         counted = f"{instructions:,.0f}".replace(",", " ") if instructions else "–"
-        yield [name, f"{1e6 * seconds:.2f}", counted]
+        yield [name, f"{1e6 * seconds:.2f}", growth[0], counted, growth[1]]
 
 
 def costs(drawn: Drawn, printer: str) -> tuple[float, float]:
