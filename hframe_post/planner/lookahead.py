@@ -156,31 +156,30 @@ class Lookahead:
             return
         items, self._new = self._new, []
         rules = self._rules_with(self._file_limits)
-        stand = [k for k, item in enumerate(items) if isinstance(item, MoveAtRest)]
-        moves = self._as_moves(items, stand) if stand or len(items) > 1 else items[0]
-        assert isinstance(moves, Moves)
+        moves, rests = self._as_moves(items)
         table = limit_moves(moves.points, moves.speed, moves.acceleration, moves.corner, rules)
-        if stand and not self.joins:
-            first = np.cumsum([0, *(len(m.line) if isinstance(m, Moves) else 1 for m in items)])
-            rests = [k for k in stand if self._rests(items[k])]
-            table[first[rests], ALONE] = AT_REST
+        table[rests, ALONE] = AT_REST
         corners, caps = self._caps(moves.points, table, rules)
         self._moves.append(Limited(moves.line, moves.points, table, caps[:-1], corners[:-1]))
 
-    def _as_moves(self, items: list[Moves | MoveAtRest], stand: list[int]) -> Moves:
-        """Return items as one; those with the numbers ``stand`` are lifts and retractions."""
-        rows, n = list[tuple[float, ...]](), 0
-        at = list[int]()
+    def _as_moves(self, items: list[Moves | MoveAtRest]) -> tuple[Moves, list[int]]:
+        """Return items as one, and the numbers of the moves at which the machine rests."""
+        rows, at, rests, n = list[tuple[float, ...]](), list[int](), list[int](), 0
         for item in items:
             if isinstance(item, Moves):
                 n += len(item.line)
                 self._like = float(item.acceleration[-1]), float(item.corner[-1])
                 continue
-            passes = not (self.joins or self._rests(item))
-            own = self._like if passes else (item.acceleration, math.inf)
+            own = item.acceleration, math.inf
+            if self._rests(item):
+                rests.append(n)
+            elif not self.joins:
+                own = self._like
             rows.append((*item.end, item.speed, *own, item.line))
             at.append(n)
             n += 1
+        if len(items) == 1 and isinstance(items[0], Moves):
+            return items[0], []
         first = items[0]
         points = np.empty((n + 1, 4))
         points[0] = first.points[0] if isinstance(first, Moves) else first.start
@@ -195,8 +194,9 @@ class Lookahead:
         if rows:
             own_rows = np.array(rows)
             points[1:][at], table[at] = own_rows[:, :4], own_rows[:, 4:]
-        speed, acceleration, corner, line = table.T.copy()
-        return Moves(line.astype(np.int64), points, speed, acceleration, corner, self._file_limits)
+        speed, acceleration, corner, numbers = table.T.copy()
+        line = numbers.astype(np.int64)
+        return Moves(line, points, speed, acceleration, corner, self._file_limits), rests
 
     def _rules_with(self, own: FileLimits) -> Array:
         """Return the limits of the profile and of the file, as ``limit_moves`` takes them."""
