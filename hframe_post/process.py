@@ -15,7 +15,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TextIO
 
-from hframe_post.writers.outputs import give_up
+from hframe_post.writers.temporary import give_up
 
 CHILD = "HFRAME_POST_CHILD"  # set in the environment of a ChildProcess
 FATAL_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU")

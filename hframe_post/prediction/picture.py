@@ -23,7 +23,7 @@ FINEST = 2.0  # mm of a piece at most, as long as there are few; twice as much w
 NEAR = 0.01  # mm that the path may be off the line drawn for it; likewise
 FINER = 2.5  # times as exact is the way from the path to the nozzle, which is drawn magnified
 SHAPED = 11  # steps that keep shape and feature; after them any neighbours are joined
-MOST = 300_000  # pieces of a print
+MOST = 150_000  # pieces of a print: with twice as many, a page takes 30 MB more memory
 MERGED = 8  # tables that become one with each step
 # Rows of a table, after x and y. Numbers of lines, layers and features are the bits of int32 in it
 LINE, LAYER, FEATURE, BEGINS, WAYS = range(Z, Z + 5)
@@ -126,6 +126,7 @@ class Picture:
     def pieces(self) -> Pieces:
         count, speed = len(self.strategies), self._speed
         table = np.hstack(self._tables or [np.zeros((speed + 1, 0), np.float32)])
+        self._tables = [table]  # else there would be two of all pieces
         if (np.diff(_numbers(table)[LAYER - LINE]) < 0).any():  # objects are printed one at a time
             table = table[:, np.argsort(_numbers(table)[LAYER - LINE], kind="stable")]
         line, layer, feature, begins = _numbers(table).astype(np.int64)

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import HframeError
-from hframe_post.writers import outputs
-from hframe_post.writers.outputs import Outputs, give_up, undisturbed
+from hframe_post.writers import temporary
+from hframe_post.writers.outputs import Outputs
+from hframe_post.writers.temporary import give_up, undisturbed
 
 ROOT = os.geteuid() == 0
 only_root = pytest.mark.skipif(not ROOT, reason="only root gives files away")
@@ -32,7 +33,7 @@ def target(tmp_path: Path) -> Path:
 def nothing_is_left(tmp_path: Path) -> Iterator[None]:
     yield
     assert not list(tmp_path.rglob(".hframe-post-*"))
-    assert not outputs._unfinished
+    assert not temporary._unfinished
 
 
 def test_failure_leaves_what_was_there(target: Path) -> None:

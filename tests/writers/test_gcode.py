@@ -30,8 +30,8 @@ from hframe_post.stream.types import (
     Samples,
     frozen,
 )
+from hframe_post.writers.filament_ledger import Ledger
 from hframe_post.writers.gcode import GcodeWriter
-from hframe_post.writers.machine import Ledger
 from hframe_post.writers.print_time import Deferred
 from tests.gcode_tools import follow
 from tests.mark_tools import mark
