@@ -40,7 +40,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Integers, X, Y
+from hframe_post.arrays import TS, Array, X, Y
 from hframe_post.model.impulse_response import FiniteFilter
 from hframe_post.model.lpfbs import bsplines
 from hframe_post.model.plant import Plant
@@ -105,7 +105,7 @@ class StopSolver:
         numbers = stop.a, stop.b, stop.before, stop.after, stop.ends
         solve_stop(
             around.path, around.extruding, command, rows, numbers, BESIDE, SHARES, SOON, known,
-            levers, self.around.axes, splines, self._bounds, origin,
+            levers, splines, self._bounds, origin,
         )  # fmt: skip
 
     def _usable_splines(self, before: int, after: int, movable: bool, n: int) -> Splines:
@@ -154,8 +154,8 @@ class AroundStops:
     """The plant's motion around stops.
 
     N_before, N_after (BESIDE, k): the splines on either side of a dwell, in the order of time.
-    axes (couplings, 2): of racking, where it responds, and the command. ahead, memory: samples of
-    the command after a sample, and before it, that the nozzle's place depends on.
+    ahead, memory: samples of the command after a sample, and before it, that the nozzle's place
+    depends on.
     """
 
     def __init__(self, plant: Plant, N_before: Array, N_after: Array) -> None:
@@ -164,12 +164,10 @@ class AroundStops:
         self._filters = [FiniteFilter(G, self.ahead) for G in plant.responses]
         self.memory = max(f.memory for f in self._filters)
         self._racking = plant.racking
-        axes = [(Y, X)] if self._racking else []
-        self.axes: Integers = np.array(axes, np.int64).reshape(-1, 2)
         self.by_splines = lru_cache(maxsize=32)(self._by_splines)
 
     def known(self, command: Array, path: Array, n: int) -> tuple[Array, Array]:
-        """Return the nozzle (r, 2) without p, and lever arms (couplings, r), at the judged samples.
+        """Return the nozzle (r, 2) without p, and lever arms (0 or 1, r), at the judged samples.
 
         command: from ``memory`` + BESIDE samples before a dwell of n samples to BESIDE + BEYOND +
         ahead after it, from the origin; path (r, 2): there, mm on the bed.
@@ -186,7 +184,7 @@ class AroundStops:
         return nozzle, levers
 
     def _by_splines(self, n: int) -> Array:
-        """Return the filters' outputs (2 + couplings, r, 2k + 1) by splines and by a dwell of n."""
+        """Return the filters' outputs (2 or 3, r, 2k + 1) by splines and by a dwell of n."""
         k, end = self._N_before.shape[1], BESIDE + n
         commands = np.zeros((2 * k + 1, end + BESIDE + BEYOND + self.ahead))
         commands[:k, :BESIDE] = self._N_before.T

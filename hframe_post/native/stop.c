@@ -4,6 +4,7 @@
  * columns that are not zero, and these are ``begun`` at it; products skip the rest. Rows of a matrix
  * begin at multiples of LINE, and loops along them may go on to one. */
 
+#include <stdlib.h>
 #include <string.h>
 
 #include "kernels.h"
@@ -17,25 +18,33 @@ enum {
 
 typedef double vector[2];
 
-struct rules { /* the constants of stop.py */
-    double along, far_off, emphasis, most_emphasis, target, easy, raised,
-        most_raised, hardest, excess_cost, hard_target, hard_cost, short2, clearance;
-};
-enum { RULES = sizeof(struct rules) / sizeof(double) };
+/* Iterations of the steps of model/stop_solver.py, at most: 1, 3 and 2; then more of step 2 while a belt
+ * exceeds HARDEST, where rows are raised by their shares, as Lawson does. */
+enum { SEARCHES = 2, EMPHASES = 3, TRIALS = 10, HARD_TRIALS = 100 };
+static const double
+    ALONG = 0.01,         /* weight of a squared deviation along the path, next to that across it */
+    FAR_OFF = 0.05,       /* mm off the path beyond which an extruding sample gets more weight, */
+    EMPHASIS = 1.5, MOST_EMPHASIS = 10.0, /* times this, at most times that */
+    TARGET = 0.7,         /* share of its bound from which on a row of E is raised, to stay below it, */
+    RAISED = 2.0, MOST_RAISED = 5.0, /* E squared times this, at most times that */
+    EASY = 0.4,           /* share of its bound below which a row of E is lowered again */
+    HARDEST = 0.97 / 0.8, /* times its bound, an acceleration that is exceeded only if it must be */
+    HARD_TARGET = 0.95,   /* share of HARDEST from which on a row is raised then */
+    EXCESS_COST = 0.2,    /* mm2 for exceeding a bound by as much again */
+    HARD_COST = 100.0,    /* mm2 for exceeding HARDEST by as much again at one sample */
+    SHORT2 = 1e-14,       /* mm2, squared length up to which a vector has no direction */
+    CLEARANCE = 0.02;     /* mm to the bed's edge for a command that would leave it */
 
 struct problem {
-    struct rules to;
-    int64_t searches, emphases, trials, hard_trials; /* at most */
     const vector *path;
     const int64_t *index; /* (r) into path */
     int64_t r, held_from, held_to;
     const double *weight;      /* (r) */
     const uint8_t *extruding;  /* (r) */
     const vector *known;       /* (r) */
-    const double *levers;      /* (couplings, r) */
-    const int64_t *axes;       /* (couplings, 2): where each responds, and the command */
-    int64_t couplings;
-    const double *by_p;        /* (2 + couplings, r, k): outputs of x, y and the couplings */
+    const double *lever;       /* (r) of racking */
+    int racks;
+    const double *by_p;        /* (2 or 3, r, k): outputs of x, y and racking */
     const int64_t *first;      /* (k) */
     int64_t k, q;
     const vector *command;     /* (q) */
@@ -80,11 +89,11 @@ INSIDE double reweighted(double ratio, double gain, double most)
     return ratio > 1.0 ? lesser(gain * (ratio * ratio), most) : 1.0;
 }
 
-INSIDE void unit(double x, double y, double short2, const vector otherwise, vector out)
+INSIDE void unit(double x, double y, const vector otherwise, vector out)
 {
     double length2 = x * x + y * y, length = sqrt(length2);
-    out[0] = length2 > short2 ? x / length : otherwise[0];
-    out[1] = length2 > short2 ? y / length : otherwise[1];
+    out[0] = length2 > SHORT2 ? x / length : otherwise[0];
+    out[1] = length2 > SHORT2 ? y / length : otherwise[1];
 }
 
 INSIDE int dwells(const struct problem *q, int64_t row)
@@ -108,20 +117,20 @@ INSIDE void moved(const struct problem *q, int64_t row, const vector *p, vector 
         by_p[0] += p[begun][0] * by_x[begun];
         by_p[1] += p[begun][1] * by_y[begun];
     }
-    for (int64_t m = 0; m < q->couplings; m++) {
-        const double *by = output(q, 2 + m, row);
+    if (q->racks) {
+        const double *by = output(q, 2, row);
         double sum = 0.0;
         for (int64_t c = 0; c < begun; c++)
-            sum += p[c][q->axes[2 * m + 1]] * by[c];
-        by_p[q->axes[2 * m]] += q->levers[m * q->r + row] * sum;
+            sum += p[c][X] * by[c];
+        by_p[Y] += q->lever[row] * sum;
     }
     at[0] = q->known[row][0] + by_p[0];
     at[1] = q->known[row][1] + by_p[1];
 }
 
 /* The path's nearest point to the nozzle, and the path's step there, among PIECES from one on. */
-INSIDE void nearest(const struct pieces *path, int64_t from, const vector at, double short2,
-                    vector foot, vector step)
+INSIDE void nearest(const struct pieces *path, int64_t from, const vector at, vector foot,
+                    vector step)
 {
     const double *x = path->x + from, *y = path->y + from, *dx = path->dx + from, *dy = path->dy + from;
     const double *length2 = path->length2 + from, *share = path->share + from;
@@ -130,7 +139,7 @@ INSIDE void nearest(const struct pieces *path, int64_t from, const vector at, do
         double to_x = at[0] - x[i], to_y = at[1] - y[i];
         along[i] = clipped((to_x * dx[i] + to_y * dy[i]) * share[i], 0.0, 1.0);
         double off_x = to_x - along[i] * dx[i], off_y = to_y - along[i] * dy[i];
-        squared[i] = length2[i] > short2 ? off_x * off_x + off_y * off_y : INFINITY;
+        squared[i] = length2[i] > SHORT2 ? off_x * off_x + off_y * off_y : INFINITY;
     }
     for (int lane = 0; lane < LINE; lane++)
         least[lane] = squared[lane];
@@ -155,7 +164,7 @@ INSIDE void jacobian(const struct problem *q, struct room *room)
         const double *x = output(q, 0, row), *y = output(q, 1, row);
         const double *t = room->t[row], *known = q->known[row], *place = q->path[q->index[row]];
         double normal = sqrt(room->weight[row]);
-        double along = (dwells(q, row) ? 1.0 : sqrt(q->to.along)) * normal;
+        double along = (dwells(q, row) ? 1.0 : sqrt(ALONG)) * normal;
         while (begun < k && q->first[begun] <= row)
             begun++;
         for (int side = 0; side < 2; side++) {
@@ -167,12 +176,11 @@ INSIDE void jacobian(const struct problem *q, struct room *room)
                 J[2 * c] = n_x * x[c];
                 J[2 * c + 1] = n_y * y[c];
             }
-            for (int64_t m = 0; m < q->couplings; m++) {
-                const double *by = output(q, 2 + m, row);
-                double weight = (q->axes[2 * m] ? n_y : n_x) * q->levers[m * q->r + row];
-                double *J_command = J + q->axes[2 * m + 1];
+            if (q->racks) {
+                const double *by = output(q, 2, row);
+                double weight = n_y * q->lever[row];
                 for (int64_t c = 0; c < begun; c++)
-                    J_command[2 * c] += weight * by[c];
+                    J[2 * c] += weight * by[c];
             }
             for (int64_t c = 2 * begun; c < WIDTH; c++)
                 J[c] = 0.0;
@@ -321,7 +329,7 @@ INSIDE void measure_bounds(const struct problem *q, struct room *room, const vec
             acceleration = greater(acceleration, fabs(u[0] * q->belts[2 * belt] +
                                                       u[1] * q->belts[2 * belt + 1]));
         room->share[r] = acceleration / q->limit[r];
-        room->hard[r] = acceleration / (q->to.hardest * q->full_limit);
+        room->hard[r] = acceleration / (HARDEST * q->full_limit);
         over[0] = greater(over[0], room->share[r]);
         over[1] += greater(room->hard[r] - 1.0, 0.0);
     }
@@ -341,18 +349,17 @@ INSIDE void measure_bounds(const struct problem *q, struct room *room, const vec
 INSIDE void raise(const struct problem *q, struct room *room, int only_hard)
 {
     struct bound_weights *w = &room->weights;
-    const struct rules *to = &q->to;
     for (int64_t r = 0; r < q->q - 2; r++) {
         double share = room->share[r], hard = room->hard[r];
-        double factor = share < to->easy ? 0.5 : reweighted(share / to->target, to->raised, to->most_raised);
+        double factor = share < EASY ? 0.5 : reweighted(share / TARGET, RAISED, MOST_RAISED);
         if (only_hard)
-            factor = clipped(hard / to->hard_target, 0.5, to->most_raised);
+            factor = clipped(hard / HARD_TARGET, 0.5, MOST_RAISED);
         w->effort[r] = greater(w->effort[r] * factor, 1.0);
     }
     for (int64_t r = 0; r < q->q; r++)
         for (int axis = 0; axis < 2; axis++)
             if (room->outside[r][axis] > 0.0) {
-                double low = q->low[axis] + to->clearance, high = q->high[axis] - to->clearance;
+                double low = q->low[axis] + CLEARANCE, high = q->high[axis] - CLEARANCE;
                 w->bed[r][axis] = greater(10.0 * w->bed[r][axis], 1.0);
                 w->inside[r][axis] = clipped(room->place[r][axis], low, high);
             }
@@ -364,18 +371,18 @@ INSIDE double bounded(const struct problem *q, struct room *room, vector *p)
 {
     vector tried[MOST_SPLINES];
     double least_outside = INFINITY, least_cost = INFINITY, least_hard = INFINITY, over[3];
-    for (int64_t trial = 0; trial < q->trials + q->hard_trials; trial++) {
-        int only_hard = trial >= q->trials;
+    for (int64_t trial = 0; trial < TRIALS + HARD_TRIALS; trial++) {
+        int only_hard = trial >= TRIALS;
         if (only_hard && least_hard == 0.0)
             break;
-        if (trial == q->trials) /* what was raised for the bounds may have moved all too far */
+        if (trial == TRIALS) /* what was raised for the bounds may have moved all too far */
             for (int64_t r = 0; r < q->q - 2; r++)
                 room->weights.effort[r] = 1.0;
         add_bounds(q, room);
         solve(2 * q->k, room, tried[0]);
         measure_bounds(q, room, (const vector *)tried, over);
         double excess = greater(over[0], 1.0) + over[2], cost = cost_of(2 * q->k, room, tried[0]);
-        cost += q->to.excess_cost * (excess - 1.0) + q->to.hard_cost * over[1];
+        cost += EXCESS_COST * (excess - 1.0) + HARD_COST * over[1];
         if (over[2] < least_outside || (over[2] == least_outside && cost < least_cost)) {
             memcpy(p, tried, sizeof(vector) * (size_t)q->k);
             room->kept = room->weights;
@@ -400,8 +407,8 @@ INSIDE double seek_feet(const struct problem *q, struct room *room, const vector
         if (q->extruding[row] != extruding || dwells(q, row))
             continue;
         moved(q, row, p, at);
-        nearest(&room->pieces, room->pieces.of_row[row], (const double *)at, q->to.short2, foot, step);
-        unit(step[0], step[1], q->to.short2, (const double *)room->direction[row], room->t[row]);
+        nearest(&room->pieces, room->pieces.of_row[row], (const double *)at, foot, step);
+        unit(step[0], step[1], (const double *)room->direction[row], room->t[row]);
         double x = at[0] - foot[0], y = at[1] - foot[1];
         room->off[row] = sqrt(x * x + y * y);
         most = greater(most, room->off[row]);
@@ -436,7 +443,7 @@ INSIDE void begin(const struct problem *q, struct room *room)
     static const vector ahead = {1.0, 0.0};
     for (int64_t row = 0; row < q->r; row++) {
         const vector *path = q->path + q->index[row], *next = path + !dwells(q, row);
-        unit(next[0][0] - path[0][0], next[0][1] - path[0][1], q->to.short2, ahead, room->direction[row]);
+        unit(next[0][0] - path[0][0], next[0][1] - path[0][1], ahead, room->direction[row]);
         room->weight[row] = q->weight[row];
         for (int axis = 0; axis < 2; axis++) {
             room->foot[row][axis] = path[0][axis];
@@ -456,27 +463,26 @@ INSIDE void begin(const struct problem *q, struct room *room)
 WIDE static int search(const struct problem *q, struct room *room, vector *best)
 {
     vector p[MOST_SPLINES];
-    const struct rules *to = &q->to;
     double least = INFINITY;
     if (!cut_path(q, &room->pieces))
         return 0;
     begin(q, room);
-    for (int64_t searched = 1; searched <= q->searches + q->emphases; searched++) {
+    for (int64_t searched = 1; searched <= SEARCHES + EMPHASES; searched++) {
         jacobian(q, room);
         sum_squares(q, room);
         double hard = bounded(q, room, p), peak = seek_feet(q, room, (const vector *)p, 1);
-        peak += sqrt(to->hard_cost * hard);
-        if (searched >= q->searches) {
+        peak += sqrt(HARD_COST * hard);
+        if (searched >= SEARCHES) {
             if (peak < least) {
                 memcpy(best, p, sizeof(vector) * (size_t)q->k);
                 least = peak;
             }
-            if (least <= to->far_off || searched == q->searches + q->emphases)
+            if (least <= FAR_OFF || searched == SEARCHES + EMPHASES)
                 break;
             for (int64_t row = 0; row < q->r; row++)
                 if (q->extruding[row])
-                    room->weight[row] *= reweighted(room->off[row] / to->far_off, to->emphasis,
-                                                    to->most_emphasis);
+                    room->weight[row] *= reweighted(room->off[row] / FAR_OFF, EMPHASIS,
+                                                    MOST_EMPHASIS);
         }
         seek_feet(q, room, (const vector *)p, 0);
     }
@@ -520,17 +526,14 @@ static int64_t solve_stop(const double *path, const uint8_t *extrudes, int64_t n
                           const int64_t *judged, const double *first_weight, int64_t r,
                           int64_t held_from, int64_t held_to, const struct stop *stop, int64_t beside,
                           const struct shares *share, int64_t soon, const double *known,
-                          const double *levers, const int64_t *axes, int64_t couplings,
-                          const double *by_p, const int64_t *first, int64_t k, const double *N,
+                          const double *lever, int64_t racks, const double *by_p, const int64_t *first, int64_t k, const double *N,
                           const double *D, const int64_t *bands, const double *limit, int64_t q,
-                          const double *bounds, const double *origin, const int64_t *at_most,
-                          const struct rules *rules, int64_t reach, double *room)
+                          const double *bounds, const double *origin)
 {
     int64_t index[MOST_ROWS], a = stop->a, b = stop->b, dwell = q - 2 * beside - 4;
     double weight[MOST_ROWS], own[11];
     uint8_t extruding[MOST_ROWS];
     vector sequence[MOST_SAMPLES], p[MOST_SPLINES], *u = (vector *)command;
-    (void)reach;
     if (r > MOST_ROWS || k > MOST_SPLINES || q > MOST_SAMPLES || dwell < 0 || b < a || dwell > b - a
         || held_to > r || a < beside + 2 || b + beside + 2 > n || b + soon > n)
         return 0;
@@ -547,12 +550,15 @@ static int64_t solve_stop(const double *path, const uint8_t *extrudes, int64_t n
         memcpy(sequence[beside + 2 + i], u[a], sizeof(vector));
     memcpy(sequence + beside + 2 + dwell, u + b, sizeof(vector) * (size_t)(beside + 2));
     struct problem problem = {
-        *rules, at_most[0], at_most[1], at_most[2], at_most[3], (const vector *)path, index, r, held_from,
-        held_to, weight, extruding, (const vector *)known, levers, axes, couplings, by_p, first, k, q,
+        (const vector *)path, index, r, held_from, held_to, weight, extruding, (const vector *)known,
+        lever, racks > 0, by_p, first, k, q,
         (const vector *)sequence, N, D, bands, limit, own, own + 2, own + 6, own + 8, own[10],
     };
-    room += (64 - (uintptr_t)room % 64) % 64 / sizeof(double); /* to a line of the cache */
-    if (k > 0 && !search(&problem, (struct room *)room, p))
+    void *room = malloc(sizeof(struct room) + 64);
+    uintptr_t line = ((uintptr_t)room + 63) / 64 * 64; /* of the cache */
+    int found = room && (k == 0 || search(&problem, (struct room *)line, p));
+    free(room);
+    if (!found)
         return 0;
     for (int64_t i = 0; i < q; i++)
         for (int axis = 0; axis < 2; axis++) {
@@ -572,9 +578,8 @@ LOOP(solve_stop, FLOATS(0, 2 * COUNT(2)), BYTES(1, COUNT(2)), COUNT(2), OUT_FLOA
      INTEGERS(4, FEW(6)), FLOATS(5, FEW(6)), FEW(6), FEW(7), FEW(8),
      (const struct stop *)INTEGERS(9, sizeof(struct stop) / sizeof(int64_t)), FEW(10),
      (const struct shares *)FLOATS(11, sizeof(struct shares) / sizeof(double)), FEW(12),
-     FLOATS(13, 2 * FEW(6)), FLOATS(14, FEW(6) * FEW(16)), INDICES(15, 2 * FEW(16), X, Z), FEW(16),
-     FLOATS(17, (2 + FEW(16)) * FEW(6) * FEW(19)), INTEGERS(18, FEW(19)), FEW(19),
-     FLOATS(20, FEW(24) * FEW(19)), FLOATS(21, (FEW(24) - 2) * FEW(19)),
-     INDICES(22, 2 * FEW(24), 0, FEW(19) + 1), FLOATS(23, FEW(24) - 2), FEW(24), FLOATS(25, 11),
-     FLOATS(26, 2), INTEGERS(27, 4), (const struct rules *)FLOATS(28, RULES),
-     WITHIN(29, NEAREST, NEAREST), OUT_FLOATS(30, (int64_t)(sizeof(struct room) / sizeof(double) + LINE)))
+     FLOATS(13, 2 * FEW(6)), FLOATS(14, FEW(6) * WITHIN(15, 0, 1)), WITHIN(15, 0, 1),
+     FLOATS(16, (2 + WITHIN(15, 0, 1)) * FEW(6) * FEW(18)), INTEGERS(17, FEW(18)), FEW(18),
+     FLOATS(19, FEW(23) * FEW(18)), FLOATS(20, (FEW(23) - 2) * FEW(18)),
+     INDICES(21, 2 * FEW(23), 0, FEW(18) + 1), FLOATS(22, FEW(23) - 2), FEW(23), FLOATS(24, 11),
+     FLOATS(25, 2))
