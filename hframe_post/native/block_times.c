@@ -3,9 +3,6 @@
 struct stepper { double hz, extra_tick, smoothing_hz, ahead, development, s_curve, slowest; };
 enum { STEPPER = sizeof(struct stepper) / sizeof(double) };
 
-struct rules { double fastest, most_lost, rounding, at_bound, unrounded_hz; };
-enum { RULES = sizeof(struct rules) / sizeof(double) };
-
 struct ramp { double start, end, a, interrupts, ahead; };
 
 struct blocks { const double *n, *d, *a, *corners; };
@@ -152,13 +149,15 @@ INSIDE double dithered(double rate, int64_t i, const struct stepper *s)
 
 /* Return the share of time that blocks lose to rounding: they take ``taken`` (k). */
 INSIDE double lost_share(const double *n, int64_t k, const double *T, const double *rate,
-                         const double *taken, const struct rules *to)
+                         const double *taken, double fastest)
 {
+    const double ROUNDING = 0.05; /* share of a block's time beyond which lateness is not due to rounding */
+    const double AT_BOUND = 0.9; /* share of the fastest rate from which on a rate is not free */
     double late = 0.0, total = 0.0;
     for (int64_t i = 0; i < k; i++) {
         double own = taken[i] - T[i];
-        int no_rate_fits = fabs(own) > to->rounding * T[i]
-                           || rate[i] > to->at_bound * to->fastest * n[i] / T[i];
+        int no_rate_fits = fabs(own) > ROUNDING * T[i]
+                           || rate[i] > AT_BOUND * fastest * n[i] / T[i];
         late += no_rate_fits ? 0.0 : own;
         total += T[i];
     }
@@ -169,10 +168,12 @@ INSIDE double lost_share(const double *n, int64_t k, const double *T, const doub
 WIDE static int64_t marlin_feed_rates(int64_t k, const double *n, const double *d, const double *a,
                                       const double *corners, const double *T, double before,
                                       int64_t free_entry, const struct stepper *s, int64_t rounds,
-                                      const struct rules *to, double *room, double *v)
+                                      double fastest, double *room, double *v)
 {
+    const double MOST_LOST = 0.01;    /* share of time that rounding can lose */
+    const double UNROUNDED_HZ = 1e15; /* of a timer whose ticks are too short for rounding to matter */
     struct blocks b = {n, d, a, corners};
-    struct stepper exact = {to->unrounded_hz, 0.0, 0.0, s->ahead, s->development, s->s_curve, s->slowest};
+    struct stepper exact = {UNROUNDED_HZ, 0.0, 0.0, s->ahead, s->development, s->s_curve, s->slowest};
     double *rate = room, *whole = rate + k, *taken = whole + k, lost = 0.0;
     for (int64_t i = 0; i < k; i++)
         rate[i] = n[i] / T[i];
@@ -183,7 +184,7 @@ WIDE static int64_t marlin_feed_rates(int64_t k, const double *n, const double *
             find_times(&b, k, v, rate, before, free_entry != 0, &exact, taken);
             for (int64_t i = 0; i < k; i++) {
                 double mean = n[i] / T[i], found = rate[i] * (taken[i] / (T[i] * (1.0 - lost)));
-                rate[i] = between(found, mean / to->fastest, mean * to->fastest);
+                rate[i] = between(found, mean / fastest, mean * fastest);
             }
         }
         for (int64_t i = 0; i < k; i++) {
@@ -191,7 +192,7 @@ WIDE static int64_t marlin_feed_rates(int64_t k, const double *n, const double *
             v[i] = (whole[i] - 0.5) * d[i] / n[i];
         }
         find_times(&b, k, v, whole, before, free_entry != 0, s, taken);
-        lost = between(lost + lost_share(n, k, T, rate, taken, to), -to->most_lost, to->most_lost);
+        lost = between(lost + lost_share(n, k, T, rate, taken, fastest), -MOST_LOST, MOST_LOST);
     }
     return k;
 }
@@ -199,4 +200,4 @@ WIDE static int64_t marlin_feed_rates(int64_t k, const double *n, const double *
 LOOP(marlin_feed_rates, COUNT(0), FLOATS(1, COUNT(0)), FLOATS(2, COUNT(0)), FLOATS(3, COUNT(0)),
      FLOATS(4, COUNT(0) + 1), FLOATS(5, COUNT(0)), REAL(6), WHOLE(7),
      (const struct stepper *)FLOATS(8, STEPPER), FEW(9),
-     (const struct rules *)FLOATS(10, RULES), OUT_FLOATS(11, 3 * COUNT(0)), OUT_FLOATS(12, COUNT(0)))
+     REAL(10), OUT_FLOATS(11, 3 * COUNT(0)), OUT_FLOATS(12, COUNT(0)))

@@ -33,11 +33,8 @@ from hframe_post.native import kernels
 from hframe_post.native.whole_steps import Blocks
 
 SLOWEST = 120.0  # steps/s, before the development branch
-ROUNDS = 3  # of the rates' dependence on their neighbours'
 FASTEST = 3.0  # times a block's mean rate, the most that is asked for to make up for its ramps
-MOST_LOST = 0.01  # share of time that rounding can lose
-ROUNDING = 0.05  # share of a block's time beyond which lateness is not due to rounding
-AT_BOUND = 0.9  # share of the fastest rate from which on a rate is not free
+ROUNDS = 3  # of the rates' dependence on their neighbours'
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,8 +272,7 @@ def feed_rates(
     n, d, a, corners = blocks
     k, v, room = len(T), np.empty(len(T)), np.empty(3 * len(T))
     own = before, free_entry, stepper.row
-    rules = np.array([FASTEST, MOST_LOST, ROUNDING, AT_BOUND, UNROUNDED.hz])
-    kernels.marlin_feed_rates(k, n, d, a, _at_ends(corners, k), T, *own, ROUNDS, rules, room, v)
+    kernels.marlin_feed_rates(k, n, d, a, _at_ends(corners, k), T, *own, ROUNDS, FASTEST, room, v)
     return v
 
 

@@ -119,12 +119,12 @@ INSIDE struct vector from_segment(struct path path, struct vector a, int64_t p, 
 
 /* Return the sample nearest to the point: try some around ``at``, then the neighbours of the best.
  * inside: whether the path has all of these samples; a constant, so that most calls need no bounds. */
-INSIDE int64_t nearest(struct path path, struct vector a, int64_t at, int64_t reach, int64_t coarse,
-                       int inside)
+INSIDE int64_t nearest(struct path path, struct vector a, int64_t at, int64_t reach, int inside)
 {
+    enum { COARSE = 3 }; /* samples from one candidate to the next in the first search */
     int64_t found = at - reach, best_k = 0;
     double best = INFINITY;
-    for (int64_t k = at - reach; k <= at + reach; k += coarse) {
+    for (int64_t k = at - reach; k <= at + reach; k += COARSE) {
         double distance2 = square(from_sample(path, a, inside ? k : within(k, path.n)));
         if (distance2 < best)
             best = distance2, found = k;
@@ -141,9 +141,9 @@ INSIDE int64_t nearest(struct path path, struct vector a, int64_t at, int64_t re
 }
 
 /* turns (n + 1): how many samples before each change the path's direction. */
-static int64_t count_turns(const double *places, int64_t columns, int64_t n, double straight,
-                           int64_t *turns)
+static int64_t count_turns(const double *places, int64_t columns, int64_t n, int64_t *turns)
 {
+    const double STRAIGHT = 1e-6; /* sine of an angle below which a path goes straight on */
     turns[0] = 0;
     for (int64_t k = 0; k < n; k++) {
         int turning = k == 0 || k == n - 1;
@@ -152,22 +152,21 @@ static int64_t count_turns(const double *places, int64_t columns, int64_t n, dou
             double ax = q[X] - p[X], ay = q[Y] - p[Y], bx = r[X] - q[X], by = r[Y] - q[Y];
             double cross = ax * by - ay * bx, dot = ax * bx + ay * by;
             int still = ax == 0.0 && ay == 0.0, still_then = bx == 0.0 && by == 0.0;
-            turning = fabs(cross) > straight * fabs(dot) || dot < 0.0 || still != still_then;
+            turning = fabs(cross) > STRAIGHT * fabs(dot) || dot < 0.0 || still != still_then;
         }
         turns[k + 1] = turns[k] + turning;
     }
     return n;
 }
 
-LOOP(count_turns, FLOATS(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2), REAL(3),
-     OUT_INTEGERS(4, COUNT(2) + 1))
+LOOP(count_turns, FLOATS(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2),
+     OUT_INTEGERS(3, COUNT(2) + 1))
 
 /* nozzle (m, width): x and y first, at samples first, first + 1, … of the path; at (count): which of
  * these to judge; off (count): the way to the nozzle from the path. */
 static int64_t deviation(const double *places, int64_t columns, int64_t n, const int64_t *turns,
                          const double *nozzle, int64_t width, int64_t m, int64_t first,
-                         const int64_t *at, int64_t count, int64_t reach, int64_t coarse,
-                         struct vector *off)
+                         const int64_t *at, int64_t count, int64_t reach, struct vector *off)
 {
     struct path path = {places, columns, n};
     for (int64_t i = 0; i < count; i++) {
@@ -179,8 +178,7 @@ static int64_t deviation(const double *places, int64_t columns, int64_t n, const
             continue;
         }
         int inside = at[i] > reach && at[i] < n - reach - 1;
-        int64_t k = inside ? nearest(path, a, at[i], reach, coarse, 1)
-                           : nearest(path, a, at[i], reach, coarse, 0);
+        int64_t k = inside ? nearest(path, a, at[i], reach, 1) : nearest(path, a, at[i], reach, 0);
         struct vector before = from_segment(path, a, k, within(k - 1, n));
         struct vector after = from_segment(path, a, k, within(k + 1, n));
         off[i] = square(before) < square(after) ? before : after;
@@ -191,7 +189,7 @@ static int64_t deviation(const double *places, int64_t columns, int64_t n, const
 LOOP(deviation, FLOATS(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2),
      INTEGERS(3, COUNT(2) + 1), FLOATS(4, COUNT(5) * COUNT(6)), WITHIN(5, 2, MOST_FEW),
      WITHIN(6, COUNT(9) > 0, MOST_ITEMS), WHOLE(7), INDICES(8, COUNT(9), 0, COUNT(2)), COUNT(9),
-     FEW(10), WITHIN(11, 1, MOST_ITEMS), (struct vector *)OUT_FLOATS(12, 2 * COUNT(9)))
+     FEW(10), (struct vector *)OUT_FLOATS(11, 2 * COUNT(9)))
 
 /* xyze (n, 4). Note at which samples the path moves, of every n-th from ``first`` on, and whether it
  * extrudes there; return their number. at, extruding (n): room. */
@@ -311,17 +309,17 @@ static int straight(struct table of, int64_t numbers, int64_t ways, int64_t a, i
 }
 
 /* kept (n): the pieces that are left, whose number is returned, once neighbours were joined pair by
- * pair, up to ``passes`` times. values (rows, n); the numbers from row ``numbers`` on must be alike;
+ * pair, up to PASSES times. values (rows, n); the numbers from row ``numbers`` on must be alike;
  * ``ways`` is the first row of the ways off the path. */
 static int64_t joined_pieces(const float *values, int64_t rows, int64_t n, int64_t numbers,
-                             int64_t ways, double length2, double near, double off, int64_t passes,
-                             int64_t *kept)
+                             int64_t ways, double length2, double near, double off, int64_t *kept)
 {
+    enum { PASSES = 4 }; /* as long as they join an eighth */
     struct table of = {values, rows, n};
     int64_t count = n;
     for (int64_t k = 0; k < n; k++)
         kept[k] = k;
-    for (; passes > 0 && count > 2; passes--) {
+    for (int pass = 0; pass < PASSES && count > 2; pass++) {
         int64_t left = 1, apart = 0, a = kept[0], b = kept[1], before = count;
         for (int64_t k = 1; k < before - 1; k++) {
             int64_t c = kept[k + 1];
@@ -343,7 +341,7 @@ static int64_t joined_pieces(const float *values, int64_t rows, int64_t n, int64
 }
 
 LOOP(joined_pieces, SINGLES(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2), COUNT(3),
-     WITHIN(4, 1, COUNT(1)), REAL(5), REAL(6), REAL(7), WHOLE(8), OUT_INTEGERS(9, COUNT(2)))
+     WITHIN(4, 1, COUNT(1)), REAL(5), REAL(6), REAL(7), OUT_INTEGERS(8, COUNT(2)))
 
 enum { LANES = 8 }; /* samples that are checked side by side */
 

@@ -33,14 +33,11 @@ def sliding_sums(factors: Array, u: Array) -> Array:
 # ----------------------------------------------------------------------
 # The way from a path to the nozzle.
 
-COARSE = 3  # samples from one candidate to the next in the first search
-STRAIGHT = 1e-6  # sine of an angle below which a path goes straight on
-
 
 def count_turns(path: Array) -> Integers:
     """Return how many samples of a path (p, ≥2) before each change its direction, (p + 1,)."""
     turns = np.zeros(len(path) + 1, np.int64)
-    kernels.count_turns(path, path.shape[1], len(path), STRAIGHT, turns)
+    kernels.count_turns(path, path.shape[1], len(path), turns)
     return turns
 
 
@@ -57,7 +54,7 @@ def deviation(
     p = len(path)
     nozzle, off = np.ascontiguousarray(nozzle), np.empty((len(at), 2))
     of_path, of_nozzle = (path, path.shape[1], p, turns), (nozzle, nozzle.shape[1], len(nozzle))
-    kernels.deviation(*of_path, *of_nozzle, first, at, len(at), reach, COARSE, off)
+    kernels.deviation(*of_path, *of_nozzle, first, at, len(at), reach, off)
     return off
 
 
@@ -75,8 +72,6 @@ def moving(xyze: Array, first: int, every: int) -> tuple[Integers, Flags]:
 
 # ----------------------------------------------------------------------
 # How far a printed line's width is off, piece by piece.
-
-WAY = 0  # of a piece's sums: the nozzle's way; filament laid; filament wanted
 
 
 def line_pieces(
@@ -103,8 +98,6 @@ def line_pieces(
 # ----------------------------------------------------------------------
 # Joining of the straight pieces of a picture.
 
-PASSES = 4  # of joining pairs, as long as they join an eighth
-
 Table = NDArray[np.float32]
 
 
@@ -118,7 +111,7 @@ def joined_pieces(
     length, if x and y stay ``near`` their line, and the ways are off theirs by less than ``off``.
     """
     kept = np.arange(shape.shape[1])
-    rules = alike, ways, length * length, near, off, PASSES
+    rules = alike, ways, length * length, near, off
     return kept[: kernels.joined_pieces(np.ascontiguousarray(shape), *shape.shape, *rules, kept)]
 
 

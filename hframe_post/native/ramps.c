@@ -138,14 +138,16 @@ INSIDE void find_durations(const struct ramped *r, const double *v, double *rest
     }
 }
 
-/* T (k) in place of late (k): shortened after segments that are late by more than ``least``, of which
- * those in time make up for a share of theirs. */
-INSIDE void make_up(int64_t k, const double *T, double least, double share, double *late)
+static const double LATE = 2e-5; /* s; a segment that is later is made up for by those after it */
+
+/* T (k) in place of late (k): shortened after segments that are late, by those in time. */
+INSIDE void make_up(int64_t k, const double *T, double *late)
 {
+    const double MADE_UP = 0.04; /* share of its time that a segment makes up for */
     double total = 0.0, lowest = 0.0, waiting = 0.0;
     for (int64_t i = 0; i < k; i++) {
-        double more = late[i] > least ? late[i] : 0.0, waited = waiting;
-        total += more - (more > 0.0 ? 0.0 : share * T[i]);
+        double more = late[i] > LATE ? late[i] : 0.0, waited = waiting;
+        total += more - (more > 0.0 ? 0.0 : MADE_UP * T[i]);
         lowest = lesser(lowest, total);
         waiting = total - lowest;
         late[i] = T[i] - (waited + more - waiting);
@@ -155,8 +157,8 @@ INSIDE void make_up(int64_t k, const double *T, double least, double share, doub
 /* feeds (k): F to ask for; taken (k): how long segments then take; see Python. room (12 k + 2). */
 WIDE static int64_t klipper_feeds(const double *at, int64_t k, const double *T, const uint8_t *rest,
                                   double before, double after, const struct limits *limits,
-                                  int64_t rounds, double least, double share, double per_feed,
-                                  double *room, int64_t *feeds, double *taken)
+                                  int64_t rounds, double per_feed, double *room, int64_t *feeds,
+                                  double *taken)
 {
     struct ramped r = ramped(at, k, rest, before, after, limits, room);
     double *joint = room + 8 * k + 1, *top = joint + k + 1, *late = top + k, *v = late + k;
@@ -165,8 +167,8 @@ WIDE static int64_t klipper_feeds(const double *at, int64_t k, const double *T, 
     find_durations(&r, v, joint, top, late);
     for (int64_t i = 0; i < k; i++)
         most = greater(most, late[i] -= T[i]);
-    if (most > least) {
-        make_up(k, T, least, share, late);
+    if (most > LATE) {
+        make_up(k, T, late);
         find_speeds(&r, late, rounds, joint, top, v);
     }
     for (int64_t i = 0; i < k; i++) {
@@ -179,8 +181,7 @@ WIDE static int64_t klipper_feeds(const double *at, int64_t k, const double *T, 
 
 LOOP(klipper_feeds, FLOATS(0, COLUMNS * (COUNT(1) + 1)), WITHIN(1, 1, MOST_ITEMS), FLOATS(2, COUNT(1)),
      BYTES(3, COUNT(1) + 1), REAL(4), REAL(5), (const struct limits *)FLOATS(6, LIMITS), FEW(7), REAL(8),
-     REAL(9), REAL(10), OUT_FLOATS(11, 12 * COUNT(1) + 2), OUT_INTEGERS(12, COUNT(1)),
-     OUT_FLOATS(13, COUNT(1)))
+     OUT_FLOATS(9, 12 * COUNT(1) + 2), OUT_INTEGERS(10, COUNT(1)), OUT_FLOATS(11, COUNT(1)))
 
 /* taken (k): how long segments take at speeds v (k). room (12 k + 2). */
 WIDE static int64_t klipper_durations(const double *at, int64_t k, const double *v, const uint8_t *rest,

@@ -14,8 +14,6 @@ from hframe_post.arrays import Array, Flags, Integers
 from hframe_post.native import kernels
 
 ROUNDS = 9  # of the speeds' dependence on their neighbours'; 3 leave hard ramps 5 % too fast
-LATE = 2e-5  # s; a segment that is later than this is made up for by those after it
-MADE_UP = 0.04  # share of its time that a segment makes up for
 
 
 def speeds(
@@ -71,8 +69,7 @@ def klipper_feeds(
     """
     k = len(T)
     F, taken, room = np.empty(k, np.int64), np.empty(k), np.empty(12 * k + 2)
-    constants = ROUNDS, LATE, MADE_UP, per_feed
-    kernels.klipper_feeds(at, k, T, rest, before, after, limits, *constants, room, F, taken)
+    kernels.klipper_feeds(at, k, T, rest, before, after, limits, ROUNDS, per_feed, room, F, taken)
     return F, taken
 
 

@@ -17,13 +17,14 @@ static int64_t most(const int64_t *place, const int64_t *from)
     return one > other ? one : other;
 }
 
-/* Mark in stops the first and the last sample of each rest of more than ``idle`` samples. */
-static void mark_rests(const struct steps *s, int64_t idle, uint8_t *stops)
+/* Mark in stops the first and the last sample of each rest. */
+static void mark_rests(const struct steps *s, uint8_t *stops)
 {
+    enum { IDLE = 24 }; /* samples without a step, more of which are a rest */
     for (int64_t i = 1, first = 0; i <= s->n + 1; i++) {
         if (i <= s->n && s->path[i] == s->path[first])
             continue;
-        if (i - first > idle)
+        if (i - first > IDLE)
             stops[first] = stops[i - 1] = 1;
         first = i;
     }
@@ -122,8 +123,7 @@ static int superfluous(const struct steps *s, const int64_t *ends, int64_t k, in
 
 /* ends (n): the samples at which segments end; returns how many. steps (n, 2); room (6 n + 6). */
 static int64_t marlin_segment_ends(const int64_t *steps, int64_t n, int64_t least, int64_t apart,
-                                   int64_t idle, int64_t stall, int64_t last, int64_t *room,
-                                   int64_t *ends)
+                                   int64_t stall, int64_t last, int64_t *room, int64_t *ends)
 {
     int64_t *place = room, *path = place + MOTORS * (n + 1), *one = path + n + 1, *other = one + n + 1;
     uint8_t *stops = (uint8_t *)(other + n + 1), *marks = stops + n + 1;
@@ -136,7 +136,7 @@ static int64_t marlin_segment_ends(const int64_t *steps, int64_t n, int64_t leas
         path[i + 1] = path[i] + most(to, to - MOTORS);
         stops[i + 1] = 0;
     }
-    mark_rests(&s, idle, stops);
+    mark_rests(&s, stops);
     for (int motor = 0; motor < MOTORS; motor++)
         mark_turns(&s, motor, stall, one, marks, stops);
     int64_t k = chain(&s, apart, stops, ends);
@@ -150,8 +150,8 @@ static int64_t marlin_segment_ends(const int64_t *steps, int64_t n, int64_t leas
     return k;
 }
 
-LOOP(marlin_segment_ends, INTEGERS(0, MOTORS * COUNT(1)), COUNT(1), WHOLE(2), WHOLE(3), WHOLE(4),
-     COUNT(5), WHOLE(6), OUT_INTEGERS(7, 6 * (COUNT(1) + 1)), OUT_INTEGERS(8, COUNT(1)))
+LOOP(marlin_segment_ends, INTEGERS(0, MOTORS * COUNT(1)), COUNT(1), WHOLE(2), WHOLE(3), COUNT(4),
+     WHOLE(5), OUT_INTEGERS(6, 6 * (COUNT(1) + 1)), OUT_INTEGERS(7, COUNT(1)))
 
 struct limits { /* as BlockLimits */
     double belt, z, e, belt_acceleration, z_acceleration, e_acceleration, retraction, deviation;
@@ -192,19 +192,19 @@ INSIDE void block(const double *from, const double *to, const double *row, const
 }
 
 /* Return the greatest speed between blocks, of which the second has acceleration a, mm/s². */
-INSIDE double corner(const double *unit, const double *next, double a, double deviation,
-                     double straight)
+INSIDE double corner(const double *unit, const double *next, double a, double deviation)
 {
+    const double STRAIGHT = 0.999999; /* Marlin's cosine from which on blocks turn straight back */
     double cosine = -(unit[0] * next[0] + unit[1] * next[1] + unit[2] * next[2] + unit[3] * next[3]);
-    double sin_half = sqrt(0.5 * (1.0 - between(cosine, -straight, straight)));
-    return cosine > straight ? 0.0 : sqrt(deviation * a * sin_half / (1.0 - sin_half));
+    double sin_half = sqrt(0.5 * (1.0 - between(cosine, -STRAIGHT, STRAIGHT)));
+    return cosine > STRAIGHT ? 0.0 : sqrt(deviation * a * sin_half / (1.0 - sin_half));
 }
 
 /* n, d, a (k), corners (k + 1): of blocks between places at (k + 1, 4). matrix (2, 2): from x, y to
- * the motors; straight: cosine from which on blocks turn straight back. */
+ * the motors. */
 WIDE static int64_t marlin_blocks(const double *at, int64_t k, const struct limits *limits,
-                                  const double *matrix, double after, double straight,
-                                  double *n, double *d, double *a, double *corners)
+                                  const double *matrix, double after, double *n,
+                                  double *d, double *a, double *corners)
 {
     double unit[2][COLUMNS], row[2][COLUMNS];
     round_to_steps(at, limits, row[0]);
@@ -215,16 +215,16 @@ WIDE static int64_t marlin_blocks(const double *at, int64_t k, const struct limi
         block(next - COLUMNS, next, from, to, limits, matrix, n + i, d + i, a + i, now);
         corners[i] = INFINITY;
         if (i && limits->deviation < INFINITY)
-            corners[i] = corner(last, now, a[i] * d[i] / n[i], limits->deviation, straight);
+            corners[i] = corner(last, now, a[i] * d[i] / n[i], limits->deviation);
     }
     corners[k] = after;
     return k;
 }
 
 LOOP(marlin_blocks, FLOATS(0, COLUMNS * (COUNT(1) + 1)), COUNT(1),
-     (const struct limits *)FLOATS(2, LIMITS), FLOATS(3, 4), REAL(4), REAL(5),
-     OUT_FLOATS(6, COUNT(1)), OUT_FLOATS(7, COUNT(1)), OUT_FLOATS(8, COUNT(1)),
-     OUT_FLOATS(9, COUNT(1) + 1))
+     (const struct limits *)FLOATS(2, LIMITS), FLOATS(3, 4), REAL(4),
+     OUT_FLOATS(5, COUNT(1)), OUT_FLOATS(6, COUNT(1)), OUT_FLOATS(7, COUNT(1)),
+     OUT_FLOATS(8, COUNT(1) + 1))
 
 enum { AXES = 2, SUMS = 3 * AXES };
 

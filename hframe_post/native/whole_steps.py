@@ -10,8 +10,6 @@ import numpy as np
 from hframe_post.arrays import Array, Integers
 from hframe_post.native import kernels
 
-IDLE = 24  # samples without a step, more of which are a rest
-
 
 def motor_places(cells: Integers, matrix: Array) -> Integers:
     """Return the motors' places (n, 2) at places (n, 2) of x and y, all in whole steps.
@@ -40,7 +38,7 @@ def segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool
     """
     n = len(steps)
     ends, room = np.empty(n, np.int64), np.empty(6 * (n + 1), np.int64)
-    count = kernels.marlin_segment_ends(steps, n, least, apart, IDLE, stall, last, room, ends)
+    count = kernels.marlin_segment_ends(steps, n, least, apart, stall, last, room, ends)
     return ends[:count]
 
 
@@ -123,8 +121,6 @@ def _turns_back(before: list[int], at: list[int], after: list[int]) -> bool:
 # ----------------------------------------------------------------------
 # What Marlin makes of segments: blocks in whole steps, within its limits.
 
-STRAIGHT = 0.999999  # cosine of the angle between two blocks
-
 
 class Blocks(NamedTuple):
     """Blocks (k,): steps n, mm of path d, acceleration a (steps/s²).
@@ -163,7 +159,7 @@ def blocks_between(at: Array, after: float, limits: BlockLimits, matrix: Array) 
     """
     k, row = len(at) - 1, np.array(limits)
     n, d, a, corners = np.empty(k), np.empty(k), np.empty(k), np.empty(k + 1)
-    kernels.marlin_blocks(at, k, row, matrix, after, STRAIGHT, n, d, a, corners)
+    kernels.marlin_blocks(at, k, row, matrix, after, n, d, a, corners)
     return Blocks(n, d, a, corners)
 
 
@@ -173,12 +169,10 @@ def blocks_between(at: Array, after: float, limits: BlockLimits, matrix: Array) 
 # In slow motion the least steps of a segment take longer than the lines in a second allow. If every
 # segment ends as soon as it can, its chord lies on one side of the command's bends, and the nozzle
 # follows: on a printer with 500 mm/s² that is most of what whole steps leave. So the ends of a row
-# of
-# such segments are chosen again, by dynamic programming, for the least sum of squares.
+# of such segments are chosen again, by dynamic programming, for the least sum of squares.
 
 SLOW = 2  # samples by which a segment is longer than it need be for the lines in a second
 REACH = 2  # times the longest segment of a run that a new one may be
-AXES = 2
 
 
 def slow_segment_ends(
