@@ -45,7 +45,6 @@ LEAST_NOISE = 2e-3  # and at least
 LAG_SD = 10.0  # samples
 UNKNOWN = 64  # samples of the filter that holds the uncertainty
 FINE = 4096
-USUAL_PEAK = 5.0  # of an axis; racking is scaled to it
 NONE = 1e-6  # standard deviation of what is zero
 NOTHING = (0.0, NONE)  # gain at rest of racking
 
@@ -68,7 +67,7 @@ def estimated_racking(measured: FrequencyResponse, gain: float, in_time: bool) -
     gain: of the sensor. in_time: whether its start is known, so that it may show a lag. Raises
     IdentificationError if there are too few frequencies.
     """
-    scale = largest_response(measured) / USUAL_PEAK
+    scale = largest_response(measured)
     scaled = replace(measured, H=measured.H / scale)
     found, resonance_hz = _regressed(scaled, NOTHING, None, swept=True)
     lag, sd = float(found.mean[1]), float(np.sqrt(found.covariance[1, 1]))

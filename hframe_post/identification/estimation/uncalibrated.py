@@ -155,14 +155,17 @@ SQUARE = np.sin(np.radians(25.0))  # by which directions in the sensor may diffe
 class _Located:
     """A run and its direction: in x and y as commanded (2,), and as the sensor sees it.
 
-    spectra: of its command and of the sensor's axes. up (3,): against gravity.
+    spectra: of its command and of the sensor's axes.
     """
 
     run: Run
     spectra: Spectra
-    up: Array
     commanded: Array
     seen: Direction
+
+    @property
+    def up(self) -> Array:
+        return self.run.nozzle.up
 
 
 def uncalibrated_responses(
@@ -188,7 +191,7 @@ def _located(run: Run, settings: MeasurementSettings) -> _Located:
         found = self_aligned(acceleration(run.displacement), run.nozzle, run.clock)
         spectra = Spectra.of(found.command[:, None], found.acceleration)
         (responses,) = spectra.responses(settings.band_hz)
-        return _Located(run, spectra, found.up, run.direction, direction(responses))
+        return _Located(run, spectra, run.direction, direction(responses))
     except IdentificationError as error:
         raise IdentificationError(f"{run.name}: {error}") from None
 

@@ -147,13 +147,11 @@ WITHIN = (9e-3, 6e-4, 4e-5)  # by which the rate may be off, from step to step
 class SelfAligned:
     """A recording on the clock of its command, in the sensor's axes.
 
-    command (m,), acceleration (m, 3): mm/s² every 1 ms, 0 where nothing was recorded. up (3,): unit
-    vector along gravity's reaction, as the sensor sees it.
+    command (m,), acceleration (m, 3): mm/s² every 1 ms, 0 where nothing was recorded.
     """
 
     command: Array
     acceleration: Array
-    up: Array
     clock: Clock
 
 
@@ -178,7 +176,7 @@ def self_aligned(command: Array, recording: Recording, rough: Clock | None = Non
     whole = np.pad(command, (0, TAIL))
     recorded = sensor.recorded(clock.at(np.arange(len(whole))))
     acceleration = sensor.resampled(clock, len(whole)) * recorded[:, None]
-    return SelfAligned(whole * recorded, acceleration, recording.up, clock)
+    return SelfAligned(whole * recorded, acceleration, clock)
 
 
 def _by_chirp(command: Array, recording: Recording) -> Clock:
