@@ -1,10 +1,10 @@
-"""The modes of a response: their delay, and what is listed for people."""
+"""The modes of a response: their shares, their delay, and what is listed for people."""
 
 import numpy as np
 import pytest
 
 from hframe_post.arrays import TS, Complex
-from hframe_post.identification.estimation.axes import delay_of, described
+from hframe_post.identification.estimation.axes import described, shares
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.estimation.regression import Fit, Mode
 from hframe_post.model.impulse_response import ImpulseResponse
@@ -22,17 +22,19 @@ def seen(H: Complex, noise: float = 0.003) -> FrequencyResponse:
 
 
 @pytest.mark.parametrize("gain", [-0.95, 1.04])
-def test_the_delay_is_found(gain: float) -> None:
+def test_shares_and_delay_are_found(gain: float) -> None:
     """The third mode is not the printer's."""
     measured = seen(gain * continuous(TWO.x, HZ))
-    assert delay_of(measured, MODES, 0.5e-3) == pytest.approx(0.0013, abs=3e-5)
+    sizes, delay = shares(measured, MODES, 0.5e-3, speed=False)
+    assert delay == pytest.approx(0.0013, abs=3e-5)
+    assert sizes == pytest.approx([0.8, 0.2, 0.0], abs=0.01)
 
 
-def test_modes_are_listed_that_ring() -> None:
+def test_modes_are_listed_that_ring_and_count() -> None:
     damped = Mode(2.0 * np.pi * TS * 45.0, 0.5)
-    expected = MODES[1], damped, MODES[0]
+    expected = MODES[1], damped, MODES[2], MODES[0]
     found = Fit(ImpulseResponse(np.zeros(1), 0), 1.0, 0.0, 30.0, expected)
-    modes = described(found, seen(continuous(TWO.x, HZ))).modes
+    modes = described(found, seen(continuous(TWO.x, HZ)), 0.0).modes
     assert np.array(modes) == pytest.approx(np.array([(30.0, 0.05), (70.0, 0.04)]))
 
 
@@ -40,11 +42,11 @@ def test_modes_are_listed_that_ring() -> None:
 def test_without_a_regression_the_main_resonance_is_listed(hz: float, zeta: float) -> None:
     G = ImpulseResponse.from_mode(hz, zeta)
     measured = seen(-1.1 * G.response(2.0 * np.pi * TS * HZ))
-    ((at, damping),) = described(Fit(G, -1.1, 0.0, hz + 0.4), measured).modes
+    ((at, damping),) = described(Fit(G, -1.1, 0.0, hz + 0.4), measured, 0.0).modes
     assert at == pytest.approx(hz, rel=0.025)  # damping lowers a peak
     assert damping == pytest.approx(zeta, rel=0.05)
 
 
 def test_a_printer_that_does_not_ring_has_no_mode() -> None:
     stiff = Fit(ImpulseResponse(np.zeros(1), 0), 1.0, 0.0, 90.0)
-    assert described(stiff, seen(np.ones(len(HZ), dtype=complex))).modes == []
+    assert described(stiff, seen(np.ones(len(HZ), dtype=complex)), 0.0).modes == []

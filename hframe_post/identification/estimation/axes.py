@@ -7,10 +7,10 @@ others           all delay is the recording's, but for what damping explains
 
 What damping explains follows from the modes that the regression found,
 
-    H(f) = e^{−sτ}·sinc²(f·Ts)·Σ c_i / (p_i² + 2ζ_i p_i + 1),   p_i = s/ω_i,  s = 2πjf
+    H(f) = e^{−sτ}·sinc²(f·Ts)·Σ (c_i + d_i p_i) / (p_i² + 2ζ_i p_i + 1),   p_i = s/ω_i,  s = 2πjf
 
-with τ the delay of the recording. sinc² stands for the command, played as straight lines between
-samples of Ts. All but τ is linear.
+with τ the delay of the recording; c and d are what a mode contributes, by position and by speed.
+sinc² stands for the command, played as straight lines between samples of Ts. All but τ is linear.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hframe_post.arrays import TS
+from hframe_post.arrays import TS, Array
 from hframe_post.identification.estimation import known_start, unknown_start
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
@@ -36,6 +36,7 @@ from hframe_post.identification.estimation.regression import Fit, Mode
 LINEAR = 0.05
 UNCALIBRATED = (1.0, 0.05)  # gain, as mean and standard deviation, after a rough one
 EARLY = 4e-3  # s by which the rough start may be late
+LISTED = 0.03  # of the motion at rest: modes that contribute less are not listed
 RINGS = 0.3  # damping ratio below which a mode visibly rings
 LATE = 2e-3  # s by which the delay of modes may differ from the response's lag
 STEPS = 401  # of the delays that are tried: 10 µs
@@ -51,7 +52,7 @@ def fit_known_start(whole: FrequencyResponse) -> Fit:
     Raises IdentificationError.
     """
     found = known_start.estimated(whole)
-    return described(found, whole)
+    return described(found, whole, found.lag)
 
 
 def fit_racking(whole: FrequencyResponse, x: Fit, gain: float, in_time: bool) -> Fit:
@@ -95,31 +96,36 @@ def _from_its_damping(whole: FrequencyResponse) -> Fit:
     lag = rough.lag
     if modes := ringing(rough):
         seen = in_time.where(whole.hz >= rough.resonance_hz * unknown_start.MEASURED)
-        late += delay_of(seen, modes, lag)
+        late += shares(seen, modes, lag, speed=False)[1]
     else:  # too stiff to ring, so in time with it
         late += lag
     found = known_start.estimated(advanced(scaled, late), UNCALIBRATED)
     found = replace(found, gain=gain * found.gain, delay=late)
-    return described(found, whole)
+    return described(found, whole, late)
 
 
 def _with_an_ideal_mode(whole: FrequencyResponse) -> Fit:
     """Return the response that follows its command below the resonance as one mode does."""
     found = unknown_start.estimated(whole)
-    return described(found, whole)
+    return described(found, whole, found.delay)
 
 
 # ---------------------------------------------------------------------- both
 
 
-def described(found: Fit, whole: FrequencyResponse) -> Fit:
-    """Return the fit with the share that it leaves, and the modes that ring in the band.
+def described(found: Fit, whole: FrequencyResponse, late: float) -> Fit:
+    """Return the fit with the share that it leaves, and the modes that ring and count in the band.
 
-    Where the regression found none, it is the main resonance.
+    late: s, of the measurement, by recording and printer. Where the regression found no mode, it is
+    the main resonance.
     """
     left = share_left(found.response(whole.hz), whole, whole.power)
-    modes = [(mode.omega / (2.0 * np.pi * TS), mode.zeta) for mode in ringing(found)]
-    known = sorted(modes) or [_resonance(found, whole)]
+    if modes := ringing(found):
+        sizes, _ = shares(whole, modes, late, speed=True)
+        counting = [mode for mode, size in zip(modes, sizes.tolist(), strict=True) if size > LISTED]
+        known = sorted((mode.omega / (2.0 * np.pi * TS), mode.zeta) for mode in counting)
+    else:
+        known = [_resonance(found, whole)]
     listed = [(hz, zeta) for hz, zeta in known if zeta < RINGS and hz <= whole.hz[-1]]
     return replace(found, residual=left, modes=listed)
 
@@ -136,14 +142,25 @@ def _resonance(found: Fit, measured: FrequencyResponse) -> tuple[float, float]:
     return float(measured.hz[peak]), float(0.5 / size[peak])
 
 
-def delay_of(measured: FrequencyResponse, modes: Sequence[Mode], late: float) -> float:
-    """Return the delay in s with which modes explain most of a response. late: s, about that."""
+def shares(
+    measured: FrequencyResponse, modes: Sequence[Mode], late: float, speed: bool
+) -> tuple[Array, float]:
+    """Return what each mode contributes to the motion, (n,), and their delay in s.
+
+    late: s, about that delay. speed: whether d is free; if it is not, all that is late, but for the
+    delay, is so by damping.
+    """
     s = np.asarray(2j * np.pi * TS * measured.hz)
     weight = weights(measured) * np.sinc(measured.hz * TS) ** 2
     p = s[:, None] / np.array([mode.omega for mode in modes])
-    columns = weight[:, None] / (p * p + 2.0 * np.array([mode.zeta for mode in modes]) * p + 1.0)
+    one = 1.0 / (p * p + 2.0 * np.array([mode.zeta for mode in modes]) * p + 1.0)
+    columns = weight[:, None] * (np.hstack([one, p * one]) if speed else one)
     delays = np.linspace(late - LATE, late + LATE, STEPS)
     seen = (weight * measured.H)[:, None] * np.exp(np.outer(s, delays / TS))
-    Q, _ = np.linalg.qr(np.concatenate([columns.real, columns.imag]))
+    Q, R = np.linalg.qr(np.concatenate([columns.real, columns.imag]))
     explained = Q.T @ np.concatenate([seen.real, seen.imag])  # by each delay
-    return lowest(delays, (-np.square(explained).sum(axis=0)).tolist())
+    delay = lowest(delays, (-np.square(explained).sum(axis=0)).tolist())
+    nearest = int(np.abs(delays - delay).argmin())
+    found = np.linalg.solve(R, explained[:, nearest])
+    c, d = found[: len(modes)], found[len(modes) :] if speed else 0.0
+    return np.hypot(c, d) / abs(float(c.sum())), delay

@@ -229,6 +229,7 @@ def _refined(command: Array, acceleration: Array, reach: float) -> float:
 PLAYED_SD = 2e-5  # s: by how much Klipper plays a motion longer or shorter than its command
 AGREED = 1e-3  # s by which the two starts may differ, beyond the time between samples
 SHORTEST_STOP = 0.1  # s by which Klipper moves the print time at least, once its queue is empty
+QUIET = 0.5  # s at the start of a recording in which the printer is at rest
 SLOW_HZ = (2.0, 10.0)
 PART, LAG_REACH = 8000, 2000  # samples of a part that must follow in time, and of its search
 MISSING = 0.5  # s at either end, in which the motion rests
@@ -273,7 +274,8 @@ def on_command_clock(command: Array, recording: Recording, clock: Clock) -> Arra
     of the sensor: up to 250 Hz of 3200 samples a second. Raises IdentificationError if the
     recording does not follow the command in time, or does not cover it.
     """
-    sensor = Resampler(recording.t, recording.a - recording.a.mean(axis=0))
+    rest = recording.a[recording.t < recording.t[0] + QUIET].mean(axis=0)
+    sensor = Resampler(recording.t, recording.a - rest)
     sensor.check_covers(clock.at(np.array([0, len(command) - 1])), MISSING)
     a = sensor.resampled(clock, len(command))
     moved = [axis for axis in (0, 1) if np.ptp(command[:, axis]) > 0.0]
