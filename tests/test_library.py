@@ -17,10 +17,6 @@ from tests.conftest import MEASURED, SAMPLES
 RECTANGLE = SAMPLES / "rectangle.gcode"
 
 
-def rms(error: Array) -> float:
-    return float(np.sqrt(np.square(error).mean()))
-
-
 def body(gcode: bytes) -> list[bytes]:
     """Lines without the stamp and the summary."""
     lines = gcode.splitlines()

@@ -119,18 +119,6 @@ def test_names_reach_the_output_as_one_printable_line(folder: Path, name: bytes)
         assert line.startswith((b";", b"G1 ", b"M", b"SET_", b"G9", b"G4 ")) or line in known
 
 
-@pytest.mark.slow
-def test_two_processes_write_one_file(folder: Path) -> None:
-    """Whoever is last has it, whole."""
-    for name, strategy in (("one", "racking"), ("other", "none")):
-        run(folder / "in.gcode", "-q", "-c", strategy, "-o", folder / name)
-    done = shell("$ME in.gcode -q -o out & $ME in.gcode -q -c none -o out; a=$?; wait $!", folder)
-    assert done == (0, "")
-    whole = [(folder / name).read_bytes() for name in ("one", "other")]
-    assert (folder / "out").read_bytes() in whole
-    assert {p.name for p in folder.iterdir()} == {"in.gcode", "my.toml", "one", "other", "out"}
-
-
 ON_A_DISK = """
 mount -t tmpfs -o size=200k none disk || exit 99
 cp in.gcode disk && cd disk && mount -o "remount,$OPTIONS" "$PWD" || exit 99

@@ -33,7 +33,6 @@ QUIRKS = Path(__file__).parent.parent / "quirks"
 NOWHERE = (0.0, 0.0, 0.0)
 AT = np.array([12.5, 30.0, 0.2, 7.0])
 STATE = ModalState(True, False, 0.0, 100.0, NOWHERE)
-WORDS = re.compile(rb"[ZF]([0-9.]+)")
 
 
 def from_there(way: Position) -> Way:
@@ -93,25 +92,6 @@ def test_segments_begin_at_their_own_speed_with_classic_jerk(marlin: Printer, pl
         mine = motion(with_marlin(marlin, planner=planner, **own))
         assert mine.entry(at, 80.0, 0.0) == begins, "mm/s"
         assert mine.entry(at, 80.0, 90.0) == 80.0, "mm/s, after a faster one"
-
-
-RETRACTED = [
-    b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X120 E1\n", b"G1 E-2 F1800\n", b"G1 Z2 F600\n",
-    b"G1 X140 F6000\n", b"G1 X150 E1\n",
-]  # fmt: skip
-
-
-def test_strokes_begin_and_end_with_the_users_corners(marlin: Printer) -> None:
-    """A corner is what it is when the line after it is read: so theirs last for one more."""
-    text = converted(RETRACTED, marlin)[0].splitlines()
-    corners = [k for k, line in enumerate(text) if line.startswith(b"M205 J")]
-    users, streams = corners
-    assert (text[users], text[streams]) == (b"M205 J0.013", b"M205 J0.3")
-    retraction, limit, lift, first = text[users + 1 : streams]
-    assert (text[users - 1], limit) == (b"M204 R2000", b"M201 Z500")
-    assert retraction.startswith(b"G1 E-2 F")
-    assert lift.startswith(b"G1 Z2 F")
-    assert first.startswith(b"G1 X1")
 
 
 @pytest.mark.parametrize("planner", GENERATIONS)
@@ -204,18 +184,6 @@ def test_counting_filament_again_keeps_the_fraction_of_a_step(marlin: Printer) -
         steps = (filament - counted) / marlin.steps.e
         assert steps == pytest.approx(round(steps), abs=0.01)
         assert 0.0 <= counted < marlin.steps.e
-
-
-def test_fixed_time_motion_fills_its_queue_before_it_moves(marlin: Printer) -> None:
-    """It goes up and down by what a block needs, for longer than it plans ahead."""
-    begin = code(with_marlin(marlin, planner="ft-motion")).begin(NOWHERE, AT)
-    (up, feed), (down, _) = (map(float, WORDS.findall(line)) for line in begin[-3:-1])
-    assert begin[-4] == b"M201 Z100000"  # else it overshoots downwards
-    assert begin[-1] == b"M201 Z%d" % marlin.limits.z_acceleration
-    assert marlin.steps is not None
-    assert (up - AT[2]) / marlin.steps.z == pytest.approx(6.0)
-    assert down == AT[2]
-    assert (up - AT[2]) / (feed / 60.0) > 0.128
 
 
 # ---------------------------------------------------------------------- the stream

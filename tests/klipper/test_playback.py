@@ -19,7 +19,7 @@ from hframe_post.printer.settings import Extruder, Printer
 from tests.conftest import SAMPLES
 from tests.gcode_tools import converted, hops
 from tests.klipper.host import BEFORE_2024, Playback, play
-from tests.quantities import below, near
+from tests.quantities import below, near, rms
 
 pytestmark = pytest.mark.klipper
 
@@ -134,10 +134,6 @@ def lateness(off: Array, velocity: Array) -> Array:
     square = np.square(velocity[:whole]).reshape(-1, 2 * FIFTH).sum(axis=1)
     moving = square > FIFTH * 10.0**2
     return np.asarray(-along[moving] / square[moving])
-
-
-def rms(x: Array) -> float:
-    return float(np.sqrt(np.square(x).mean())) if len(x) else 0.0
 
 
 @pytest.mark.skipif(BEFORE_2024, reason="each G4 takes Klipper of 2023 two milliseconds more")

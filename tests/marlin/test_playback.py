@@ -21,7 +21,7 @@ from hframe_post.stream.types import Samples
 from tests.conftest import few
 from tests.gcode_tools import converted, sample, sliced
 from tests.printers import with_marlin
-from tests.quantities import below, near
+from tests.quantities import below, near, rms
 
 from .planner import Build, FixedTimeRun, Machine, Run, xy
 
@@ -100,10 +100,6 @@ def laps(count: int = LAPS) -> list[bytes]:
 def drift(first: Array, late: Array) -> float:
     """Return the drift in ms a minute, by a straight line."""
     return float(np.polyfit(first * TS, late, 1)[0] * 60.0 * 1e3)
-
-
-def rms(off: Array) -> float:
-    return float(np.sqrt(np.square(off).mean()))
 
 
 @pytest.fixture(scope="module")

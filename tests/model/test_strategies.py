@@ -9,9 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from hframe_post.arrays import Array
-from hframe_post.errors import HframeError
 from hframe_post.model.strategies import STRATEGIES, Compensator, Strategy, strategy
-from hframe_post.printer.profile import load, parse
+from hframe_post.printer.profile import load
 from tests.conftest import SAMPLES
 
 
@@ -51,13 +50,6 @@ def test_a_row_is_all_that_profiles_and_the_command_line_need(late: str, tmp_pat
     assert "path, late" in studied.output
     shown = CliRunner().invoke(main, ["convert", "--help"], terminal_width=200)
     assert "-c, --compensation [none|fbs|racking|late]" in " ".join(shown.output.split())
-
-
-def test_unknown_strategies_are_errors_everywhere() -> None:
-    with pytest.raises(HframeError, match="unknown strategy 'late': choose one of none, fbs"):
-        strategy("late")
-    with pytest.raises(HframeError, match=r"compensation\.strategy"):
-        parse('extends = "paper"\n[compensation]\nstrategy = "late"\n', "mine")
 
 
 @pytest.mark.parametrize("name", STRATEGIES)

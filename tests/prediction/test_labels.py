@@ -52,16 +52,6 @@ def test_layers_and_features_as_slicers_write_them(text: bytes) -> None:
     assert names([block(printing(1), (0, text))]) == expected
 
 
-def test_layers_without_a_number_are_counted() -> None:
-    """As PrusaSlicer writes them: a change, the height, the feature."""
-    comments = [
-        (k, text)
-        for k in range(4)
-        for text in (b";LAYER_CHANGE\n", b";Z:%.1f\n" % (0.2 * k), b";HEIGHT:0.2\n")
-    ]
-    assert names([block(printing(5), *comments)])[0] == ["0", "1", "2", "3", "3"]
-
-
 def test_a_layer_without_a_number_follows_the_one_before() -> None:
     comments = [(0, b";LAYER:6"), (1, b";LAYER_CHANGE"), (2, b";LAYER:6"), (3, b";LAYER_CHANGE")]
     assert names([block(printing(4), *comments)])[0] == ["6", "7", "6", "7"]

@@ -4,7 +4,6 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -148,21 +147,6 @@ def test_filament_of_every_carried_line_is_exact(klipper: Parts) -> None:
     np.testing.assert_allclose(reading.at_layer, whole.xyze[at, E], atol=1.1e-5)
 
 
-def test_marks_pass_before_the_segment_that_ends_at_their_sample_or_later(klipper: Parts) -> None:
-    n = 3000
-    whole = stream([("move", n)])
-    at = np.unique(np.random.default_rng(2).integers(200, n - 200, 50))
-    marks = (Marks.from_lines(Mark(int(k), b"; at %d" % k) for k in at),)
-    marked = Samples(0, whole.xyze, whole.line, marks, whole.commands, ends_stretch=True)
-    lines = text([marked], klipper)[0].splitlines()
-    for k in at:
-        row = lines.index(b"; at %d" % k)
-        before = next(line for line in reversed(lines[:row]) if line.startswith(b"G1"))
-        x = float(re.findall(rb"X([\d.]+)", before)[0]) if b"X" in before else None
-        if x is not None:  # a segment ends at the mark, as near as all vertices are
-            assert x == pytest.approx(whole.xyze[k, 0], abs=0.01)
-
-
 def test_lag_stays_bounded_however_long_the_stream(klipper: Parts) -> None:
     """What Klipper takes by its own formulas, dwells and all, against the samples' time."""
     parts = [("move", 700), ("retract", 80), ("move", 400), ("lift", 20), ("wait", 50)] * 40
@@ -216,18 +200,6 @@ def test_standstill_in_motion_becomes_time_of_the_next_segment_or_a_dwell(klippe
         between = re.findall(rb"G1 .*\nG4 P([\d.]+)\nG1 ", text([whole], klipper)[0])
         waited = sum(map(float, between))
         assert waited == 0 if still == 10 else abs(waited - still) < 40
-
-
-def test_lines_are_different_only_in_what_changes(klipper: Parts) -> None:
-    """No word is written that says what the machine knows already."""
-    rows = [
-        line for line in text([stream([("move", 3000)])], klipper)[0].splitlines()
-        if line.startswith(b"G1")
-    ]  # fmt: skip
-    words = [dict(re.findall(rb"([XYZF])(-?[\d.]+)", row)) for row in rows]
-    for letter in (b"X", b"Y", b"F"):
-        said = [word[letter] for word in words if letter in word]
-        assert all(a != b for a, b in pairwise(said))
 
 
 @given(st.lists(st.integers(0, 5000), min_size=1, unique=True), st.integers(1, 20))
