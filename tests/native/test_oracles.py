@@ -2,7 +2,6 @@
 
 import importlib
 import sys
-import threading
 from types import ModuleType
 
 import numpy as np
@@ -109,32 +108,6 @@ def test_an_argument_of_another_kind_layout_or_length_is_an_error(library: Modul
     for more in (1, 100):
         with pytest.raises(TypeError, match="argument"):
             library.follow(*right, *[1] * more)
-
-
-@pytest.mark.slow
-def test_another_thread_runs_during_a_loop(library: ModuleType) -> None:
-    """Python itself would not switch threads for an hour."""
-    n, before = 10_000, sys.getswitchinterval()
-    arguments = np.arange(3.0), np.zeros((3, 4)), 2, np.zeros(n), n, np.empty((n, 4))
-    moves, begin, ran = np.empty(n, np.int64), threading.Event(), threading.Event()
-
-    def other() -> None:
-        begin.wait()
-        ran.set()
-
-    thread = threading.Thread(target=other)
-    sys.setswitchinterval(3600.0)
-    try:
-        thread.start()
-        begin.set()
-        for _ in range(10_000):
-            library.follow(*arguments, moves)
-            if ran.is_set():
-                break
-        assert ran.is_set()
-    finally:
-        sys.setswitchinterval(before)
-        thread.join()
 
 
 @pytest.mark.parametrize("name", ["missing", "another version"])
