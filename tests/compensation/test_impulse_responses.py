@@ -212,7 +212,9 @@ def test_printers_drawn_from_responses_move_together() -> None:
     u = np.pad(whole.commands["none"], ((0, together.late), (0, 0)), mode="edge")
     places = together.run([u])[:, 0, together.late :]
     for plant, place in zip(drawn, places, strict=True):
-        assert np.abs(place - nozzle(plant, ORIGIN, whole.commands["none"])).max() < 1e-11  # mm
+        assert (
+            np.abs(place - nozzle(plant, ORIGIN, whole.commands["none"])).max() < 1e-7
+        )  # mm, of deviations of 0.2
 
 
 # ---------------------------------------------------------------------- stops
