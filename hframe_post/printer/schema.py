@@ -155,7 +155,7 @@ OLD_KEYS = {
         ("limits.travel_velocity", "limits.travel_acceleration"), "slicers have both for travel"
     ),
     **{f"plant.{G}.{key}": ONE_PLACE for G in ("Gxx", "Gyy", "Gxtheta") for key in ("x", "places")},
-    "plant.cross": "but for racking, what x does to y is another thing the next day",
+    "plant.cross": "what x does to y differs from day to day, but for racking, which stays",
     "firmware.klipper.begin_macro": "the file sets the limits of its stream itself",
     "speed.avoid": "in the slicer, give outer walls a speed at which the motors shake less",
 }
