@@ -172,7 +172,8 @@ JOINT = re.compile(r'"\s*\n\s*f?"')
 
 def test_messages_shown_are_those_of_the_tool() -> None:
     """The messages in the first column, as far as they do not vary."""
-    source = JOINT.sub("", "\n".join(SOURCES.values()))
+    macros = [path.read_text("utf-8") for path in (ROOT / "hframe_post").rglob("*.cfg.in")]
+    source = JOINT.sub("", "\n".join([*SOURCES.values(), *macros]))
     rows = re.findall(r"^\| ([^|]*\*[^|]*) \|", prose(ROOT / "docs" / "start.md"), re.MULTILINE)
     pieces = [
         piece.strip(" .,")
