@@ -7,7 +7,6 @@ import math
 import zlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,6 @@ TEXT_LEVEL = 4  # of compression of text: a third of the time of 6, for 3 to 20 
 PACKED_LEVEL = 2  # of pieces: two thirds of the time of 4, for 5 % more bytes
 MAX_TEXT_BYTES = 1_650_000  # bytes of compressed G-code that a page carries
 TRIED_LINES = 10_000  # after which a text that will take a tenth more than that is given up
-LINES_TOGETHER = 1000
 WORST_PLACES = 10  # places
 APART_MM = 2.0  # mm between two of them, seen from above
 PER_MM = 100.0  # places are written in 10 µm
@@ -84,9 +82,10 @@ def _coded(content: bytes) -> str:
 
 def _compressed(lines: Iterable[bytes], count: int) -> bytes:
     """Return the text compressed, or nothing if it is too long. count: of its lines."""
-    squeeze, parts, left = zlib.compressobj(TEXT_LEVEL), list[bytes](), iter(lines)
+    squeeze, parts = zlib.compressobj(TEXT_LEVEL), list[bytes]()
     read = size = 0
-    while some := [line.rstrip(b"\r\n") for line in islice(left, LINES_TOGETHER)]:
+    for text in lines:  # of one line, or of many
+        some = [line.rstrip(b"\r") for line in text.removesuffix(b"\n").split(b"\n")]
         parts.append(squeeze.compress(b"\n".join([*some, b""])))
         read, size = read + len(some), size + len(parts[-1])
         hopeless = read >= TRIED_LINES and size * count > 1.1 * MAX_TEXT_BYTES * read
