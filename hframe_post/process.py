@@ -30,8 +30,11 @@ def processor_count() -> int:
 
 
 def own_command() -> list[str]:
-    """Return the first words of a command that runs this tool in another process."""
-    return [sys.executable, "-m", "hframe_post"]
+    """Return the first words of a command that runs this tool in another process.
+
+    -P: a folder of the same name where the command runs, as that of the sources, is not the tool.
+    """
+    return [sys.executable, "-P", "-m", "hframe_post"]
 
 
 def program_words() -> list[str]:

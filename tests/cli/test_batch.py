@@ -4,6 +4,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import time
 from functools import partial
 from pathlib import Path
@@ -61,6 +63,22 @@ def test_what_is_not_compensated_is_said_in_the_line_and_at_the_end(tmp_path: Pa
     assert any(warning in line for line in shown[own + 1 : own + 3])
     assert any(line.startswith(f"WARNING {tmp_path}/a.gcode: {warning}") for line in shown[-3:-1])
     assert shown[-1] == "2 converted, 0 skipped, 0 failed, 1 with warnings"
+
+
+@pytest.mark.slow
+def test_what_lies_in_the_folder_is_not_run(tmp_path: Path) -> None:
+    """In the folder of the sources, for example, whose compiled part is not built."""
+    fake = tmp_path / "hframe_post" / "__init__.py"
+    fake.parent.mkdir()
+    fake.write_text("raise ImportError('not the tool')\n")
+    shutil.copy(RECTANGLE, tmp_path / "a.gcode")
+    own = [sys.executable, "-P", "-m", "hframe_post"]
+    done = subprocess.run(
+        [*own, "batch", "a.gcode", "-o", "out"], cwd=tmp_path, capture_output=True, check=False
+    )
+    assert (done.returncode, done.stderr.decode().splitlines()[-1]) == (
+        0, "1 converted, 0 skipped, 0 failed",
+    )  # fmt: skip
 
 
 @pytest.mark.slow
