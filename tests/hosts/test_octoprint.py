@@ -10,6 +10,7 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -62,6 +63,18 @@ def test_the_plugin_is_installed_for_a_measured_printer(tmp_path: Path) -> None:
     assert (tmp_path / "plugins/hframe_post/__init__.py").read_text() == plugin
     marlin.write_text(f"{text}115200\n")
     assert run("connect", "octoprint", "-p", marlin, "--folder", tmp_path).returncode == 0
+
+
+def test_the_plugin_of_a_package_runs_the_installed_tool(tmp_path: Path) -> None:
+    """OctoPrint may be started in the folder of the sources, whose compiled part is not built."""
+    plugin = (ROOT / "hframe_post/hosts/octoprint/__init__.py").read_text()
+    (words,) = re.findall(r"^COMMAND = (\[.*?\])", plugin, re.MULTILINE)
+    fake = tmp_path / "hframe_post" / "__init__.py"
+    fake.parent.mkdir()
+    fake.write_text("raise ImportError('not the tool')\n")
+    command = [*eval(words, {"sys": sys}), "--version"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)
+    assert (done.returncode, done.stdout[:11]) == (0, b"hframe-post"), done.stderr
 
 
 @pytest.fixture

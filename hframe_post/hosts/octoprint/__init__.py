@@ -13,7 +13,7 @@ from typing import Any
 
 from .upload import Converted, Settings, summary
 
-COMMAND = [sys.executable, "-m", "hframe_post"]
+COMMAND = [sys.executable, "-P", "-m", "hframe_post"]  # not what the working folder holds
 PROFILE = ""
 
 __plugin_name__ = "hframe-post"
