@@ -7,6 +7,7 @@ import os
 import re
 import sys
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NoReturn
 
@@ -41,6 +42,7 @@ GROUPS = {  # by group and command: its module in hframe_post.cli, a line of hel
 }
 COMMANDS = {name: found[0] for group in GROUPS.values() for name, found in group.items()}
 MOUNTED = "the recordings show how the sensor is mounted"
+BY_VERSION = "'hframe-post setup' reads the planner from Marlin's answers to M503 and M115"
 GONE = {  # former commands, options and values, and what replaced them
     "compare": "equal input gives equal bytes: compare files with cmp or diff",
     "speed": "'hframe-post IN.GCODE --max-error 100um --dry-run' shows the time within an error",
@@ -52,7 +54,7 @@ GONE = {  # former commands, options and values, and what replaced them
     "bands": "Shake&Tune's CREATE_VIBRATIONS_PROFILE shows them; give outer walls another speed",
     "verify": "'hframe-post check' tells what compensation brings, from 'measure --for check'",
     "klipper-macros": "'hframe-post setup' writes them, 'hframe-post connect klipper' prints them",
-    "calibrate-marlin": "'hframe-post measure --for planner'",
+    "calibrate-marlin": BY_VERSION,
     "slicer-line": "'hframe-post connect slicer'",
     "cura-script": "'hframe-post connect cura'",
     "octoprint-plugin": "'hframe-post connect octoprint'",
@@ -70,6 +72,7 @@ GONE = {  # former commands, options and values, and what replaced them
     "doctor --klippy-log": "docs/klipper.md names the versions of Klipper that cannot do it",
     "doctor --report": "its output says all",
     "doctor --history": "the console says what each check has found",
+    "measure --for planner": BY_VERSION,
     "measure --motion": "the run is a rectangle and a zigzag",
     "setup --moonraker": "'hframe-post connect moonraker'",
     "setup --no-moonraker": "'hframe-post connect moonraker --remove'",
@@ -195,6 +198,8 @@ def _misread(failure: click.UsageError, args: list[str]) -> str:
     from hframe_post.gcode.lines import is_gcode_name
 
     option = failure.option_name if isinstance(failure, click.NoSuchOption) else ""
+    if isinstance(failure, click.BadParameter):
+        option = " ".join(_option_with_value(failure, args))
     if gone := GONE.get(f"{failure.ctx.info_name if failure.ctx else ''} {option}"):
         return f"{option} is gone: {gone}"
     end = args.index("--") if "--" in args else len(args)
@@ -206,6 +211,13 @@ def _misread(failure: click.UsageError, args: list[str]) -> str:
         if word.startswith("-") and not (is_gcode_name(word) or Path(word).exists()):
             return f"{word!r} follows --: put options before it"
     return failure.format_message()
+
+
+def _option_with_value(failure: click.BadParameter, args: list[str]) -> list[str]:
+    """Return an option and its value, as they were typed."""
+    names = failure.param.opts if failure.param else []
+    words = [part for word in args for part in word.split("=", 1)]
+    return next(([a, b] for a, b in pairwise(words) if a in names), [])
 
 
 def _looks_like_a_command(word: str) -> bool:

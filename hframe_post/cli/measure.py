@@ -44,7 +44,7 @@ def _chip(text: str) -> str:
 @printer_option
 @click.option(
     "--for", "purpose", default="identify", show_default=True,
-    type=click.Choice(["identify", "check", "planner"]), help="What to find out.",
+    type=click.Choice(["identify", "check"]), help="What to find out.",
 )  # fmt: skip
 @click.option(
     "--position", "places", type=position, multiple=True, metavar="X,Y",
@@ -68,7 +68,6 @@ def measure(
     \b
     identify  strokes as in prints, a minute at each position; with Marlin, sweeps
     check     20 s: what has drifted since identify, and what compensation brings
-    planner   Marlin only: a file whose duration shows the board's planner
 
     The command of each run is written next to the file. The summary says what to do next.
 
@@ -82,9 +81,7 @@ def measure(
             option = {"places": "position"}.get(name, name)
             raise click.UsageError(f"--{option} is for --for {only}")
     profile = load(printer)
-    if purpose == "planner":
-        text = _planner(output, printer, profile)
-    elif purpose == "identify" and not profile.firmware.kind.records:
+    if purpose == "identify" and not profile.firmware.kind.records:
         text = _sweep(output, printer, profile, places)
     else:
         text = _motion(output, printer, profile, purpose, places, chips, times)
@@ -198,13 +195,3 @@ def _sweep(
             outputs.open(Path(f"{named}.csv")).writelines(command_csv(run.command))
     done = [run for run, _ in planned]
     return summary(target.stem, done, profile.kinematics.type == "cartesian")
-
-
-def _planner(target: Path, printer: str, profile: Printer) -> str:
-    """Write a file whose duration shows which planner and timer a Marlin board has."""
-    from hframe_post.firmware.marlin.calibration import calibration
-
-    found = calibration(profile)
-    with Outputs(files_read(printer)) as outputs:
-        outputs.open(target).writelines(found.lines)
-    return found.as_text()

@@ -65,5 +65,5 @@ def test_a_former_command_or_option_says_the_new_one() -> None:
     for name, instead in GONE.items():
         done = CliRunner().invoke(main, [*name.split(), "file.gcode"])
         assert done.exit_code == 2
-        shown = name.split()[1] if " " in name else repr(name)
+        shown = name.partition(" ")[2] or repr(name)
         assert f"{shown} is gone: {instead}" in done.output

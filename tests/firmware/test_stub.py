@@ -70,7 +70,6 @@ def test_every_command_takes_the_firmware(folder: Path, line: str) -> None:
 
 @pytest.mark.parametrize("line", [
     "measure --for check -o {folder}/c.gcode", "connect klipper",
-    "measure --for planner -o {folder}/a.gcode",
 ])  # fmt: skip
 def test_what_is_for_another_firmware_says_so(folder: Path, line: str) -> None:
     done = command(folder, line)

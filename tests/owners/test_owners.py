@@ -41,7 +41,6 @@ STEPS = (
      r"Next: hframe-post calibrate-print -p n\.toml --compare", MODEL),
     ("calibrate-print --compare 6% --heat 210,60 -o q.gcode", BOTH, r"Print q\.", r"q\.gcode"),
     ("calibrate-print --pick 6% 0 -o p.toml", BOTH, "Next: compare once more", MODEL),
-    ("measure --for planner -o l.gcode", ("marlin500",), "The part .lines. is 10000", r"l\.gcode"),
     ("connect klipper", ("voron",), r"    _HFRAME_CANCEL_PRINT \{rawparams\}", ""),
     ("connect slicer", BOTH, "OrcaSlicer: Process", ""),
     ("connect cura --folder .", BOTH, "Restart Cura, then: ", r"HframePost\.py"),

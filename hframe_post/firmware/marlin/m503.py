@@ -207,7 +207,7 @@ class MarlinSettings:
         if not self.planner:
             found.append(
                 f'the firmware\'s version is not known, so planner = "{ASSUMED}" is assumed. Add '
-                "the answer to M115, or find out with 'hframe-post measure --for planner'"
+                "the answer to M115, or write firmware.marlin.planner into the profile"
             )
         return found
 

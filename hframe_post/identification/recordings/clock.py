@@ -129,8 +129,8 @@ class Resampler:
 def not_found() -> IdentificationError:
     return IdentificationError(
         "the recording does not follow the command. Check that it is of this motion, complete, and "
-        "of a sensor that moves with this axis. With Marlin also check the planner of the profile: "
-        "'hframe-post measure --for planner'"
+        "of a sensor that moves with this axis. With Marlin also check firmware.marlin.planner of "
+        "the profile"
     )
 
 
