@@ -135,11 +135,6 @@ Accelerations = tuple[float, float]  # of moves with and without extrusion, mm/s
 Words = Mapping[str, float]  # of a command: letter → number
 
 
-def no_macros(_: str) -> bool:
-    """Return whether a command may set modes where owners write none: no."""
-    return False
-
-
 _M486 = re.compile(rb"\s*(?:N\d+\s*)?M486\b[^;*]*?S\s*(-?\d+)", re.IGNORECASE)
 
 
@@ -165,7 +160,7 @@ class Dialect:
     splines: G5 is supported. cr_ends_lines: a carriage return ends a line, even in a comment.
     soft_endstops: ranges of x, y and z, mm, at whose ends moves of homed axes stop; none: an error.
     retraction_settings: the commands that set what G10 and G11 do.
-    may_set_modes: whether a command that the reader does not know may change modes: a macro may.
+    may_be_macro: whether a name that the reader does not know may be a macro, which may set modes.
     g92_resets: G92 without words sets all coordinates to 0; elsewhere it does nothing.
     advance: what a line sets of pressure advance.
     label: the object that a line says begins, b"" if it says that one ends; None: no label.
@@ -183,6 +178,6 @@ class Dialect:
     cr_ends_lines: bool = False
     soft_endstops: tuple[tuple[float, float], ...] = ()
     g92_resets: bool = False
-    may_set_modes: Callable[[str], bool] = no_macros
+    may_be_macro: Callable[[str], bool] = lambda _: False
     label: Callable[[bytes], bytes | None] = object_label
     advance: Callable[[bytes], AdvanceChange] = no_advance

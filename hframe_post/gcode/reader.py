@@ -320,7 +320,7 @@ class _Reader:
             self._cause = name[:40]
         self._retraction.forget()
         self._state.forget(axes)
-        if self._dialect.may_set_modes(name):
+        if self._dialect.may_be_macro(name):
             self._macro, self._e_named = name[:40], False
 
     def _apply_retraction(self, line: Line, name: str) -> bool:

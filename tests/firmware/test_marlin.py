@@ -15,7 +15,6 @@ from hframe_post.conversion.print_report import NO_GAIN
 from hframe_post.errors import GcodeError, PrinterError
 from hframe_post.firmware.marlin.marlin_code import MarlinCode
 from hframe_post.firmware.marlin.marlin_motion import MarlinMotion
-from hframe_post.firmware.marlin.planner import GENERATIONS
 from hframe_post.firmware.motion import Stroke, Way
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.kinematics import Kinematics
@@ -94,7 +93,7 @@ def test_segments_begin_at_their_own_speed_with_classic_jerk(marlin: Printer, pl
         assert mine.entry(at, 80.0, 90.0) == 80.0, "mm/s, after a faster one"
 
 
-@pytest.mark.parametrize("planner", GENERATIONS)
+@pytest.mark.parametrize("planner", MARLIN_PLANNERS)
 def test_strokes_last_as_long_as_they_were_planned_to(marlin: Printer, planner: str) -> None:
     """The speeds of the user's corners would make them faster than from rest to rest."""
     mine = motion(with_marlin(marlin, planner=planner))
@@ -115,7 +114,7 @@ def test_what_follows_a_late_stroke_is_no_faster_than_it_allows() -> None:
     assert stroke.time_of_next(1.0, 0.01) == pytest.approx(1.0 / 50.0)
 
 
-@pytest.mark.parametrize("planner", GENERATIONS)
+@pytest.mark.parametrize("planner", MARLIN_PLANNERS)
 def test_blocks_reach_what_their_acceleration_allows(marlin: Printer, planner: str) -> None:
     """Three of 1 mm at 1000 mm/s² and 60 mm/s, from rest to rest."""
     blocks = Blocks(np.full(3, 80.0), np.ones(3), np.full(3, 80_000.0))

@@ -4,7 +4,6 @@ import importlib
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,7 +14,7 @@ from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.firmware.dialect import Dialect
 from hframe_post.firmware.klipper.klipper_firmware import Klipper
 from hframe_post.firmware.marlin.marlin_firmware import Marlin
-from hframe_post.gcode.commands import Effect, Vocabulary, uncommented
+from hframe_post.gcode.commands import uncommented
 from hframe_post.gcode.limits import with_motors
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
@@ -161,26 +160,6 @@ def test_no_feed_rate(feed: str) -> None:
         moves([f"G1 X20 {feed}"], Klipper.dialect)
     with pytest.raises(ValueError, match="Unable to parse"):
         head([*START, f"G1 X20 {feed}"])
-
-
-ANY_MODE = {  # restore modes or run what an owner writes; a dialogue's own; another tool's
-    "CANCEL_PRINT", "NOZZLE_CLEANUP", "PAUSE", "RESTORE_GCODE_STATE", "RESUME",
-    "RUN_SHELL_COMMAND", "SDCARD_PRINT_FILE", "SELECT_TOOL", "SET_VELOCITY_LIMIT",
-    "ABORT", "ACCEPT", "ADJUSTED", "CALIBRATE", "TARE", "TESTZ",
-}  # fmt: skip
-OF_TOOLS = "TR_", "TOOL_", "INDX_"
-
-
-def test_klippers_own_commands_are_no_macros() -> None:
-    """After one that may set modes the reader must find out again what E is."""
-    (folder,) = KLIPPY.__path__
-    text = "\n".join(path.read_text() for path in Path(folder).rglob("*.py"))
-    names = set(re.findall(r"\bcmd_([A-Z][A-Z0-9_]{3,})_help\b", text))
-    known = Vocabulary.with_names()
-    unknown = {name for name in names if known.effect(name) is Effect.UNKNOWN}
-    macros = {n for n in unknown if Klipper.dialect.may_set_modes(n) and not n.startswith(OF_TOOLS)}
-    assert macros <= ANY_MODE
-    assert len(names) > 100
 
 
 ASKS = (b"M204 S12000\n", b"SET_VELOCITY_LIMIT ACCEL=12000 SQUARE_CORNER_VELOCITY=4\n")

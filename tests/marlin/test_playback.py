@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.whole_file import SampleStream
-from hframe_post.firmware.marlin.planner import GENERATIONS
 from hframe_post.prediction.predict import judge
+from hframe_post.printer.firmware_tables import MARLIN_PLANNERS
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Extruder, Printer
 from hframe_post.stream.chunks import join
@@ -210,7 +210,7 @@ def test_classic_jerk_plays_the_same(marlin: Printer, planner: str) -> None:
     below(rms(off), 0.012, "RMS distance to the command, mm")
 
 
-@pytest.mark.parametrize("planner", few(GENERATIONS, 2))
+@pytest.mark.parametrize("planner", few(MARLIN_PLANNERS, 2))
 def test_lifts_and_retractions_take_the_time_that_they_are_planned_to(
     marlin: Printer, planner: str
 ) -> None:
@@ -245,7 +245,7 @@ def test_cube_keeps_time_and_place_across_lifts_and_retractions(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("planner", GENERATIONS)
+@pytest.mark.parametrize("planner", MARLIN_PLANNERS)
 def test_a_slow_board_takes_as_long_for_a_layer_as_sliced_as_is_told(planner: str) -> None:
     """At 500 mm/s², what its planner makes of ramps is up to 1 % of the time."""
     slinger = with_marlin(load("example-ender"), planner=planner)

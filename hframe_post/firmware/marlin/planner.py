@@ -166,14 +166,13 @@ Planner = SteppedPlanner | FixedTimePlanner
 # corners so much faster, exact ramps at 500 mm/s² take 0.1 to 0.4 % less for a cube or a prism, and
 # 0.3 to 0.6 % more for a figure of short moves
 BRAKES_LATE_STEPS = {"2.0": 1.0, "2.1": 2.2, "2.1-dev": 0.2, "ft-motion": 0.4}
-GENERATIONS = tuple(BRAKES_LATE_STEPS)
 
 
 @cache
 def make_planner(
     generation: str, timer: Timer, classic_jerk: bool = False, s_curve: bool = False
 ) -> Planner:
-    """Return the planner of a generation, one of GENERATIONS, in a build with these options."""
+    """Return the planner of a generation, one of MARLIN_PLANNERS, in a build with these options."""
     if generation == "ft-motion":
         return FixedTimePlanner()
     if generation == "2.1-dev":
