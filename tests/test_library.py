@@ -12,7 +12,7 @@ import hframe_post as hp
 from hframe_post.arrays import TS, Array
 from hframe_post.printer.settings import Printer
 from tests.command_line import run
-from tests.conftest import MEASURED, SAMPLES
+from tests.conftest import SAMPLES
 
 RECTANGLE = SAMPLES / "rectangle.gcode"
 
@@ -105,14 +105,6 @@ def test_mistakes_in_arguments_are_value_errors_of_the_tool(paper: Printer) -> N
         with pytest.raises(hp.HframeError) as raised:
             mistake()
         assert isinstance(raised.value, ValueError)
-
-
-def test_convert_is_what_the_command_line_does(tmp_path: Path) -> None:
-    report = hp.convert(RECTANGLE, tmp_path / "by_library.gcode", hp.load_printer(MEASURED))
-    run(RECTANGLE, "-q", "-o", tmp_path / "by_tool.gcode")
-    assert (tmp_path / "by_library.gcode").read_bytes() == (tmp_path / "by_tool.gcode").read_bytes()
-    assert set(report.contour) == {"none", "shaper", "racking"}
-    assert report.contour["racking"].rms < report.contour["none"].rms / 8
 
 
 def test_convert_does_all_that_the_command_line_can(paper: Printer, tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ import math
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers
+from hframe_post.arrays import TS, Array, Flags, Integers
 from hframe_post.native import kernels
 
 # cosine of the turns with which an arc must fit into short moves: Marlin takes √½, with which
@@ -43,32 +43,6 @@ def junction_deviation(square_corner_velocity: Array | float, acceleration: Arra
 def square_corner_velocity(deviation: float, acceleration: float) -> float:
     """Return the speed through a right angle, mm/s, for a junction deviation in mm."""
     return math.sqrt(deviation * acceleration / (math.sqrt(2.0) - 1.0))
-
-
-def junction_speeds(
-    delta: Array,
-    length: Array,
-    acceleration: Array,
-    deviations: Array | float,
-    extruder_corner_velocity: float,
-) -> Array:
-    """Return the greatest speed (n − 1,) between n consecutive moves, mm/s.
-
-    delta (n, 4): x, y, z, e of each; length (n,): mm of path in x, y, z; acceleration (n,);
-    deviations (n,) or one for all. Of two neighbours, the lower deviation·acceleration counts.
-    """
-    # not delta / length: in a reversal, 1 − cosθ consists of rounding, which must be Klipper's
-    unit = delta[:, :E] * (1.0 / length)[:, None]
-    x, y, z = (unit[:-1] * unit[1:]).T
-    cosine = np.clip(-(x + y + z), -1.0, 1.0)
-    sin_half, cos_half = np.sqrt(0.5 * (1.0 - cosine)), np.sqrt(0.5 * (1.0 + cosine))
-    turn, fit = deviations * acceleration, 0.5 * length * acceleration
-    with np.errstate(divide="ignore", invalid="ignore"):
-        v2 = np.minimum(turn[:-1], turn[1:]) * sin_half / (1.0 - sin_half)
-        arc = np.minimum(fit[:-1], fit[1:]) * sin_half / cos_half
-        v2 = np.fmin(v2, arc)
-        extruder = extruder_corner_velocity / np.abs(np.diff(delta[:, E] / length))
-    return np.asarray(np.fmin(np.sqrt(v2), extruder))
 
 
 # ----------------------------------------------------------------------

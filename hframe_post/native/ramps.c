@@ -43,7 +43,7 @@ INSIDE void find_segments(const double *at, int64_t k, const struct limits *limi
     }
 }
 
-/* Find the greatest speeds between segments: junction_speeds of planning.py */
+/* Find the greatest speeds between segments, by Klipper's rules for junctions. */
 INSIDE void find_corners(const double *d, const double *a, const double *filament, const double *way,
                          int64_t k, const struct limits *limits, double *restrict caps)
 {

@@ -3,12 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import SETTLED, compensate, settling_samples
 from hframe_post.model.lpfbs import Window
-from hframe_post.model.nozzle import Response
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.printer.profile import load
@@ -21,19 +19,6 @@ from tests.paths import ORIGIN, stroke, strokes
 def block(x: Array, y: Array, first: int = 0) -> Samples:
     xyze = np.column_stack([x, y, np.zeros((len(x), 2))])
     return Samples(first, xyze, np.zeros(len(x), dtype=np.int64))
-
-
-def traced(compensator: Compensator, samples: Samples, strategy: str) -> Array:
-    done = join(list(compensate([samples], compensator, (strategy,))))
-    response = Response(compensator.plant, samples.xyze[0, :2])
-    return response.run(done.commands[strategy]) - samples.xyze[:, :2]
-
-
-@pytest.mark.paper
-def test_eq_12_and_19_the_nozzle_follows_where_the_lever_is_long(compensator: Compensator) -> None:
-    x = 220.0 + stroke(40, 150, 500)
-    error = traced(compensator, block(x, np.full(len(x), 50.0)), "racking")
-    assert np.sqrt(np.square(error).mean(axis=0)).max() < 0.02
 
 
 def test_settling_covers_the_fastest_stop(compensator: Compensator) -> None:
@@ -55,12 +40,6 @@ WINDOW = Window(5, 88, 44, 30.0)
 def commanded(plant: Plant, strategy: str = "racking", cuts: tuple[int, ...] = ()) -> Array:
     state = STRATEGIES[strategy].begin(Compensator(plant, (WINDOW, WINDOW)), ORIGIN)
     return np.concatenate([*map(state.feed, np.split(strokes(), cuts)), state.finish()])
-
-
-def left(plant: Plant, command: Array) -> float:
-    """Return the RMS deviation from the path, mm."""
-    off = Response(plant, ORIGIN).run(command) - strokes()
-    return float(np.sqrt(np.square(off).mean()))
 
 
 def test_equal_bits_however_the_stream_is_cut() -> None:

@@ -13,7 +13,7 @@ from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.model.lpfbs import Lpfbs, Window
-from hframe_post.model.nozzle import Plants, nozzle
+from hframe_post.model.nozzle import nozzle
 from hframe_post.model.plant import Bed, Plant
 from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.prediction.predict import judge
@@ -21,7 +21,7 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
-from hframe_post.studies.uncertainty import draws, perturbed
+from hframe_post.studies.uncertainty import perturbed
 from tests.gcode_tools import planned
 from tests.gcode_tools import strokes as printed_strokes
 from tests.modes import axis_mode, coupling_mode, damped_by_the_frame, deviation_of_mode
@@ -193,28 +193,6 @@ def test_a_two_sided_plant_is_inverted(strategy: str) -> None:
     off, without = (nozzle(plant, ORIGIN, u) - path for u in (command, path))
     assert np.sqrt(np.square(without).mean()) > 0.01  # mm
     assert np.sqrt(np.square(off).mean()) < 1e-3  # mm
-
-
-def samples_of(command: Array) -> Samples:
-    n = len(command)
-    xyze = np.column_stack([strokes()[:n], np.zeros(n), np.arange(n) * 0.01])
-    return Samples(
-        0, xyze, np.zeros(n, np.int64), commands={"racking": command, "none": xyze[:, :2]}
-    )
-
-
-def test_printers_drawn_from_responses_move_together() -> None:
-    """Each has its own lead, and all are judged at the same sample."""
-    drawn = [early(), *draws(early(), 0.1, 3, seed=1)]
-    assert len({plant.ahead for plant in drawn}) > 1
-    whole = samples_of(strokes()[:900])
-    together = Plants(drawn).at_rest(ORIGIN, 1, 0.0)
-    u = np.pad(whole.commands["none"], ((0, together.late), (0, 0)), mode="edge")
-    places = together.run([u])[:, 0, together.late :]
-    for plant, place in zip(drawn, places, strict=True):
-        assert (
-            np.abs(place - nozzle(plant, ORIGIN, whole.commands["none"])).max() < 1e-7
-        )  # mm, of deviations of 0.2
 
 
 # ---------------------------------------------------------------------- stops

@@ -51,18 +51,6 @@ def test_output_does_not_depend_on_how_the_stream_is_cut(
             assert figures[name] == pytest.approx(figure, rel=1e-6)
 
 
-@pytest.mark.paper
-def test_fig_9_rectangle(paper: Printer) -> None:
-    """117 µm without racking compensation is calibrated; the other figures are checks."""
-    options = Options("racking", ("none", "fbs", "racking"))
-    figures = converted(sample("rectangle.gcode"), paper, options)[1].as_json()
-    error = figures["contour_error_um"]
-    assert error["fbs"]["rms"] == pytest.approx(117, abs=5)
-    assert error["racking"]["rms"] <= 9.0
-    assert max(figures["peak_axis_acceleration"].values()) <= 1e4
-    assert error["none"]["rms"] == pytest.approx(243, abs=5)
-
-
 def test_golden_rectangle(paper: Printer, golden: Callable[[str, bytes], bytes]) -> None:
     now = converted(sample("rectangle.gcode"), paper, STRICT)[0]
     assert_same_stream(now, golden("rectangle.gcode", now))

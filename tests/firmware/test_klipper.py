@@ -189,31 +189,7 @@ def test_plain_numbers_read_back(value: float, decimals: int) -> None:
     assert float(text) == pytest.approx(value, rel=1e-12, abs=0.5001 * 10**-decimals)
 
 
-def test_places_named_by_g92_are_named_again_on_the_way_out_and_in() -> None:
-    code = KlipperCode(RESTORE, STREAM)
-    state = replace(STATE, offset=(10.0, 0.0, -1.0))
-    assert b"G92 X2.5 Z1.2" in code.end(state, AT)
-    assert code.begin((10.0, 0.0, -1.0), AT)[-1] == b"G92 X12.5 Z0.2"
-
-
 DOCS = Path(__file__).parents[2] / "docs" / "klipper.md"
-
-
-def test_the_beginning_sets_what_the_stream_would_set() -> None:
-    paper = load("paper")
-    begin = macros(paper).split("[gcode_macro _HFRAME_BEGIN]")[1].split("\n\n")[0]
-    for line in KlipperCode.from_printer(paper).limits_of_stream:
-        assert f"    {line}\n" in f"{begin}\n"
-
-
-def test_they_set_and_restore_the_averaging_of_pressure_advance() -> None:
-    text = macros(replace(load("paper"), extruder=Extruder(0.05)))
-    begin, end = (
-        text.split(f"[gcode_macro {name}]")[1] for name in ("_HFRAME_BEGIN", "_HFRAME_END")
-    )
-    assert "SMOOTH_TIME=0.02\n" in begin.split("\n\n")[0]
-    own = "SMOOTH_TIME={own.extruder.pressure_advance_smooth_time}\n"
-    assert own in end.split("\n\n")[0]
 
 
 def test_the_docs_name_each_macro() -> None:

@@ -79,11 +79,6 @@ def test_a_move_without_a_path_is_ignored(monkeypatch: pytest.MonkeyPatch, compi
     assert [block.points[:, 0].tolist() for block in found] == [[0.0, 1.0, 2.0, 3.0]]
 
 
-def test_marlin_ignores_a_feed_rate_of_zero() -> None:
-    (block,) = moves("G1 X1 F600", "G1 X2 F0", firmware="marlin")
-    assert block.speed.tolist() == [10, 10]
-
-
 def many(line: bytes, count: int) -> Iterator[bytes]:
     yield from (b"M83", b"G1 X1 Y1 Z1 F6000", b"G1 X5 E1", b"G1 X6 E1")
     yield from repeat(line, count)

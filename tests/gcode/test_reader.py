@@ -31,13 +31,9 @@ QUIRKS = Path(__file__).parent.parent / "quirks"
     [
         ("klipper", "G1 X10 Y5|G91|G1 X1 Y-2", [[10, 5, 0, 0], [11, 3, 0, 0]]),
         ("klipper", "G1 X10 Y5|G91|G90|G1 X3", [[10, 5, 0, 0], [3, 5, 0, 0]]),
-        ("klipper", "M83|G91|G90|G1 X10 E5|G1 X20 E5", [[10, 0, 0, 5], [20, 0, 0, 10]]),
-        ("marlin", "M83|G91|G90|G1 X10 E5|G1 X20 E5", [[10, 0, 0, 5], [20, 0, 0, 5]]),
-        ("klipper", "M82|G92 E0|G1 X10 E5|G91|G1 X10 E5", [[10, 0, 0, 5], [20, 0, 0, 10]]),
-        ("marlin", "M82|G92 E0|G1 X10 E5|G91|G1 X10 E5", [[10, 0, 0, 5], [20, 0, 0, 10]]),
-        ("klipper", "M82|G92 E0|G1 X1 E2|G92 E0|G1 X2 E2", [[1, 0, 0, 2], [2, 0, 0, 4]]),
         ("klipper", "G1 X10|G92 X0|G1 X5", [[10, 0, 0, 0], [15, 0, 0, 0]]),
-        ("klipper", "M82|G1 X10 E5|G92|G1 X10 E5", [[10, 0, 0, 5], [20, 0, 0, 10]]),
+        ("klipper", "G20|G1 X1 Y2 E1 F2|G21|G1 X10", [[25.4, 50.8, 0, 25.4], [10, 50.8, 0, 25.4]]),
+        ("klipper", "g1x3y+2e.5", [[3, 2, 0, 0.5]]),
         ("marlin", "M82|G1 X10 E5|G92|G1 X10 E5", [[10, 0, 0, 5]]),
     ],
 )  # fmt: skip
@@ -45,33 +41,6 @@ def test_positions_are_those_of_the_modes(
     firmware: str, text: str, places: list[list[float]]
 ) -> None:
     assert ends(*text.split("|"), firmware=firmware) == places
-
-
-def test_feed_is_modal_and_scaled_by_m220() -> None:
-    (block,) = moves("G1 X1", "G1 F3000", "G1 X2", "M220 S50", "G1 X3", "G0 X4 F600")
-    np.testing.assert_allclose(block.speed, [100, 50, 25, 5])
-
-
-@pytest.mark.parametrize(
-    ("line", "klipper", "marlin"),
-    [
-        ("M204 S900", (900, 900), (900, 900)),
-        ("M204 P800 T700", (700, 700), (800, 700)),
-        ("M204 P600", (math.inf, math.inf), (600, math.inf)),
-        ("M204 T500", (math.inf, math.inf), (math.inf, 500)),
-        ("M204 T500\nM204 S700", (700, 700), (700, 700)),
-    ],
-)
-def test_m204_of_printing_and_of_travel(
-    line: str, klipper: tuple[float, float], marlin: tuple[float, float]
-) -> None:
-    """T alone means nothing to Klipper."""
-    lines = ["M83", *line.split("\n"), "G1 X1 E1", "G1 X2", "G1 X2.5 Y1 E.2", "G2 X4 Y1 R2"]
-    for firmware, (printing, travel) in (("klipper", klipper), ("marlin", marlin)):
-        (block,) = moves(*lines, firmware=firmware)
-        expected = np.full(len(block.line), float(travel))
-        expected[[0, 2]] = printing
-        np.testing.assert_array_equal(block.acceleration, expected)
 
 
 def test_limits_of_the_file() -> None:

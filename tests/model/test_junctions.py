@@ -10,31 +10,6 @@ from hypothesis import strategies as st
 from hframe_post.arrays import TS
 from hframe_post.firmware.motion import travelled
 from hframe_post.model.constant_acceleration import Trapezoid
-from hframe_post.native.planning import junction_deviation, junction_speeds
-
-SQUARE = 100.0  # mm/s
-A = 2.5e5  # mm/s²
-EXTRUDER = 1.0  # mm/s
-DEVIATION = junction_deviation(SQUARE, A)
-
-
-def junction(first: tuple[float, ...], second: tuple[float, ...]) -> float:
-    delta = np.array([first, second], dtype=float)
-    d = np.linalg.norm(delta[:, :3], axis=1)
-    (v,) = junction_speeds(delta, d, np.full(2, A), DEVIATION, EXTRUDER)
-    return float(v)
-
-
-def test_turning_back_is_as_fast_as_klippers_rounding_makes_it() -> None:
-    """Its unit vectors are d·(1/|d|), which is not always ±1: the speed is 0.7 µm/s, not 0."""
-    for d in np.random.default_rng(1).uniform(1e-4, 0.1, (200, 2)):
-        back = [float(one) * (1.0 / float(one)) for one in d]
-        cosine = back[0] * back[1]
-        half, other = (math.sqrt(max(0.5 * (1.0 + k * cosine), 0.0)) for k in (-1.0, 1.0))
-        corner = half / (1.0 - half) * float(DEVIATION) * A
-        expected = math.sqrt(min(corner, 0.5 * d.min() * A * half / other))
-        assert junction((d[0], 0.0, 0.0, 0.0), (-d[1], 0.0, 0.0, 0.0)) == expected
-
 
 LENGTHS = st.floats(0.01, 100.0)
 SHARES = st.floats(0.0, 1.0)

@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hframe_post.arrays import TS
 from hframe_post.conversion.conversions import StepConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.errors import PrinterError
-from hframe_post.model.kinematics import TYPES, Differences, Kinematics
+from hframe_post.model.kinematics import TYPES, Kinematics
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load, parse
 from hframe_post.stream.chunks import join
@@ -82,21 +81,3 @@ def test_bed_slinger_is_compensated_in_x_and_y_each_by_its_own_resonance() -> No
     right, wrong = (float(np.sqrt(np.square(error).mean())) for error in errors)
     assert right < 0.001
     assert wrong > 10.0 * right
-
-
-@pytest.mark.parametrize("kind", ["hbot", "corexy", "cartesian"])
-@pytest.mark.parametrize("cut", [1, 7, 50])
-def test_rates_are_differences_however_the_command_was_cut(kind: str, cut: int) -> None:
-    rng = np.random.default_rng(5)
-    command = 100 + np.cumsum(rng.normal(size=(50, 2)), axis=0) * 0.1
-    differences = Differences(Kinematics(kind))
-    pieces = [differences.rates(command[k : k + cut]) for k in range(0, 50, cut)]
-    velocity = np.concatenate([rates.belt_velocity for rates in pieces], axis=1)
-    acceleration = np.concatenate([rates.belt_acceleration for rates in pieces], axis=1)
-    axes = np.concatenate([rates.axis_acceleration for rates in pieces], axis=1)
-    stood = np.concatenate([command[:1], command[:1], command])
-    x, y = stood.T
-    belts = (x, y) if kind == "cartesian" else (x + y, x - y)
-    np.testing.assert_allclose(velocity, np.diff(belts, axis=1)[:, 1:] / TS, atol=1e-9)
-    np.testing.assert_allclose(acceleration, np.diff(belts, n=2, axis=1) / TS**2, atol=1e-5)
-    np.testing.assert_allclose(axes, np.diff(stood, n=2, axis=0).T / TS**2, atol=1e-5)

@@ -289,18 +289,6 @@ def test_the_firmwares_own_time_does_not_depend_on_how_moves_are_cut() -> None:
     assert np.isfinite(seconds[0])
 
 
-@pytest.mark.parametrize("seed", [3, 4, 5])
-def test_sharp_corner_far_along_the_queue_is_slow(seed: int) -> None:
-    """Corners below 0.2 mm/s must end runs, however large v² + 2as has grown before them."""
-    whole = random_moves(seed, 4000)
-    cap = caps(whole)
-    found = run_ends(plans([whole]))
-    sharp = np.flatnonzero((cap > 0.0101) & (cap < 0.2))
-    assert len(sharp) > 20
-    assert [int(k) for k in sharp if int(k) not in found] == []
-    assert all(found[int(k)] <= cap[k] * (1 + 1e-6) for k in sharp)
-
-
 @pytest.mark.parametrize(("turn", "fits"), [(90.0, False), (40.0, True)])
 def test_boards_fit_arcs_into_short_gentle_turns_only(turn: float, fits: bool) -> None:
     """As Marlin: its corner of 90° is as fast between short moves as between long ones."""

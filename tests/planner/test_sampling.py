@@ -30,7 +30,6 @@ from hframe_post.stream.types import (
     Plan,
     Rest,
     Samples,
-    SlowStraight,
     StopRules,
 )
 from tests.mark_tools import each
@@ -147,16 +146,6 @@ def test_line_of_each_sample_is_that_of_its_move() -> None:
     xyze, lines = whole(blocks)[0], np.concatenate([b.line for b in blocks])
     np.testing.assert_array_equal(lines[xyze[:, 1] > 0.001], 2)
     np.testing.assert_array_equal(lines[xyze[:, 0] < 9.999], 1)
-
-
-def test_slow_straights_are_left_out_where_asked_for() -> None:
-    """100 mm at 1 mm/s, along two lines; motion from and to rest stays."""
-    slow = moves(line((60, 0, 0, 1), (40, 0, 0, 1)), 1.0)
-    blocks = list(sample(plan([slow], LIMITS), LIMITS, RESTS, skip_slow=True))
-    left_out = [e for e in whole(blocks)[1] if isinstance(e, SlowStraight)]
-    assert sum(e.samples for e in left_out) >= 98_000
-    assert sum(map(len, blocks)) < 3000
-    np.testing.assert_array_equal(blocks[-1].xyze[-1], slow.points[-1])
 
 
 # ---------------------------------------------------------------------- marks

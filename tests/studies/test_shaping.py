@@ -44,14 +44,6 @@ def test_pieces_of_a_slice_are_from_all_over_it(paper: Printer) -> None:
     assert error(paper.plant, none, pieces).rms > 0.05
 
 
-def test_long_waits_and_slow_lines_take_no_memory(paper: Printer) -> None:
-    lines = [b"G28\n", b"M83\n", b"G0 X50 Y50 Z0.3 F6000\n", b";LAYER:0\n", b"G1 X90 E1\n"]
-    lines += [b"G4 P80000000\n", b"G1 Y90 E1 F2\n", b"G1 X50 E1 F6000\n", b"G1 Z200 F1\n"]
-    found = paths(lines, paper)
-    assert sum(len(path) for path, _ in found) < 20_000, "samples"
-    assert any(counted.any() for _, counted in found)
-
-
 def test_the_best_shaper_halves_the_error(paper: Printer, corner: Paths) -> None:
     none = Shaping(AxisShaping("zv", 1e5, 0.0), AxisShaping("zv", 1e5, 0.0))
     bare = error(paper.plant, none, corner).rms

@@ -10,7 +10,7 @@ import pytest
 from hframe_post import library
 from hframe_post.conversion.options import Options
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.prediction.statistics import BEFORE, TRAVEL
+from hframe_post.prediction.statistics import TRAVEL
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
@@ -73,16 +73,6 @@ def test_layers_and_features_add_up_to_the_whole(cube: SimulationReport) -> None
             assert max(part.acceleration for part in parts) == whole.acceleration
 
 
-def test_only_filament_makes_a_feature() -> None:
-    """The rectangle's one wall is one feature; coming to it is travel."""
-    report = simulated(sample("rectangle.gcode"))
-    wall = report.parts.features["WALL-OUTER"]["none"].contour
-    whole = report.parts.whole["none"].contour
-    assert wall.extruding.count == whole.extruding.count > 0.8 * whole.all.count
-    dry = simulated([line.split(b" E")[0].rstrip() + b"\n" for line in sample("rectangle.gcode")])
-    assert dry.as_json()["features"].keys() <= {TRAVEL, BEFORE}
-
-
 @pytest.mark.paper
 def test_racking_with_5_percent_model_error_beats_fbs_without() -> None:
     paper = profile.load("paper")
@@ -92,17 +82,6 @@ def test_racking_with_5_percent_model_error_beats_fbs_without() -> None:
     assert len(error.rms("racking")) == 50
     assert median(error.rms("racking")) < report.parts.whole["fbs"].contour.rms
     assert error.better("racking", "none") == 50
-
-
-def test_steps_add_less_than_their_size() -> None:
-    paper = profile.load("paper")
-    assert paper.steps is not None
-    smooth = simulated(sample("rectangle.gcode")).parts.whole
-    stepped = simulated(sample("rectangle.gcode"), Study(paper.plant, {}, paper.steps)).parts.whole
-    for name, figures in stepped.items():
-        assert figures.contour.rms != smooth[name].contour.rms
-        assert abs(figures.contour.rms - smooth[name].contour.rms) < paper.steps.belt / 2
-        assert figures.acceleration == smooth[name].acceleration  # of the command asked
 
 
 def layered(squeezed: int) -> list[bytes]:

@@ -107,6 +107,3 @@ def test_a_little_on_wrong_models_is_not_worth_several_times_the_error_of_the_mo
     assert recommended([hard, gentle], Motors(50.0, 50.0)) is hard
     alike = trial(2.1, 11.0, 20.0)
     assert recommended([hard, alike, gentle], Motors(50.0, 50.0)) is alike
-
-
-# ---------------------------------------------------------------------- stops
