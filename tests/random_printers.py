@@ -14,7 +14,6 @@ from hframe_post.identification.recordings.clock import Clock
 from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.identification.recordings.strokes import runs
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.plant import Plant
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -88,11 +87,6 @@ def judged(machine: Machine, profile: Printer, path: str = "rectangle") -> Error
 def cube() -> list[bytes]:
     """Return the first layers of the cube."""
     return CUBE.read_bytes().splitlines(keepends=True)[:CUBE_LINES]
-
-
-def with_plant(profile: Printer, plant: Plant) -> Printer:
-    """Return the profile with another plant."""
-    return replace(profile, plant=plant)
 
 
 FAULTS = ("friction", "play", "second", "third", "along")

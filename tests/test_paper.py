@@ -4,19 +4,15 @@ import numpy as np
 import pytest
 
 from examples.paper import results, tables
-from examples.paper.commands import WholeTrajectory, basis, knots, lifted, windowed
-from examples.paper.tables import transfer_functions
+from examples.paper.commands import basis, knots, windowed
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import compensate
 from hframe_post.model.lpfbs import Window
-from hframe_post.model.nozzle import Response
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator
-from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer import profile
 from hframe_post.stream.types import Samples
 from tests.conftest import SAMPLES
-from tests.plants import as_response
 
 pytestmark = pytest.mark.paper
 
@@ -84,76 +80,6 @@ def test_eq_5_a_basis_sums_to_one_and_begins_at_its_first_control_point() -> Non
         basis(101, 100)
 
 
-def test_eq_8_and_12_are_the_least_squares_of_the_simulated_error(plant: Plant) -> None:
-    """No other control points give a smaller tracking error in x."""
-    xy = short_path(200)
-    command = WholeTrajectory(plant, xy, 20).decoupled()
-    N = basis(20, 199)
-    rng = np.random.default_rng(1)
-
-    def squares(x_dm: Array) -> float:
-        nozzle = Response(plant, xy[0]).run(np.column_stack([x_dm, xy[:, 1]]))
-        return float(np.square(nozzle[:, 0] - xy[:, 0]).sum())
-
-    best = squares(command[:, 0])
-    for _ in range(20):
-        assert squares(command[:, 0] + N @ rng.normal(0.0, 1e-3, 21)) > best
-
-
-def test_eq_18_minimises_both_errors_at_once(plant: Plant) -> None:
-    """The sum of eq. 17 is never larger than that of the decoupled control, and no larger
-    nearby; Remark 2.1's lever arm x_d stands in for x."""
-    xy = short_path(200)
-    whole = WholeTrajectory(plant, xy, 20)
-    N, lever = basis(20, 199), xy[:, 0] - plant.x_c
-    assert plant.Gxtheta is not None
-    Gxx, Gyy, Gxtheta = (lifted(G, 200) for G in (plant.Gxx, plant.Gyy, plant.Gxtheta))
-
-    def squares(command: Array) -> float:
-        u = command - xy[0]
-        e_x = xy[:, 0] - xy[0, 0] - Gxx @ u[:, 0]
-        e_y = xy[:, 1] - xy[0, 1] - lever * (Gxtheta @ u[:, 0]) - Gyy @ u[:, 1]
-        return float(e_x @ e_x + e_y @ e_y)
-
-    best = squares(whole.coupled())
-    assert best <= squares(whole.decoupled())
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        assert squares(whole.coupled() + N @ rng.normal(0.0, 1e-3, (21, 2))) > best
-
-
-def test_eq_23_equals_eq_25_for_n_equal_to_E(plant: Plant) -> None:
-    """Both controls are then the inverse of the lifted system, eq. 21.
-
-    The inverse needs a plant that responds at once: the model's delay of one sample is taken
-    out, and the path is short because the inverse of a non-minimum-phase zero grows.
-    """
-
-    def undelayed(G: TransferFunction) -> TransferFunction:
-        return TransferFunction(np.append(G.zeros, 0.0), G.poles, G.gain)
-
-    functions = transfer_functions()
-    prompt = Plant(
-        as_response(undelayed(functions["Gxx"])),
-        as_response(undelayed(functions["Gyy"])),
-        plant.Gxtheta,
-        plant.x_c,
-    )
-    xy = short_path(25)
-    E = len(xy) - 1
-    whole = WholeTrajectory(prompt, xy, E)
-    assert prompt.Gxtheta is not None
-    Gxx, Gyy, Gxtheta = (lifted(G, E + 1) for G in (prompt.Gxx, prompt.Gyy, prompt.Gxtheta))
-    Gxy = np.diag(xy[:, 0] - prompt.x_c) @ Gxtheta
-    x_d, y_d = (xy - xy[0]).T
-    x_dm = np.linalg.solve(Gxx, x_d)  # eq. 22, 24
-    y_dm = np.linalg.solve(Gyy, y_d - Gxy @ x_dm)  # eq. 23, 25
-    inverse = xy[0] + np.column_stack([x_dm, y_dm])
-    scale = np.abs(inverse - xy).max()
-    np.testing.assert_allclose(whole.coupled(), inverse, atol=1e-6 * scale)
-    np.testing.assert_allclose(whole.decoupled(), inverse, atol=1e-6 * scale)
-
-
 # ---------------------------------------------------------------------- Appendix B, C
 
 
@@ -164,16 +90,6 @@ def test_eq_43_is_what_is_streamed(plant: Plant, effort: float) -> None:
     xy = np.pad(short_path(700), ((440, 440), (0, 0)), mode="edge")
     ours = streamed(plant, windows, xy)
     np.testing.assert_allclose(windowed(plant, windows, xy, coupled=False), ours, atol=1e-4)
-
-
-def test_eq_42_follows_at_least_as_well_as_eq_43(plant: Plant) -> None:
-    windows = (Window(10, 44, 22, 0.0), Window(10, 44, 22, 0.0))
-    xy = np.pad(short_path(700), ((440, 440), (0, 0)), mode="edge")
-    squares = []
-    for coupled in (True, False):
-        command = windowed(plant, windows, xy, coupled)
-        squares.append(np.square(Response(plant, xy[0]).run(command) - xy).sum())
-    assert squares[0] <= 1.01 * squares[1]
 
 
 def streamed(plant: Plant, windows: tuple[Window, Window], xy: Array) -> Array:

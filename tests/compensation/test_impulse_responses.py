@@ -21,7 +21,6 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
-from hframe_post.studies.uncertainty import perturbed
 from tests.gcode_tools import planned
 from tests.gcode_tools import strokes as printed_strokes
 from tests.modes import axis_mode, coupling_mode, damped_by_the_frame, deviation_of_mode
@@ -232,27 +231,3 @@ def test_a_bed_gets_heavier_with_its_lead(hbot: Printer) -> None:
     command = np.concatenate([state.feed(path), state.finish()])
     off = nozzle(loaded.plant, ORIGIN, command) - path
     assert np.sqrt(np.square(off).mean()) < 1e-3  # mm
-
-
-def test_a_printer_off_its_response_is_one_off_its_mode() -> None:
-    """Frequency and damping of the axes, and the gain of racking."""
-    plant = measured()
-    factors = np.ones((3, 3))
-    factors[:2, :2] = (1.05, 0.8), (0.93, 1.1)
-    moved_plant, omega = perturbed(plant, factors), np.linspace(0.05, 0.5, 200)  # 8 to 80 Hz
-    for G, H in (
-        (moved_plant.Gxx, axis_mode(43.0 * 1.05, 0.08 * 0.8)),
-        (moved_plant.Gyy, damped_by_the_frame(31.0 * 0.93, 0.09 * 1.1)),
-    ):
-        off, size = (
-            each / omega**2
-            for each in (G.response(omega) - H.response(omega), H.response(omega) - 1.0)
-        )
-        assert np.abs(off).max() < 0.03 * np.abs(size).max()  # µm, after 1000 mm/s² for 1 ms
-        assert float(G.response(np.zeros(1))[0].real) == 1.0
-    stronger = np.ones((3, 3))
-    stronger[2, 2] = 1.2
-    before, after = plant.Gxtheta, perturbed(plant, stronger).Gxtheta
-    assert before is not None
-    assert after is not None
-    assert np.allclose(after.response(omega), 1.2 * before.response(omega), atol=1e-12)

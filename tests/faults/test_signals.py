@@ -9,12 +9,11 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from tests.command_line import run
+from tests.command_line import run, until
 from tests.conftest import ROOT, SAMPLES
 from tests.gcode_tools import SPANS
 
@@ -22,11 +21,13 @@ RECTANGLE = (SAMPLES / "rectangle.gcode").read_bytes()
 SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGKILL, signal.SIGPIPE)
 
 
-def started(*arguments: str | Path, folder: Path | None = None) -> subprocess.Popen[bytes]:
+def started(
+    *arguments: str | Path, folder: Path | None = None, stdin: int | None = None
+) -> subprocess.Popen[bytes]:
     """In a process group of its own."""
     command = [sys.executable, "-m", "hframe_post", *map(str, arguments)]
     return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=folder,
+        command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=folder,
         start_new_session=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
 
@@ -35,34 +36,17 @@ def temporary(folder: Path) -> list[Path]:
     return list(folder.rglob(".hframe-post-*.tmp"))
 
 
-def test_a_killed_conversion_tidies_up_and_says_nothing(tmp_path: Path) -> None:
-    """On SIGTERM; others come at random times below."""
-    with (SAMPLES / "cube.gcode").open("rb") as cube:
-        command = [sys.executable, "-m", "hframe_post", "-", "-o", str(tmp_path / "out.gcode")]
-        process = subprocess.Popen(
-            command, stdin=cube, stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT)}
-        )
-        while not temporary(tmp_path):
-            assert process.poll() is None
-            time.sleep(0.01)
-        process.terminate()
-        _, printed = process.communicate(timeout=60.0)
-    assert (process.returncode, printed) == (-signal.SIGTERM, b"")
-    assert not list(tmp_path.iterdir())
-
-
-def test_what_a_kill_leaves_is_removed_by_the_next_run(tmp_path: Path) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "hframe_post", "-", "-o", str(tmp_path / "out.gcode")],
-        stdin=subprocess.PIPE, stderr=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    while not temporary(tmp_path):
-        assert process.poll() is None
-        time.sleep(0.01)
-    process.kill()
-    process.communicate()
-    assert temporary(tmp_path)
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_killed_conversion_says_nothing_and_leaves_nothing(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    """At once on SIGTERM; what SIGKILL leaves is removed by the next run."""
+    with started("-", "-o", tmp_path / "out.gcode", stdin=subprocess.PIPE) as process:
+        until(lambda: bool(temporary(tmp_path)))
+        process.send_signal(number)
+        _, printed = process.communicate()
+    assert (process.returncode, printed) == (-number, b"")
+    assert bool(temporary(tmp_path)) == (number == signal.SIGKILL)
     part = tmp_path / "part.gcode"
     part.write_bytes(RECTANGLE)
     assert run(part, "-q").returncode == 0
@@ -79,7 +63,6 @@ WAYS = {  # arguments, and what they make of which part
     ),
 }
 TOLD = (b"Traceback", b"Exception", b"leaked", b"Error")
-END = 30.0  # s after which no process may be left
 
 
 def at_random(folder: Path, count: int, seed: int) -> Counter[str]:
@@ -155,13 +138,6 @@ def _alive(folder: Path) -> list[int]:
             if entry.name.isdigit() and (entry / "cwd").readlink() == folder:
                 found.append(int(entry.name))
     return found
-
-
-def until(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + END
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 @pytest.mark.slow

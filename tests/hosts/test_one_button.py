@@ -7,6 +7,7 @@ printer's response to what the host plans.
 import json
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from hframe_post.printer.profile import load
 from tests.hosts.accelerometer import machine_of
 from tests.hosts.moonraker import Printer, until
 from tests.quantities import below
-from tests.random_printers import Errors, judged, with_plant
+from tests.random_printers import Errors, judged
 
 PYTHON = os.environ.get("MOONRAKER_PYTHON", "")
 pytestmark = [
@@ -60,7 +61,7 @@ def says(printer: Printer, command: str, text: str) -> list[str]:
 def errors(printer: Printer, exact: bool = False) -> Errors:
     """Return the contour errors of two layers of the cube with the profile's or the exact model."""
     machine, profile = machine_of(printer.data / "machine.json"), load(str(printer.profile))
-    profile = with_plant(profile, machine.exact()) if exact else profile
+    profile = replace(profile, plant=machine.exact()) if exact else profile
     return judged(machine, profile, "cube")
 
 

@@ -16,7 +16,6 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests import ruler
 from tests.command_line import run
-from tests.marlin.planner import Build, Machine
 from tests.ruler import read
 
 A = 1500.0
@@ -183,14 +182,11 @@ def test_a_mesh_that_m503_shows_is_used() -> None:
 
 
 def test_marlin_takes_hard_corners_at_the_speed_that_is_assumed() -> None:
+    """20² = 2.414·J·1500: the junction's speed by Marlin's rule."""
     printer = ender()
-    board = Machine(Build(1 / 80, 1 / 400, 1 / 93, cartesian=True))
-    board.read("\n".join(tower(printer, HEAT)).encode())
     assert [band.speed for band in bands(printer)] == [60.0, 100.0, 150.0, 150.0]
-    assert any(line.startswith("M205 J0.11") for line in board.settings)
-    # 20² = 2.414·J·1500: the junction's speed by Marlin's rule
-    J = next(float(line[6:]) for line in board.settings if line.startswith("M205 J0.11"))
-    corner = (J * A * 0.5**0.5 / (1.0 - 0.5**0.5)) ** 0.5
+    J = [float(line[6:]) for line in tower(printer, HEAT) if line.startswith("M205 J0.11")]
+    corner = (J[0] * A * 0.5**0.5 / (1.0 - 0.5**0.5)) ** 0.5
     assert corner == pytest.approx(20.0, rel=1e-3)
 
 

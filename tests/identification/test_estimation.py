@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy import linalg
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
@@ -10,12 +9,9 @@ from hframe_post.identification.estimation import regression
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.estimation.known_start import estimated
 from hframe_post.identification.estimation.regression import (
-    AMPLITUDE,
     Data,
     Decay,
-    Mode,
     Prior,
-    posterior,
     regress,
     ringing,
 )
@@ -50,42 +46,6 @@ def two_modes(delay: float, gain: float) -> Complex:
     omega = 2.0 * np.pi * TS * HZ
     both = 0.8 * axis_mode(31.0, 0.08).response(omega) + 0.2 * axis_mode(71.0, 0.05).response(omega)
     return np.asarray(gain * both * np.exp(-2j * np.pi * HZ * delay))
-
-
-def test_the_kernel_is_inverted_in_closed_form() -> None:
-    decay, k = Decay(0.7, 0.02, 0.3), np.arange(-4.0, 60.0)
-    inverse, log_det = decay.precision(k)
-    K = dense(decay, k)
-    assert np.allclose(inverse @ K, np.eye(len(k)), atol=1e-9)
-    assert log_det == pytest.approx(np.linalg.slogdet(K)[1], rel=1e-9)
-
-
-def test_the_evidence_is_that_of_the_marginal_distribution() -> None:
-    rng = np.random.default_rng(1)
-    k, precision = np.arange(-2.0, 30.0), np.array([4.0])
-    X, y = rng.normal(size=(80, 1 + len(k))), rng.normal(size=80)
-    data = Data.of(X, y, k, precision, lambda modes, d: X[:, 1:] @ ringing(k, modes, d))
-
-    def cost(prior: Prior) -> float:
-        Phi = ringing(k, prior.modes, prior.onset)
-        K = dense(prior.decay, k) + AMPLITUDE**2 * Phi @ Phi.T
-        marginal = X @ linalg.block_diag(1.0 / precision[0], K) @ X.T + np.eye(len(y))
-        return float(0.5 * (np.linalg.slogdet(marginal)[1] + y @ np.linalg.solve(marginal, y)))
-
-    priors = [
-        Prior(Decay(0.5, 0.05, 0.2)),
-        Prior(Decay(0.1, 0.02, 0.5), (Mode(0.3, 0.1),), 2),
-        Prior(Decay(1.0, 0.1, 0.1), (Mode(0.3, 0.1), Mode(0.7, 0.05)), 1),
-    ]
-    ours = np.array([regression._Search(data, prior).cost() for prior in priors])
-    theirs = np.array([cost(prior) for prior in priors])
-    assert np.allclose(np.diff(ours), np.diff(theirs), atol=1e-6)
-    Phi = ringing(k, priors[2].modes, 1)
-    K = linalg.block_diag(0.25, dense(priors[2].decay, k) + AMPLITUDE**2 * Phi @ Phi.T)
-    covariance = np.linalg.inv(X.T @ X + np.linalg.inv(K))
-    found = posterior(data, priors[2])
-    assert np.allclose(found.response(k), (covariance @ X.T @ y)[1:], atol=1e-7)
-    assert np.allclose(found.known(k), covariance[1:, 1:], atol=1e-7)
 
 
 def test_what_decays_without_modes_needs_none() -> None:

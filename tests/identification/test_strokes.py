@@ -86,15 +86,6 @@ def test_a_bed_with_odd_digits_is_not_left(paper: Printer) -> None:
         assert low <= at.min() < at.max() <= high
 
 
-def test_equal_settings_give_an_equal_motion_and_other_places_another(paper: Printer) -> None:
-    place = (140.0, 147.5)
-    first, second = (command(paper, place, seconds=5.0) for _ in range(2))
-    assert np.array_equal(first, second)
-    aside = command(paper, (141.0, 147.5), seconds=5.0)
-    n = min(len(first), len(aside))
-    assert np.abs((first - first[0])[:n] - (aside - aside[0])[:n]).max() > 5.0
-
-
 def test_figures_are_drawn_by_a_sequence_that_never_changes() -> None:
     """The first figures of a place are what they were in the first version."""
     motion = command(parse('extends = "example-corexy"\n', "fixed"), (150.0, 150.0), seconds=5.0)

@@ -25,7 +25,6 @@ from tests.conftest import few
 from tests.recordings import write_klipper
 from tests.resonance_recordings import (
     BELTS,
-    MOTIONS,
     SENSORS,
     START,
     Recorded,
@@ -34,7 +33,6 @@ from tests.resonance_recordings import (
     drawn_sensor,
     klipper,
     recorded,
-    wandering,
 )
 from tests.simulator import Axis, Machine, Mode
 
@@ -156,34 +154,6 @@ def test_sessions_of_three_sensors_with_gaps_show_one_printer(tmp_path: Path) ->
         size = np.abs(run.response.H)
         size *= true[hz < 25.0].mean() / size[hz < 25.0].mean()
         assert np.abs(size - true)[band].mean() < 0.03 * true[band].mean()
-
-
-@pytest.mark.slow
-def test_belts_of_2023_by_a_slow_sensor_whose_stamps_wander(tmp_path: Path) -> None:
-    """The motion's first 30 ms and last 80 ms are missing, and slow motion is noisy."""
-    config = written_config(tmp_path)
-    chip = replace(drawn_sensor(2, "lis2dw-394"), noise=8.0)
-    for name, belt in zip("BA", BELTS, strict=True):
-        former = MOTIONS["former pulses"] | {"max_freq": 105.0}
-        test = klipper(belt, **former, min_freq=8.0, hz_per_sec=2.0)
-        made = recorded(MACHINE, test, chip, 3, 5).recording
-        seconds = (made.t - START) / (1.0 + chip.drift)
-        kept = (seconds > 0.03) & (seconds < test.seconds - 0.08)
-        t = made.t[kept]
-        late = wandering(t - t[0], 4e-3, len(name))
-        rows = np.column_stack([np.round(t + late, 4), made.a[kept]])
-        np.savetxt(tmp_path / f"belt_20231129_011920_{name}.csv", rows, "%.4f,%.0f,%.0f,%.0f",
-                   header="time,accel_x,accel_y,accel_z", comments="#")  # fmt: skip
-    travel = Travel((0.0, 300.0), (0.0, 300.0), (0.0, 200.0))
-    runs = from_folders([tmp_path], KlipperConfig(config), travel).runs
-    groups = uncalibrated_responses(runs, MeasurementSettings((3.0, 100.0), racks=False))
-    hz = np.linspace(15.0, 70.0, 56)
-    for name, entry in (("Gxx", MACHINE.exact().Gxx), ("Gyy", MACHINE.exact().Gyy)):
-        true = entry.response(2.0 * np.pi * TS * hz)
-        (first, second) = (run.response for run in groups[name].runs)
-        both = np.interp(hz, first.hz, np.abs(first.H + second.H) / 2.0)
-        both *= np.abs(true[hz < 25.0]).mean() / both[hz < 25.0].mean()
-        assert np.abs(both / np.abs(true) - 1.0).mean() < 0.06
 
 
 @pytest.mark.slow

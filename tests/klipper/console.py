@@ -49,7 +49,7 @@ def typed(
 
 
 def seen(printer: Any) -> dict[str, Any]:
-    """Return limits, shapers, smoothing of advance, state, heater and the variables of NOTE."""
+    """Return limits, shapers, smoothing of advance, state, heater, variables of NOTE, and place."""
     reports = _reports(printer)
     shaper = printer.lookup_object("input_shaper")
     return {
@@ -59,6 +59,7 @@ def seen(printer: Any) -> dict[str, Any]:
         "state": reports["print_stats"]["state"],
         "heater": reports["extruder"]["target"],
         "noted": reports.get("gcode_macro NOTE"),
+        "at": printer.lookup_object("toolhead").get_position(),
     }
 
 

@@ -1,19 +1,16 @@
 """Where the head goes by Klipper's own modules, without a host.
 
-gcode_move, exclude_object, gcode_arcs and, for files that are printed from a card, virtual_sdcard,
-sdcard_loop, pause_resume and print_stats run as they are; only what they ask of the printer is a
-stand-in. A file of some hundred thousand lines takes seconds, so that it can be interrupted at many
-places.
+gcode_move, exclude_object and gcode_arcs run as they are; only what they ask of the printer is a
+stand-in. A file of some hundred thousand lines takes seconds, so that an object can be excluded at
+many places.
 """
 
 from __future__ import annotations
 
 import importlib
 import re
-from collections import deque, namedtuple
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
-from types import SimpleNamespace
+from collections import namedtuple
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -21,10 +18,7 @@ import numpy as np
 from hframe_post.arrays import Array
 
 EXTRAS = "gcode_move", "exclude_object", "gcode_arcs"
-OF_CARDS = "print_stats", "virtual_sdcard", "sdcard_loop", "pause_resume"
 WORD = re.compile(r"([A-Z])\s*([-+]?[\d.]+)")
-FILE = "a.gcode"
-GREENLET: Any = importlib.import_module("greenlet")
 
 
 class _Printer:
@@ -33,9 +27,8 @@ class _Printer:
     error = ValueError
     Coord = namedtuple("Coord", "x y z e")
 
-    def __init__(self, folder: Path = Path()) -> None:
-        self.folder = folder
-        self.reactor, self.handlers = _Reactor(), dict[str, list[Callable[[], object]]]()
+    def __init__(self) -> None:
+        self.handlers = dict[str, list[Callable[[], object]]]()
         self.commands: dict[str, Callable[[Any], object]] = {}
         self.at = [0.0, 0.0, 0.0, 0.0]
         self.moves: list[tuple[float, ...]] = []
@@ -53,14 +46,10 @@ class _Printer:
         return command
 
     def lookup_object(self, name: str, default: object = None) -> Any:
-        return getattr(self, name) if name in (*EXTRAS, *OF_CARDS) else self
+        return getattr(self, name) if name in EXTRAS else self
 
     def load_object(self, _: object, name: str) -> Any:
         return getattr(self, name)
-
-    @property
-    def gcode_macro(self) -> Any:
-        return SimpleNamespace(load_template=lambda *_: SimpleNamespace(render=lambda: ""))
 
     def get_printer(self) -> _Printer:
         return self
@@ -72,16 +61,10 @@ class _Printer:
         for handler in self.handlers.get(event, ()):
             handler()
 
-    def get_reactor(self) -> _Reactor:
-        return self.reactor
-
-    def get(self, _: str) -> str:
-        return str(self.folder)
-
     # ------------------------------------------------------------------ G-code
 
-    def load(self, names: Iterable[str]) -> None:
-        for name in names:
+    def load(self) -> None:
+        for name in EXTRAS:
             module = importlib.import_module(f"klippy.extras.{name}")
             setattr(self, name, module.load_config(self))
         self.send_event("klippy:ready")
@@ -94,12 +77,6 @@ class _Printer:
                 handler(command)
 
     run_script_from_command = run_script
-
-    def get_mutex(self) -> _Printer:
-        return self
-
-    def test(self) -> bool:  # whether the console is busy, before each line of a card
-        return False
 
     # ------------------------------------------------------------------ the rest
 
@@ -176,73 +153,9 @@ def parsed(line: str, printer: _Printer | None = None) -> Any:
 
 def _played(lines: Iterable[str]) -> tuple[_Printer, list[int]]:
     printer = _Printer()
-    printer.load(EXTRAS)
+    printer.load()
     before = list[int]()
     for line in lines:
         before.append(len(printer.moves))
         printer.run_script(line)
     return printer, before
-
-
-class _Reactor:
-    """Klipper's reactor without a clock: who waits takes turns."""
-
-    NOW, NEVER = 0.0, 1e18
-
-    def __init__(self) -> None:
-        self._main, self._waiting, self._now = GREENLET.getcurrent(), deque[Any](), 0.0
-
-    def monotonic(self) -> float:
-        self._now += 1e-3
-        return self._now
-
-    def register_timer(self, callback: Callable[[float], object], _: float) -> object:
-        self.spawn(lambda: callback(self._now))
-        return callback
-
-    def spawn(self, run: Callable[[], object]) -> None:
-        self._waiting.append(GREENLET.greenlet(run, parent=self._main))
-
-    def unregister_timer(self, _: object) -> None: ...
-
-    def pause(self, _: float) -> None:
-        self._waiting.append(GREENLET.getcurrent())
-        self._main.switch()
-
-    def run(self) -> None:
-        while self._waiting:
-            self._waiting.popleft().switch()
-
-
-class _WithConsole(_Printer):
-    """A printer that prints from a card, and takes commands before some of its lines."""
-
-    def __init__(self, folder: Path, between: Mapping[int, Sequence[str]]) -> None:
-        super().__init__(folder)
-        self._between, self._busy, self._line = dict(between), False, 0
-
-    def test(self) -> bool:
-        if commands := self._between.pop(self._line, ()):
-            self._busy = True
-            self.reactor.spawn(lambda: self._type(commands))
-        self._line += not self._busy
-        return self._busy
-
-    def _type(self, commands: Sequence[str]) -> None:
-        for command in commands:
-            self.run_script(command)
-        self._busy = False
-
-
-def from_card(text: str, folder: Path, between: Mapping[int, Sequence[str]] = {}) -> Array:
-    """Return where the head goes (n, 4), mm, when Klipper prints a file from its card.
-
-    between: what is typed on the console before some of the file's lines, counted from 0.
-    """
-    (folder / FILE).write_text(text)
-    printer = _WithConsole(folder, between)
-    printer.load((*EXTRAS, *OF_CARDS))
-    printer.run_script(f"SDCARD_PRINT_FILE FILENAME={FILE}")
-    printer.reactor.run()
-    assert printer.print_stats.state == "complete"  # type: ignore[attr-defined]
-    return np.array(printer.moves)

@@ -9,7 +9,7 @@ from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.printer.settings import Printer
 from tests.conftest import few
-from tests.gcode_tools import converted, strokes
+from tests.gcode_tools import converted, follow, strokes
 from tests.klipper.console import typed
 from tests.klipper.host import TEMPLATE
 from tests.printers import profile_of
@@ -146,6 +146,7 @@ def test_limits_and_shapers_are_the_printers_whatever_stops_the_print(
     _, cancelled, _, paused, again, resumed, done, _, failed, later = rows
     assert [like(row, OWN) for row in (cancelled, paused, again, done, later)] == [True] * 5
     assert like(resumed, STREAM)
+    assert done["at"][:3] == pytest.approx(follow(files["part.gcode"]).points[-1], abs=1e-3), "mm"
     assert done["state"] == "complete"
     assert failed["state"] in ("error", "cancelled", "standby")
     if has_client:
@@ -154,3 +155,43 @@ def test_limits_and_shapers_are_the_printers_whatever_stops_the_print(
         assert paused["noted"]["paused"] == 3000
     if CLIENTS[client][0] is CLIENT:
         assert cancelled["noted"]["cancelled"] == 3000
+
+
+SQUARE = ["G1 X60 Y30 E{:.3f}", "G1 X60 Y60 E{:.3f}", "G1 X30 Y60 E{:.3f}", "G1 X30 Y30 E{:.3f}"]
+
+
+def looped(mode: str) -> list[bytes]:
+    """Return a print of five equal layers, written once."""
+    walls = [row.format(1.0 if mode == "M83" else e) for e, row in enumerate(SQUARE, 1)]
+    body = ["G92 E0", "G1 X30 Y30 F9000", "G91", "G1 Z.2", "G90", *walls]
+    body += ["G1 E-1 F1800" if mode == "M83" else "G1 E3 F1800"]
+    loop = ["SDCARD_LOOP_BEGIN COUNT=5", *body, "SDCARD_LOOP_END"]
+    lines = ["G28", "G90", mode, "G1 X10 Y10 Z.2 F9000", *loop, "G1 X10 Y100"]
+    return [f"{line}\n".encode() for line in lines]
+
+
+def test_a_card_prints_loops_as_sliced_and_nothing_is_left_of_a_cancelled_print(
+    machine: Printer, files: dict[str, bytes], tmp_path: Path
+) -> None:
+    """Not even for a file that does not say that its E is absolute, as after a restart."""
+    lines = ["G28", "G90", "G92 E0", "G1 X30 Y30 Z.2 F9000", *SQUARE, ""]
+    following = "\n".join(lines).format(*range(1, 5)).encode()
+    card = {"part.gcode": files["part.gcode"], "next.gcode": following}
+    for mode in ("M82", "M83"):
+        card[f"{mode}.gcode"] = b"".join(looped(mode))
+        card[f"ours{mode}.gcode"] = converted(looped(mode), machine)[0]
+    names, script = [*card][1:], list[tuple[str, str]]()
+    for name in ("next.gcode", *names):
+        if script and name == "next.gcode":
+            script += [PRINT, ("in mid-print", "CANCEL_PRINT")]
+        script += [("at once", f"SDCARD_PRINT_FILE FILENAME={name}"), ("stopped", "")]
+    host = sections("Klipper's own", machine, tmp_path) + "\n[sdcard_loop]\n"
+    rows = [row["at"] for row in typed(script, card, host, tmp_path / "host")]
+    first, _, cancelled, _, again, *looped_rows = rows[1:]
+    assert again[:3] == first[:3] == [30.0, 30.0, 0.2]
+    assert again[3] - cancelled[3] == pytest.approx(first[3]) == pytest.approx(4.0)
+    before = again[3]
+    for row in looped_rows[1::2]:
+        assert row[:3] == pytest.approx([10.0, 100.0, 1.2], abs=1e-3)
+        assert row[3] - before == pytest.approx(15.0, abs=1e-3), "mm of filament"
+        before = row[3]

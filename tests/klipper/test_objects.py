@@ -63,15 +63,18 @@ def objects(layers: int = 2) -> list[str]:
     return [*lines, "G1 E-.8 F2400", "G1 Z5 F600", "G1 X50 Y60 F12000"]
 
 
-def both(lines: list[str], folder: Path) -> tuple[Playback, Playback]:
+def both(
+    lines: list[str], folder: Path, sections: str = SECTIONS, retraction: Retraction | None = None
+) -> tuple[Playback, Playback]:
     """Return the file as sliced and as converted, both played."""
     paper = load("paper")
     limits = replace(paper.limits, z_velocity=20.0, z_acceleration=500.0)
-    text, _ = converted([line.encode() + b"\n" for line in lines], replace(paper, limits=limits))
+    printer = replace(paper, limits=limits, retraction=retraction)
+    text, _ = converted([line.encode() + b"\n" for line in lines], printer)
     (folder / "sliced.gcode").write_text("\n".join(lines) + "\n")
     (folder / "ours.gcode").write_bytes(text)
     sliced, ours = (
-        play(folder / f"{name}.gcode", workdir=folder / name, sections=SECTIONS)
+        play(folder / f"{name}.gcode", workdir=folder / name, sections=sections)
         for name in ("sliced", "ours")
     )
     return sliced, ours
@@ -146,21 +149,12 @@ def test_firmware_retraction_is_written_as_klipper_makes_it(tmp_path: Path) -> N
     for k in taken:
         lines[k] = "G10" if "-" in lines[k] else "G11"
     lines[4:4] = ["G11"]  # what the file finds is the firmware's
-    paper = load("paper")
-    own = replace(paper, retraction=Retraction(1.6, 40.0, 25.0, 0.02))
-    file = [line.encode() + b"\n" for line in lines]
-    text, _ = converted(file, own)
-    assert text.count(b"G10\n") == 0
-    (tmp_path / "sliced.gcode").write_bytes(b"".join(file))
-    (tmp_path / "ours.gcode").write_bytes(text)
     sections = (
         "[firmware_retraction]\nretract_length: 1.6\nretract_speed: 40\nunretract_speed: 25\n"
         "unretract_extra_length: 0.02\n"
     )
-    sliced, ours = (
-        play(tmp_path / f"{n}.gcode", workdir=tmp_path / n, sections=sections)
-        for n in ("sliced", "ours")
-    )
+    sliced, ours = both(lines, tmp_path, sections, retraction=Retraction(1.6, 40.0, 25.0, 0.02))
+    assert "\nG10\n" not in (tmp_path / "ours.gcode").read_text()
     ends = [played.extruded(played.end + 1.0)[0] for played in (sliced, ours)]
     assert ends[1] == pytest.approx(ends[0], abs=2e-3)
     assert ours.duration <= 1.03 * sliced.duration

@@ -62,40 +62,28 @@ def wanted(playback: Playback, printer: Printer, t: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.klipper
-def test_the_hosts_steps_are_the_kernels(kernel: Path, tmp_path: Path) -> None:
-    lines = [f"G1 X{x} Y{y} F9000 E0.5" for x, y in
-             ((170, 75), (200, 75), (200, 95), (170, 95), (150, 60), (240, 61))]  # fmt: skip
-    playback = played(lines, tmp_path, kernel)
-    assert playback.warnings == ()
-    t = np.arange(int(1e3 * playback.start) - 200, int(1e3 * playback.end) + 100) * 1e-3
-    off = belts(playback, t) - wanted(playback, PRINTER, t)
-    size = playback.steps()["A"].size
-    assert np.abs(off).max() < 0.6 * size + 0.005  # its step compression may be 25 us late
-    bare = played(lines, tmp_path / "bare", None)
-    assert [len(each.steps()["e"].time) for each in (playback, bare)] == [
-        len(bare.steps()["e"].time)
-    ] * 2
-    assert playback.duration == pytest.approx(bare.duration, rel=3e-3)
-
-
-@pytest.mark.slow
-@pytest.mark.klipper
-@pytest.mark.parametrize("kind", ["cartesian", "hybrid-corexy", "corexz"])
-def test_each_kinematics_follows_the_kernel(kind: str, tmp_path: Path) -> None:
-    printer = replace(
-        load("example-corexy"), invented=False, kinematics=Kinematics(kind), travel=PRINTER.travel
-    )
+@pytest.mark.parametrize("kind", ["hbot", "cartesian", "hybrid-corexy", "corexz"])
+def test_the_hosts_steps_are_the_kernels(kind: str, tmp_path: Path) -> None:
+    printer = load("example-corexy")
+    printer = replace(printer, kinematics=Kinematics(kind), travel=PRINTER.travel, invented=False)
+    printer = PRINTER if kind == "hbot" else printer
     data, bounds = kernel_file(printer), bounds_of(printer)
     assert data is not None
     (kernel := tmp_path / "printer.kernel").write_bytes(data)
-    lines = [f"G1 X{x} Y{y} F9000 E0.5" for x, y in ((170, 75), (200, 95), (150, 60), (240, 61))]
+    lines = [f"G1 X{x} Y{y} F9000 E0.5" for x, y in
+             ((170, 75), (200, 75), (200, 95), (170, 95), (150, 60), (240, 61))]  # fmt: skip
     limits = {"max_velocity": bounds.velocity, "max_accel": bounds.acceleration}
     name = f"\n[printer]\nkinematics: {klipper_name(kind)}\n"
-    playback = played(lines, tmp_path / "live", kernel, name, limits)
-    assert playback.warnings == ()
-    t = np.arange(int(1e3 * playback.start) - 200, int(1e3 * playback.end) + 100) * 1e-3
-    size = playback.steps()["A"].size
-    assert np.abs(belts(playback, t) - wanted(playback, printer, t)).max() < 0.6 * size + 0.005
+    live, bare = (
+        played(lines, tmp_path / folder, path, name, LIMITS if kind == "hbot" else limits)
+        for folder, path in (("live", kernel), ("bare", None))
+    )
+    assert live.warnings == ()
+    t = np.arange(int(1e3 * live.start) - 200, int(1e3 * live.end) + 100) * 1e-3
+    size = live.steps()["A"].size  # its step compression may be 25 us late
+    assert np.abs(belts(live, t) - wanted(live, printer, t)).max() < 0.6 * size + 0.005
+    assert len(live.steps()["e"].time) == len(bare.steps()["e"].time)
+    assert live.duration == pytest.approx(bare.duration, rel=3e-3)
 
 
 @pytest.mark.slow

@@ -1,7 +1,9 @@
 """Compiled loops give what plain numpy does, and refuse what they cannot take."""
 
 import importlib
+import subprocess
 import sys
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 
 from hframe_post import native
 from hframe_post.firmware.marlin.planner import SteppedPlanner, make_planner
+from hframe_post.native import kernels
 from hframe_post.native.block_times import Timer, block_times, step_times
 from hframe_post.native.linear import product, pseudo_inverse, recursion
 from hframe_post.native.whole_steps import Blocks
@@ -84,8 +87,7 @@ def test_the_last_step_of_a_block_is_its_end(build: str) -> None:
         assert (np.diff(steps) > 0.0).all()
 
 
-@pytest.mark.slow
-def test_an_argument_of_another_kind_layout_or_length_is_an_error(library: ModuleType) -> None:
+def test_an_argument_of_another_kind_layout_or_length_is_an_error() -> None:
     s, points, room = np.arange(3.0), np.zeros((3, 4)), (np.empty((2, 4)), np.empty(2, np.int64))
     right = [s, points, 2, s[:2], 2, *room]
     frozen = room[0].copy()
@@ -96,18 +98,32 @@ def test_an_argument_of_another_kind_layout_or_length_is_an_error(library: Modul
         5: (frozen, room[1]),
     }
     of_another_length = {0: (s[:2],), 2: (0, -1, 1 << 40, 1 << 70, -(1 << 70)), 5: (room[0][:1],)}
-    assert library.follow(*right) == 2
+    assert kernels.follow(*right) == 2
     for error, wrong in ((TypeError, of_another_kind), (ValueError, of_another_length)):
         for k, values in wrong.items():
             for value in values:
                 with pytest.raises(error, match=f"argument {k} of follow"):
-                    library.follow(*right[:k], value, *right[k + 1 :])
+                    kernels.follow(*right[:k], value, *right[k + 1 :])
     for count in (0, len(right) - 1):
         with pytest.raises(TypeError, match="must be given"):
-            library.follow(*right[:count])
+            kernels.follow(*right[:count])
     for more in (1, 100):
         with pytest.raises(TypeError, match="argument"):
-            library.follow(*right, *[1] * more)
+            kernels.follow(*right, *[1] * more)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="gcc's warnings")
+def test_no_compiler_warns() -> None:
+    flags = [
+        "-std=c99",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-fsyntax-only",
+        "-DPy_LIMITED_API=0x030B0000",
+    ]
+    sources = Path(native.__file__).parent.glob("*.c")
+    subprocess.run(["gcc", *flags, *sources], check=True)
 
 
 @pytest.mark.parametrize("name", ["missing", "another version"])

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from examples.paper.tables import transfer_functions
 from hframe_post.arrays import Array, Integers
 from hframe_post.firmware.registry import firmware
-from hframe_post.model.nozzle import Response
 from hframe_post.model.strategies import Compensator
 from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.error_meter import ErrorMeter
@@ -18,27 +16,6 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import smaller
 from hframe_post.stream.types import Samples
 from tests.paths import walk
-from tests.plants import Filter
-
-
-@pytest.mark.paper
-def test_eq_1_and_2_racking_at_the_actual_x(compensator: Compensator) -> None:
-    plant = compensator.plant
-    assert plant.Gxtheta is not None
-    rng = np.random.default_rng(0)
-    command = np.cumsum(rng.normal(size=(800, 2)), axis=0) * 0.05 + [200.0, 80.0]
-    command[0] = [200.0, 80.0]
-
-    def through(name: str, u: Array) -> Array:
-        return Filter(transfer_functions()[name]).run(u)
-
-    u = command - command[0]
-    x = 200.0 + through("Gxx", u[:, 0])
-    theta = through("Gxtheta", u[:, 0])
-    y = 80.0 + through("Gyy", u[:, 1]) + (x - plant.x_c) * theta
-    got = Response(plant, command[0]).run(command)
-    off = np.abs(got - np.column_stack([x, y])).max()
-    assert off < 5e-5  # mm: responses end at 1e-5 of themselves
 
 
 def brute_force(path: Array, actual: Array, at: Integers, reach: int) -> Array:

@@ -1,14 +1,12 @@
 """Running statistics equal those of the whole stream, however it was cut."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
-from hframe_post.prediction.statistics import SMALLEST, ErrorStatistics, Figures
+from hframe_post.prediction.statistics import SMALLEST, ErrorStatistics
 
 ERRORS = st.lists(st.floats(0.0, 250.0), min_size=1, max_size=60).map(np.array)
 CUTS = st.lists(st.integers(0, 60), max_size=5)
@@ -47,24 +45,3 @@ def test_cuts_change_nothing_but_the_rounding_of_the_sum(errors: Array, cuts: li
     assert (one.count, one.peak) == (other.count, other.peak)
     np.testing.assert_array_equal(one.histogram, other.histogram)
     assert one.squares == pytest.approx(other.squares, rel=1e-12)
-
-
-@given(CUTS)
-def test_figures_are_those_of_the_whole(cuts: list[int]) -> None:
-    rng = np.random.default_rng(4)
-    contour, tracking = rng.uniform(0, 0.1, 60), rng.normal(0, 0.1, (60, 2))
-    velocity, acceleration = rng.uniform(0, 300, 60), rng.uniform(0, 1e4, 60)
-    extruding, figures = rng.uniform(size=60) < 0.5, Figures()
-    edges = [0, *sorted(cuts), 60]
-    for a, b in pairwise(edges):
-        figures.add_errors(contour[a:b], tracking[a:b], extruding[a:b])
-        figures.add_rates(velocity[a:b], acceleration[a:b])
-    np.testing.assert_allclose(
-        figures.tracking_rms(), np.sqrt(np.square(tracking).mean(axis=0)), rtol=1e-12
-    )
-    assert (figures.velocity, figures.acceleration) == (velocity.max(), acceleration.max())
-    result = figures.as_json()
-    x, y = 1e3 * np.sqrt(np.square(tracking).mean(axis=0))
-    assert result["tracking_error_um"] == pytest.approx({"x": x, "y": y}, abs=1e-4)
-    assert result["peak_belt_speed"] == pytest.approx(velocity.max(), abs=1e-3)
-    assert result["contour_error_um"] == figures.contour.micrometres()
