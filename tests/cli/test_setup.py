@@ -54,6 +54,7 @@ def test_setup_writes_profile_and_macros_and_makes_the_profile_the_default(confi
     at_home = partial(run, XDG_CONFIG_HOME=home, HFRAME_PRINTER="")
     assert str(config.parent / "printer.toml") in at_home("doctor").stdout.decode()
     assert at_home(RECTANGLE, "-n").returncode == 0
+    assert at_home("connect", "klipper").stdout == (config.parent / "hframe.cfg").read_bytes()
 
 
 def test_what_an_earlier_setup_guessed_counts_no_more_unless_it_was_changed(config: Path) -> None:

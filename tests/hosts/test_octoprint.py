@@ -23,11 +23,11 @@ from tests.command_line import RECTANGLE, run
 from tests.conftest import ROOT, SAMPLES
 from tests.hosts.moonraker import Server, free_port, processes, until, waiting_for
 
-pytestmark = pytest.mark.slow
 PYTHON = os.environ.get("OCTOPRINT_PYTHON", "")
 needs_octoprint = pytest.mark.skipif(
     not PYTHON, reason="OCTOPRINT_PYTHON names no Python with OctoPrint"
 )
+slow = pytest.mark.slow
 PROFILE = ROOT / "tests/measured.toml"
 PART = RECTANGLE.read_bytes()
 CUBE = (SAMPLES / "cube.gcode").read_bytes()
@@ -108,6 +108,7 @@ def settings(octoprint: Server, **values: object) -> None:
     octoprint.request("POST", "/api/settings", text.encode(), "application/json")
 
 
+@slow
 @needs_octoprint
 @pytest.mark.skipif(PROGRAM is None, reason="there is no chromium")
 def test_the_settings_page_and_the_list_of_files(octoprint: Server, tmp_path: Path) -> None:
@@ -149,6 +150,7 @@ def test_the_settings_page_and_the_list_of_files(octoprint: Server, tmp_path: Pa
     assert (uploads / "part.gcode").read_bytes() == PART
 
 
+@slow
 @needs_octoprint
 def test_an_upload_is_converted_or_fails_with_the_reason(octoprint: Server, tmp_path: Path) -> None:
     stored, expected = tmp_path / "uploads/part.gcode", tmp_path / "expected.gcode"
@@ -176,6 +178,7 @@ def logged(folder: Path) -> list[str]:
     return [line for line in text.splitlines() if "octoprint.plugins.hframe_post" in line]
 
 
+@slow
 @needs_octoprint
 def test_an_upload_is_gentle_and_what_fails_is_said(octoprint: Server, tmp_path: Path) -> None:
     gate, profile = tmp_path / "gate", tmp_path / "printer.toml"
