@@ -72,7 +72,7 @@ def test_a_printer_whose_modes_move_is_told_so_and_gets_the_model_of_the_middle(
     machine, chip, _ = drawn(seed)
     profile = printer(machine)
     found = identify(
-        struck(machine, chip, seed), MeasurementSettings(BAND, racks=profile.kinematics.racks)
+        struck(machine, chip, seed, 20.0), MeasurementSettings(BAND, racks=profile.kinematics.racks)
     )
     assert found.refusal is None
     left = judged(machine, replace(profile, plant=found.plant(machine.x_c)))

@@ -35,7 +35,7 @@ def test_the_responses_are_those_of_the_printer_with_its_delay() -> None:
 
 
 STEP = 0.0206  # mm of belt
-LINEAR, MOVING = (2, 6, 14), (19,)
+LINEAR, MOVING = (2, 6), (19,)
 FRICTION, PLAY, SECOND, THIRD = 1, 3, 5, 7
 
 

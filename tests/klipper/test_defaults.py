@@ -64,7 +64,6 @@ ACCELERATIONS = {
 DWELLS = {
     "G4": (0.0, 0.0), "G4 S2": (0.0, 2.0), "G4 P500": (0.5, 0.5), "G4 P500 S2": (0.5, 2.0),
 }  # fmt: skip
-KLIPPY: Any = importlib.import_module("klippy")
 TOOL: Any = importlib.import_module("klippy.toolhead").ToolHead
 DIALECTS = Klipper.dialect, Marlin.dialect
 

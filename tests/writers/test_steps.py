@@ -179,17 +179,17 @@ def test_after_a_yield_the_motors_may_stand_elsewhere() -> None:
 
 @pytest.mark.parametrize("size", [1, 2, 3, 7, 100])
 def test_cuts_change_no_step(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = swinging(300)
+    path, table = swinging(300), Steps(0.02, 0.0025, 0.0024, 40_000.0, 5e-3)  # turns wait
     marks = tuple(mark(k, b"%d" % k) for k in range(0, 300, 7))
     wait = Dwell(150, 0, line(b"M400", Handling.REST))
     events: tuple[Event, ...] = tuple(sorted([*marks, wait], key=lambda event: event.index))
-    whole = stepped([block(path, events=events)], TABLE)
+    whole = stepped([block(path, events=events)], table)
     monkeypatch.setattr(steps, "SAMPLES_AT_ONCE", size)
     pieces = [
         block(path[k : k + size], k, tuple(e for e in events if k <= e.index < k + size))
         for k in range(0, len(path), size)
     ]
-    cut = stepped(pieces, TABLE)
+    cut = stepped(pieces, table)
     np.testing.assert_array_equal(cut.rows, whole.rows)
     assert cut.notes == whole.notes
     assert cut.starts == whole.starts
