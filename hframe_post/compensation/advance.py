@@ -18,7 +18,7 @@ from hframe_post.firmware.dialect import Advance, ExtruderLimits
 from hframe_post.model.pressure_advance import NEAR, REACH, bounded, extruding, smoothed
 from hframe_post.printer.settings import MAX_SMOOTHING_S
 from hframe_post.stream.chunks import neighbours, stretches
-from hframe_post.stream.marks import Marks
+from hframe_post.stream.marks import SETS, Marks
 from hframe_post.stream.tally import joined, tallied
 from hframe_post.stream.types import Dwell, Passthrough, Samples, frozen
 
@@ -68,7 +68,7 @@ class Advancing:
         for chunk in chunks:
             for event in chunk.events:
                 if isinstance(event, Marks):
-                    for mark in event.said():
+                    for mark in event.of(SETS):
                         self._read(mark.index, mark.text)
                 elif isinstance(event, Dwell) and isinstance(event.action, Passthrough):
                     self._read(event.index, event.action.text)

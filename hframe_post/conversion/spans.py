@@ -16,7 +16,7 @@ import numpy as np
 from hframe_post.arrays import Array
 from hframe_post.firmware.dialect import NO_ADVANCE, Advance
 from hframe_post.stream.features import Place
-from hframe_post.stream.marks import Marks
+from hframe_post.stream.marks import PLACES, SETS, Marks
 from hframe_post.stream.types import (
     Handling,
     MoveAtRest,
@@ -152,16 +152,15 @@ class Spans:
             self._read(item)
         elif isinstance(item, Passthrough):
             self._seconds += item.seconds
-            self._mark(item.text)
+            self._printing.mark(item.text)
+            self._advance = self._advance.after(item.text)
             if item.handling is Handling.RELEASE:
                 self._beginning = Beginning(None, item.state.offset)
                 self._moved = False
         return item
 
     def _read(self, marks: Marks) -> None:
-        for mark in marks.said():
-            self._mark(mark.text)
-
-    def _mark(self, text: bytes) -> None:
-        self._printing.mark(text)
-        self._advance = self._advance.after(text)
+        for mark in marks.of(PLACES):
+            self._printing.mark(mark.text)
+        for mark in marks.of(SETS):
+            self._advance = self._advance.after(mark.text)

@@ -70,11 +70,11 @@ class Advance:
         """Return what is in force after a line."""
         if (change := self.reads(text)) is NOTHING:
             return self
-        seconds, smooth_time = change
-        return Advance(
-            self.seconds if seconds is None else seconds,
-            self.smooth_time if smooth_time is None else smooth_time, self.reads,
-        )  # fmt: skip
+        seconds = self.seconds if change.seconds is None else change.seconds
+        smooth = self.smooth_time if change.smooth_time is None else change.smooth_time
+        if (seconds, smooth) == (self.seconds, self.smooth_time):
+            return self
+        return Advance(seconds, smooth, self.reads)
 
 
 NO_ADVANCE = Advance()

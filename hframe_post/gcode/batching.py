@@ -17,8 +17,8 @@ from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.state import ROUNDED_S, Extent, ReadOptions, State
 from hframe_post.native.plain_lines import (
     APPLY,
+    CHANGES,
     HARMLESS,
-    SETS,
     SHOWS,
     SKIP,
     TELLS,
@@ -26,7 +26,7 @@ from hframe_post.native.plain_lines import (
     plain_lines,
 )
 from hframe_post.stream.features import PLACE_WORDS
-from hframe_post.stream.marks import NO_MARKS, Mark, Marks
+from hframe_post.stream.marks import NO_MARKS, SETS, Mark, Marks
 from hframe_post.stream.types import (
     FileLimits,
     Handling,
@@ -119,7 +119,7 @@ class PlainLines:
         return Taken(travels, bool(renamed), not stopped)
 
     def _set_advance(self, marks: Marks) -> None:
-        for line in marks.said():
+        for line in marks.of(SETS):
             seconds, smooth_time = self._options.dialect.advance(line.text)
             if seconds is not None:
                 self._state.advance = seconds
@@ -150,7 +150,7 @@ def _names(vocabulary: Vocabulary) -> bytes:
     passing = [name for name, effect in vocabulary.names.items() if effect is commands.Effect.NONE]
     classes = {name: HARMLESS for name in passing if name not in commands.FOLLOWED}
     special = {"M73": TELLS, "M117": SHOWS, "M118": SHOWS}
-    special |= {"SET_PRESSURE_ADVANCE": SETS, "M900": SETS}
+    special |= {"SET_PRESSURE_ADVANCE": CHANGES, "M900": CHANGES}
     return name_table(classes | {name: special[name] for name in special if name in passing})
 
 

@@ -71,8 +71,8 @@ static const char *words(const char *c, const char *last, double *value, int *gi
 
 /* ------------------------------------------------------------------------ lines that pass */
 
-enum { PLAIN, CLOCK, SAYS };                   /* kinds, as in stream/marks.py */
-enum { UNKNOWN, HARMLESS, TELLS, SHOWS, SETS }; /* classes of names, as in plain_lines.py */
+enum { PLAIN, CLOCK, PLACES, SETS };               /* kinds, as in stream/marks.py */
+enum { UNKNOWN, HARMLESS, TELLS, SHOWS, CHANGES }; /* classes of names, as in plain_lines.py */
 
 /* Words in lower case between bars, and which characters begin one. */
 struct words {
@@ -186,7 +186,7 @@ static const char *passing(const char *c, const char *last, const struct lists *
         c++;
     if (*c == ';') {
         c = rest(c, last, &lists->reader, &lists->later, &others);
-        *kind = others ? SAYS : PLAIN;
+        *kind = others ? PLACES : PLAIN;
         return c;
     }
     const char *name = c;
@@ -198,8 +198,8 @@ static const char *passing(const char *c, const char *last, const struct lists *
         return NULL;
     if (class == TELLS && (c = progress(c, most, clocks, kind)) == NULL)
         return NULL;
-    if (class == SETS)
-        *kind = SAYS;
+    if (class == CHANGES)
+        *kind = SETS;
     return rest(c, last, class == SHOWS ? &lists->times : NULL, NULL, NULL);
 }
 
@@ -355,7 +355,7 @@ static const char *renamed(const char *c, const char *last, const struct rules *
  * rows (most, ROW): line, x, y, z, e, speed, acceleration, corner velocity of each move; this is
  * negative where x and y do not change. marks (most_marks, MARK): of each line that passes, the moves
  * before it, where it begins and ends, and its kind. taken: lines, bytes, marks, new names of E, lines
- * of class SETS, and whether the next line needs a closer look. Returns the number of rows. */
+ * of kind SETS, and whether the next line needs a closer look. Returns the number of rows. */
 static int64_t plain_lines(const char *text, int64_t size, int64_t offset, int64_t first_line,
                            int64_t most, int64_t most_marks, const char *names,
                            const char *for_reader, const char *for_later, const char *of_times,
@@ -385,7 +385,7 @@ static int64_t plain_lines(const char *text, int64_t size, int64_t offset, int64
             if (all > rules->most_passed)
                 break;
             state->passed = all;
-            taken[4] += kind == SAYS && *c != ';';
+            taken[4] += kind == SETS;
             int64_t *mark = marks + MARK * passed++;
             mark[0] = count, mark[1] = c - text, mark[2] = end - text, mark[3] = kind;
             next = end + 1;

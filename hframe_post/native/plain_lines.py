@@ -14,7 +14,7 @@ from hframe_post.native import kernels
 CELLS, CELL = 1024, 32  # of a table of names, and bytes of each
 # classes of names: nothing in their lines matters; they tell the time left, or may show it; a later
 # stage reads their words
-HARMLESS, TELLS, SHOWS, SETS = 1, 2, 3, 4
+HARMLESS, TELLS, SHOWS, CHANGES = 1, 2, 3, 4
 APPLY, SKIP = 0.0, 1.0  # what to do with a line that limits the motion
 
 

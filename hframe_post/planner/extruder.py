@@ -19,7 +19,7 @@ import numpy as np
 from hframe_post.arrays import Array, E, lengths
 from hframe_post.firmware.dialect import Advance, ExtruderLimits
 from hframe_post.model.pressure_advance import steepest
-from hframe_post.stream.marks import Mark, Marks
+from hframe_post.stream.marks import SETS, Mark, Marks
 from hframe_post.stream.types import Item, Moves, Passthrough, frozen
 
 LOWEST = 0.25  # of the acceleration: beyond, K is far from usual, and the advance comes late
@@ -48,7 +48,7 @@ class FollowedAdvance:
             if isinstance(item, Moves):
                 yield self._followed(item, self._times(item))
             else:
-                said = item.said() if isinstance(item, Marks) else ()
+                said = item.of(SETS) if isinstance(item, Marks) else ()
                 for mark in said:
                     self._advance = self._advance.after(mark.text)
                 if isinstance(item, Passthrough):
@@ -58,7 +58,7 @@ class FollowedAdvance:
     def _times(self, moves: Moves) -> Array:
         """Return K of each move, (n,), s."""
         K = np.full(len(moves.line), self._advance.seconds)
-        for mark in moves.marks.said():
+        for mark in moves.marks.of(SETS):
             self._read(mark, K)
         return K
 

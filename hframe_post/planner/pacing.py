@@ -11,7 +11,7 @@ import numpy as np
 from hframe_post.arrays import Array, E
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.features import Place, kind
-from hframe_post.stream.marks import Marks
+from hframe_post.stream.marks import PLACES, Marks
 from hframe_post.stream.types import Item, Moves, Passthrough, frozen
 
 NOT_RAISED = ("bridge", "ironing", "interface", "skirt")  # features
@@ -62,7 +62,7 @@ class Pace:
                 if isinstance(item, Passthrough):
                     place.mark(item.text)
                 elif isinstance(item, Marks):
-                    for mark in item.said():
+                    for mark in item.of(PLACES):
                         place.mark(mark.text)
                 yield item
 
@@ -81,7 +81,7 @@ class Pace:
     def _factors(self, moves: Moves, place: Place) -> tuple[Array, Array]:
         """Return both factors of each move, (n,); the place passes them."""
         (factor, walls), at = np.ones((2, len(moves.line))), 0
-        for mark in (*moves.marks.said(), None):
+        for mark in (*moves.marks.of(PLACES), None):
             end, feature = len(factor) if mark is None else mark.index, kind(place.feature)
             kept = place.layer <= FIRST_LAYERS or feature in NOT_RAISED
             factor[at:end] = min(self.factor, 1.0) if kept else self.factor

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hframe_post.arrays import Array, E, Flags, Integers
 from hframe_post.model.error_range import SUMS, ErrorRange, error_range
 from hframe_post.stream.features import Place
-from hframe_post.stream.marks import Mark, Marks
+from hframe_post.stream.marks import PLACES, Mark, Marks
 from hframe_post.stream.types import Dwell, Passthrough, Samples
 
 # Bins of the percentiles: the leading bits of a float64, which grow with its value, so that no
@@ -50,7 +50,7 @@ class Labels:
         layer, feature = (np.full(n, number) for number in self._current())
         for event in chunk.events:
             if isinstance(event, Marks):
-                said = event.said()
+                said = event.of(PLACES)
             elif isinstance(event, Dwell) and isinstance(event.action, Passthrough):
                 said = iter([Mark(event.index, event.action.text)])
             else:

@@ -6,15 +6,17 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, wraps
 from itertools import accumulate
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from hframe_post.arrays import Integers
 
 INDEX, START, END, KIND = range(4)  # columns of a table
-# kinds of lines: those of which no stage needs to know more; those that tell the time left; others
-PLAIN, CLOCK, SAYS = range(3)
+# kinds of lines: those of which no stage needs to know more; those that tell the time left; those
+# that name a layer or feature; those that set pressure advance; others, which may do any of that
+PLAIN, CLOCK, PLACES, SETS, OTHERS = range(5)
+FEW = 16  # lines, up to which Python finds those of a kind faster than numpy
 RECENT_LINES, SHORT_BYTES = 256, 100  # lines of which is kept what they mean
 
 T = TypeVar("T")
@@ -34,11 +36,10 @@ def recent(read: Callable[[bytes], T]) -> Callable[[bytes], T]:
     return known
 
 
-@dataclass(frozen=True, slots=True)
-class Mark:
+class Mark(NamedTuple):
     """A line that passes through without a stop, before the move or the sample ``index``."""
 
-    index: int
+    index: int  # type: ignore[assignment]  # it has no use for the method of tuples
     text: bytes
 
 
@@ -54,7 +55,7 @@ class Marks:
     text: bytes
 
     @classmethod
-    def from_lines(cls, marks: Iterable[Mark], kind: int = SAYS) -> Marks:
+    def from_lines(cls, marks: Iterable[Mark], kind: int = OTHERS) -> Marks:
         """Return lines of one kind."""
         marks = tuple(marks)
         ends = [*accumulate(len(mark.text) + 1 for mark in marks)]
@@ -109,10 +110,15 @@ class Marks:
         """Return the index of the last line."""
         return int(self.table[-1, INDEX])
 
-    def said(self) -> Iterator[Mark]:
-        """Yield the lines that a stage may need to read."""
-        for index, start, end, _ in self.table[self.table[:, KIND] == SAYS].tolist():
-            yield Mark(index, self.text[start:end])
+    def of(self, kind: int) -> Iterator[Mark]:
+        """Yield the lines that may be of a kind."""
+        table = self.table
+        if len(table) > FEW:
+            kinds = table[:, KIND]
+            table = table[(kinds == kind) | (kinds == OTHERS)]
+        for index, start, end, own in table.tolist():
+            if own in (kind, OTHERS):
+                yield Mark(index, self.text[start:end])
 
     def rows(self, start: int, stop: int | None = None) -> Marks:
         """Return the lines of some rows."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import TS, Integers
-from hframe_post.stream.marks import CLOCK, END, INDEX, KIND, SAYS, START, Marks
+from hframe_post.stream.marks import CLOCK, END, INDEX, KIND, OTHERS, SETS, START, Marks
 from hframe_post.writers.print_time import Deferred, Output, says_time
 
 ROW, BEGIN, STOP, SAMPLE, TIME = range(5)  # columns of a table
@@ -39,9 +39,9 @@ class Between:
         table[:, STOP], table[:, SAMPLE] = marks.table[:, END] + 1, marks.table[:, INDEX]
         table[:, TIME] = kinds == CLOCK
         text, added = marks.text, list[tuple[int, bytes]]()
-        for k in np.flatnonzero(kinds == SAYS).tolist():
+        for k in np.flatnonzero(kinds >= SETS).tolist():
             line = text[table[k, BEGIN] : table[k, STOP] - 1]
-            table[k, TIME] = says_time(line)
+            table[k, TIME] = kinds[k] == OTHERS and says_time(line)
             if modes_after is not None and line[:1] != b";" and (modes := modes_after(line)):
                 added.append((k, modes))
         if not added:

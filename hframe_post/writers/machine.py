@@ -103,6 +103,9 @@ class Machine:
     ) -> None:
         self._strategy, self._units = strategy, units
         self._rules, self._code = rules, code
+        self._modes_after = recent(
+            lambda line: code.modes_after(name_and_arguments(Line(0, line))[0], line)
+        )
         self._at, self._offset = at, offset
         self._inside = at is not None  # the stream's limits and modes hold
         self._buffer = SampleBuffer()
@@ -226,9 +229,6 @@ class Machine:
         modes_after = self._modes_after if self._inside else None
         return Text(Between.from_marks(marks, 0, modes_after).output())
 
-    def _modes_after(self, line: bytes) -> bytes:
-        return self._code.modes_after(_name(line), line)
-
     def _dwell(self, dwell: Dwell) -> Iterator[OutputCommand]:
         action = dwell.action
         if isinstance(action, MoveAtRest):
@@ -285,8 +285,3 @@ class Machine:
         self._offset, self._inside, self._at = action.state.offset, False, None
         self.ledger.passed(action.filament)
         return LimitChange(text_of(end))
-
-
-@recent
-def _name(line: bytes) -> str:
-    return name_and_arguments(Line(0, line))[0]
