@@ -90,9 +90,6 @@ class Source(ABC):
         """
 
 
-# ----------------------------------------------------------------------
-# What a firmware is: what it reads, how it moves, its input shapers, its own files.
-
 CORNER_ROUNDING = 5e-3  # share by which `setup` rounds the speed through a right angle
 UNLIMITED_DEVIATION = 1e3  # mm, more than any board has: it tells that the board has one
 
@@ -158,20 +155,19 @@ class Firmware(ABC):
     def motion(self, tolerance: float | None) -> MotionRules:
         """Return its motion.
 
-        tolerance: of decimation, mm; None keeps every sample. Raises PrinterError where the profile
-        lacks the firmware's table.
+        tolerance: of decimation, mm; None keeps every sample.
         """
 
     @abstractmethod
     def code(self) -> Code:
-        """Return its G-code. Raises PrinterError without the firmware's table."""
+        """Return its G-code."""
 
     def reads(self) -> Dialect:
         """Return what its build on this printer reads. Default: what all builds do."""
         return self.dialect
 
     def moves(self) -> WrittenMoves:
-        """Return how it plays moves as they are written. Raises PrinterError without its table."""
+        """Return how it plays moves as they are written."""
         return WrittenMoves(self.code())
 
     def advance(self) -> Advance:

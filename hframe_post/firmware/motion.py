@@ -178,35 +178,18 @@ class MotionRules(ABC):
 class WrittenMoves:
     """Moves as a firmware plays them that is exact: no whole steps, ramps of constant acceleration.
 
-    step: mm of which places are multiples; least: steps of the shortest move; begin: lines before
-    the first of these moves; after_cancel: what to do where a file of them is cancelled.
+    step: mm of which places are multiples; least: steps of the shortest move. reversal: speed,
+    mm/s, of two short moves between which an axis turns back, sets out and arrives at once; 0: it
+    stops. begin: lines before the first of these moves; after_cancel: what to do where a file of
+    them is cancelled.
     """
 
     code: Code
-
-    @property
-    def step(self) -> float:
-        return 0.001
-
-    @property
-    def least(self) -> int:
-        return 10
-
-    @property
-    def reversal(self) -> float:
-        """Return the speed, mm/s, of two short moves between which an axis turns back; 0: none.
-
-        At that speed it turns, sets out and arrives at once.
-        """
-        return 0.0
-
-    @property
-    def begin(self) -> list[str]:
-        return []
-
-    @property
-    def after_cancel(self) -> str:
-        return "restart the firmware: until then it keeps this file's limits."
+    step: float = 0.001
+    least: int = 10
+    reversal: float = 0.0
+    begin: tuple[str, ...] = ()
+    after_cancel: str = "restart the firmware: until then it keeps this file's limits."
 
     def limits(self, fastest: float, acceleration: float) -> list[str]:
         """Return lines that set limits, mm and s, with which to turn back is to stop.

@@ -8,15 +8,15 @@ from pathlib import Path
 from hframe_post.firmware.base import Firmware, Source
 from hframe_post.firmware.klipper.klipper_firmware import Klipper
 from hframe_post.firmware.marlin.marlin_firmware import Marlin
-from hframe_post.printer.firmware_tables import named
+from hframe_post.printer.firmware_tables import check_needs
 from hframe_post.printer.settings import Printer
 
 FIRMWARES: dict[str, type[Firmware]] = {each.name: each for each in (Klipper, Marlin)}
 
 
 def firmware(printer: Printer) -> Firmware:
-    """Return the firmware that a printer names. Raises PrinterError: a library's may name any."""
-    named(printer.firmware.dialect, "firmware.dialect", printer.name)
+    """Return the firmware that a printer names. Raises PrinterError: a library's may lack it."""
+    check_needs(printer.firmware, printer.steps is not None, printer.name)
     return FIRMWARES[printer.firmware.dialect](printer)
 
 

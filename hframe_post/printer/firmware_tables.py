@@ -157,6 +157,12 @@ class FirmwareSettings:
         """Return the table of that kind, if the profile has it."""
         return next((table for table in self.tables if isinstance(table, kind)), None)
 
+    def own(self, kind: type[T]) -> T:
+        """Return the table of the firmware that plays the output; see ``check_needs``."""
+        table = self.table(kind)
+        assert table is not None
+        return table
+
     @property
     def kind(self) -> type[FirmwareTable]:
         """Return the kind of table that the firmware has."""
@@ -208,11 +214,12 @@ def _names(value: Any, key: str) -> tuple[str, ...]:
     return tuple(value)
 
 
-def check_needs(firmware: FirmwareSettings, steps_known: bool) -> None:
+def check_needs(firmware: FirmwareSettings, steps_known: bool, source: str = "") -> None:
     """Raise PrinterError if the firmware needs a table that the profile does not have."""
-    named(firmware.dialect, "firmware.dialect")
+    key = f"firmware.{firmware.dialect}"
+    named(firmware.dialect, "firmware.dialect", source)
     kind = firmware.kind
     if firmware.table(kind) is None:
-        raise PrinterError(f"the table is missing: {kind.holds}", f"firmware.{firmware.dialect}")
+        raise PrinterError(f"the table is missing: {kind.holds}", key, source)
     if kind.needs_steps and not steps_known:
-        raise PrinterError(f"the table is missing: {kind.needs_steps}", "steps")
+        raise PrinterError(f"the table is missing: {kind.needs_steps}", "steps", source)

@@ -239,12 +239,8 @@ def played_by(printer: Printer, dialect: str) -> Printer:
     if dialect == printer.firmware.dialect:
         return printer
     firmware = replace(printer.firmware, dialect=dialect)
-    other = replace(printer, firmware=firmware, digest=f"{printer.digest} {dialect}")
-    try:
-        check_needs(firmware, printer.steps is not None)
-    except PrinterError as error:
-        raise PrinterError(error.cause, error.key, printer.name) from None
-    return other
+    check_needs(firmware, printer.steps is not None, printer.name)
+    return replace(printer, firmware=firmware, digest=f"{printer.digest} {dialect}")
 
 
 def check_identified(printer: Printer) -> None:

@@ -9,10 +9,10 @@ from hframe_post.arrays import TS
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SlicedFile
-from hframe_post.firmware.klipper.klipper_code import table_of
 from hframe_post.firmware.registry import firmware
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.best_shaper import error
+from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.conftest import SAMPLES
@@ -28,7 +28,7 @@ def test_errors_as_sliced_are_those_of_klippers_motion(paper: Printer, tmp_path:
     lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
     lines = lines[: lines.index(b";LAYER:3\n")]
     (tmp_path / "part.gcode").write_bytes(b"".join(lines))
-    table = table_of(paper)
+    table = paper.firmware.own(KlipperTable)
     limits = {
         "max_velocity": table.velocity, "max_accel": table.acceleration,
         "square_corner_velocity": table.square_corner_velocity,
@@ -82,7 +82,7 @@ def test_a_print_takes_as_long_as_told_where_a_command_swings_in_a_wipe(tmp_path
     text, report = converted(lines, printer)
     path = tmp_path / "converted.gcode"
     path.write_bytes(text)
-    table = table_of(printer)
+    table = printer.firmware.own(KlipperTable)
     limits = {"max_velocity": table.velocity, "max_accel": table.acceleration}
     extruder = (
         f"\n[extruder]\nmax_extrude_only_velocity: {printer.limits.extruder_velocity}\n"

@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 
 from hframe_post.arrays import Array, E
-from hframe_post.errors import PrinterError
 from hframe_post.firmware.code import Code, coordinates, modes, plain
 from hframe_post.firmware.dialect import klipper_advance
 from hframe_post.model.kinematics import Kinematics
@@ -36,9 +35,10 @@ class KlipperCode(Code):
 
     @classmethod
     def from_printer(cls, printer: Printer) -> KlipperCode:
-        """Return the G-code for this printer. Raises PrinterError without Klipper's table."""
+        """Return the G-code for this printer."""
         stream = StreamLimits.from_limits(printer.limits, printer.motors, printer.kinematics)
-        return cls(table_of(printer), stream, averaged_shorter(printer.extruder))
+        table = printer.firmware.own(KlipperTable)
+        return cls(table, stream, averaged_shorter(printer.extruder))
 
     @property
     def limits_of_stream(self) -> list[str]:
@@ -100,14 +100,6 @@ class KlipperCode(Code):
             f"SET_VELOCITY_LIMIT VELOCITY={v} ACCEL={a} MINIMUM_CRUISE_RATIO=0 "
             f"SQUARE_CORNER_VELOCITY={plain(corner, 2)}",
         ]
-
-
-def table_of(printer: Printer) -> KlipperTable:
-    """Return Klipper's own limits. Raises PrinterError if the profile has none."""
-    if (table := printer.firmware.klipper) is None:
-        cause = "the table is missing: Klipper's own limits"
-        raise PrinterError(cause, "firmware.klipper", printer.name)
-    return table
 
 
 def averaged_shorter(extruder: Extruder | None) -> Extruder | None:

@@ -16,7 +16,7 @@ from hframe_post.firmware.dialect import (
     klipper_seconds,
     object_label,
 )
-from hframe_post.firmware.klipper.klipper_code import KlipperCode, averaged_shorter, table_of
+from hframe_post.firmware.klipper.klipper_code import KlipperCode, averaged_shorter
 from hframe_post.firmware.klipper.klipper_motion import KlipperMotion
 from hframe_post.model.shapers import Shaping
 from hframe_post.printer.firmware_tables import KlipperTable
@@ -87,7 +87,7 @@ class Klipper(Firmware):
         return Advance(extruder.advance, extruder.stream_smooth_time, klipper_seconds)
 
     def limits(self) -> FirmwareLimits:
-        table = table_of(self.printer)
+        table = self.printer.firmware.own(KlipperTable)
         own, usual = unlimited(self.printer.limits), table.acceleration
         others = FileLimits(
             path=table.velocity, cruise_ratio=table.minimum_cruise_ratio, belts=self.belts
@@ -95,7 +95,7 @@ class Klipper(Firmware):
         return FirmwareLimits(own, usual, usual, table.square_corner_velocity, others)
 
     def most(self) -> tuple[float, float]:
-        table = table_of(self.printer)
+        table = self.printer.firmware.own(KlipperTable)
         return table.velocity, table.acceleration
 
     @staticmethod

@@ -10,10 +10,10 @@ import numpy as np
 from hframe_post.arrays import X, Y
 from hframe_post.errors import ArgumentError
 from hframe_post.firmware.base import Finding
-from hframe_post.firmware.klipper.klipper_code import table_of
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.hosts.klipper.kernel_file import FIGURES, LIMITS, read, signed
 from hframe_post.model.kernel import Bounds, Figures, Kernel, kernel
+from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 
@@ -33,7 +33,7 @@ def live_kernel(printer: Printer) -> tuple[Kernel, Figures]:
 
 def by_itself(printer: Printer, name: str) -> dict[str, Kernel]:
     """Return the kernel under a name; nothing where there is none."""
-    if printer.firmware.dialect != "klipper" or printer.firmware.klipper is None:
+    if printer.firmware.dialect != "klipper":
         return {}
     try:
         return {name: live_kernel(printer)[0]}
@@ -42,7 +42,7 @@ def by_itself(printer: Printer, name: str) -> dict[str, Kernel]:
 
 
 def bounds_of(printer: Printer) -> Bounds:
-    table, motors, travel = table_of(printer), printer.motors, printer.travel
+    table, motors, travel = printer.firmware.own(KlipperTable), printer.motors, printer.travel
     return Bounds(
         table.velocity, table.acceleration, table.square_corner_velocity, motors.belt_velocity,
         motors.belt_acceleration, (sum(travel.x) / 2.0, sum(travel.y) / 2.0),

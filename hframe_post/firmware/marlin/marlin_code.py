@@ -9,7 +9,6 @@ from typing import ClassVar
 import numpy as np
 
 from hframe_post.arrays import Array, E, Z
-from hframe_post.errors import PrinterError
 from hframe_post.firmware.code import Code, coordinates, plain
 from hframe_post.firmware.marlin.planner import BRAKES_LATE_STEPS, Planner, make_planner
 from hframe_post.native.block_times import Timer
@@ -50,12 +49,10 @@ class MarlinCode(Code):
 
     @classmethod
     def from_printer(cls, printer: Printer) -> MarlinCode:
-        """Return the G-code for this printer. Raises PrinterError without Marlin's tables."""
-        table, steps = printer.firmware.marlin, printer.steps
-        if table is None or steps is None:
-            key = "steps" if table else "firmware.marlin"
-            raise PrinterError("the table is missing: Marlin needs it", key, printer.name)
-        return cls(table, printer.limits, printer.motors, steps)
+        """Return the G-code for this printer."""
+        assert printer.steps is not None  # see `check_needs`
+        table = printer.firmware.own(MarlinTable)
+        return cls(table, printer.limits, printer.motors, printer.steps)
 
     @property
     def notices(self) -> tuple[str, ...]:

@@ -73,25 +73,22 @@ class Marlin(Firmware):
 
     def reads(self) -> Dialect:
         """Return what its build reads: one with junction deviation ignores M205 X and Y."""
-        table = self.printer.firmware.marlin
-        known = table is not None and not table.classic_jerk
-        endstops = table.soft_endstops if table is not None else ()
-        return replace(self.dialect, has_deviation=known, soft_endstops=endstops)
+        table = self.printer.firmware.own(MarlinTable)
+        return replace(
+            self.dialect, has_deviation=not table.classic_jerk, soft_endstops=table.soft_endstops
+        )
 
     def moves(self) -> MarlinMoves:
         from hframe_post.firmware.marlin.marlin_motion import MarlinMoves
 
-        return MarlinMoves(self.code(), self.printer.kinematics)
+        return MarlinMoves.on(self.code(), self.printer.kinematics)
 
     def advance(self) -> Advance:
-        table = self.printer.firmware.marlin
-        seconds = 0.0 if table is None else table.linear_advance
-        return Advance.of_extruder(self.printer.extruder, marlin_advance, seconds)
+        stored = self.printer.firmware.own(MarlinTable).linear_advance
+        return Advance.of_extruder(self.printer.extruder, marlin_advance, stored)
 
     def limits(self) -> FirmwareLimits:
-        table = self.printer.firmware.marlin
-        if table is None:
-            return super().limits()
+        table = self.printer.firmware.own(MarlinTable)
         (v_x, v_y), (a_x, a_y) = table.max_velocity, table.max_acceleration
         own, corner, deviation, known = self.printer.limits, min(table.jerk), math.inf, math.inf
         if not table.classic_jerk:  # such a board knows no other rule, whatever the file says
@@ -109,8 +106,7 @@ class Marlin(Firmware):
         )  # fmt: skip
 
     def caps(self) -> Limits:
-        free = Z_AND_E if self.printer.firmware.marlin is not None else {}
-        return replace(super().caps(), **free)
+        return replace(super().caps(), **Z_AND_E)
 
     @staticmethod
     def shaper_settings(shaping: Shaping) -> str:
@@ -126,8 +122,7 @@ class Marlin(Firmware):
         return MarlinSource(files) if is_of_marlin(text_in(files[0])) else None
 
     def check_serial(self) -> None:
-        table = self.printer.firmware.marlin
-        if table is not None and not table.baud:
+        if not self.printer.firmware.own(MarlinTable).baud:
             raise PrinterError(
                 "OctoPrint prints over a serial line, which starves without it and makes prints "
                 "worse. Write the speed of the connection below [firmware.marlin], such as "

@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -227,27 +227,18 @@ class MarlinMoves(WrittenMoves):
     """Moves as Marlin plays them."""
 
     code: MarlinCode
-    kinematics: Kinematics
+    kinematics: Kinematics = field(kw_only=True)
 
-    @property
-    def step(self) -> float:
-        return self.code.steps.belt
-
-    @property
-    def least(self) -> int:
-        return self.code.table.min_steps_per_segment
-
-    @property
-    def reversal(self) -> float:
-        return REVERSAL_MM_S if self.code.table.classic_jerk else 0.0
-
-    @property
-    def begin(self) -> list[str]:
-        return ["M400", "M593 F0", self.code.motion_mode, TRAPEZOIDS]
-
-    @property
-    def after_cancel(self) -> str:
-        return "send M501: it brings back the settings that are saved in the printer."
+    @classmethod
+    def on(cls, code: MarlinCode, kinematics: Kinematics) -> MarlinMoves:
+        """Return the moves of a board."""
+        return cls(
+            code, code.steps.belt, code.table.min_steps_per_segment,
+            REVERSAL_MM_S if code.table.classic_jerk else 0.0,
+            ("M400", "M593 F0", code.motion_mode, TRAPEZOIDS),
+            "send M501: it brings back the settings that are saved in the printer.",
+            kinematics=kinematics,
+        )  # fmt: skip
 
     def limits(self, fastest: float, acceleration: float) -> list[str]:
         v = plain(fastest, 0)
