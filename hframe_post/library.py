@@ -161,7 +161,7 @@ def convert(
         if page_file is not None:
             name = title or (given.path.name if given.path else "print")
             release_memory()
-            _write_page(page_file, report, given, printer, options, name, report.summary(notes))
+            _write_page(page_file, report, given, name, report.summary(notes).splitlines())
     return report
 
 
@@ -220,7 +220,7 @@ def simulate(
         report = simulation.simulate(lines, printer, options, study)
         if page is not None:
             file = (outputs or opened.enter_context(Outputs([]))).open(Path(page))
-            _write_page(file, report, given, printer, options, title, "\n".join(notes))
+            _write_page(file, report, given, title, list(notes))
     return report
 
 
@@ -246,13 +246,11 @@ def _converted(
 
 
 def _write_page(
-    file: IO[bytes], report: Report, given: Input, printer: Printer, options: Options, title: str,
-    summary: str,
-) -> None:  # fmt: skip
+    file: IO[bytes], report: Report, given: Input, title: str, notes: list[str]
+) -> None:
     from hframe_post.page.build import page
 
-    lines = summary.splitlines()
-    file.write(page(report, given.again(), printer, options, title, lines))
+    file.write(page(report, given.again(), title, notes))
 
 
 def _check_read_once(page: str | Path | None, options: Options) -> None:

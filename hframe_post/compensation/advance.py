@@ -50,15 +50,8 @@ class Advancing:
         self._since = [(0, advance)]  # in force from these samples on, as far as they are needed
         self.summary = AdvanceSummary()
 
-    def samples(
-        self, chunks: Iterable[Samples], advance: Advance | None = None
-    ) -> Iterator[Samples]:
-        """Yield the chunks with their advance.
-
-        advance: at the beginning of another stream, whose first sample is number 0 again.
-        """
-        if advance is not None:
-            self._since = [(0, advance)]
+    def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
+        """Yield the chunks with their advance."""
         for stretch in stretches(self._noted(chunks)):
             for before, chunk, after in neighbours(stretch, AROUND, AROUND):
                 yield self._advanced(before, chunk, after) if len(chunk) else chunk

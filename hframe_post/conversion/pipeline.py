@@ -31,9 +31,8 @@ from hframe_post.compensation.guard import Guard, check_deviation, check_model
 from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
 from hframe_post.conversion.ledger import FileNotes, Ledger, SampleNotes
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.spans import Spans
+from hframe_post.conversion.spans import Beginning, Spans
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.dialect import Advance
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
@@ -47,6 +46,7 @@ from hframe_post.planner.short_moves import ShortMoves
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.statistics import Labels
+from hframe_post.prediction.windows import WHOLE
 from hframe_post.printer.settings import Motors, Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
@@ -124,15 +124,12 @@ class Chain:
             harder = hardest(*compensated, printer.kinematics, place)
         return WithinMotors(motors, printer.kinematics, harder)
 
-    def following(self, advance: Advance | None = None) -> FollowedAdvance | None:
-        """Return what lowers accelerations for the extruder; None: the firmware adds its advance.
-
-        advance: at the beginning; the profile's by default.
-        """
+    def following(self) -> FollowedAdvance | None:
+        """Return what lowers accelerations for the extruder; None if the firmware does it."""
         own = self.firmware
         if (limits := own.motion(None).extruder) is None:
             return None
-        return FollowedAdvance(advance or own.advance(), limits, self.caps.acceleration)
+        return FollowedAdvance(own.advance(), limits, self.caps.acceleration)
 
     def sampled(self, items: Iterable[Planned], skip_slow: bool = False) -> Iterator[Samples]:
         """Sample planned motion, with the rest that the strategy needs at stops.
@@ -169,79 +166,68 @@ def read_ahead(items: Iterator[Item]) -> Iterator[Item]:
 class Stages:
     """The stages from planned motion to checked commands, and a ledger of what they did.
 
-    strategies: to compute; the options' by default. at_stops: solvers reused from other stages with
-    the same printer and compensator, because solvers cache their solutions. printing: layer and
-    feature at the beginning. skip_slow: see ``sampled``. advance: pressure advance at the
-    beginning; the profile's by default. whole: see ``ErrorMeter``, if commands become lines; a
-    picture shows all.
+    strategies: to compute; the options' by default. beginning: of a span that becomes lines; None:
+    commands become samples, whose errors are judged in the same way for all of the print. at_stops:
+    solvers reused from other stages with the same chain, because solvers cache their solutions.
     """
 
     def __init__(
-        self, chain: Chain, compensator: Compensator, strategies: tuple[str, ...] = (),
-        at_stops: StopSolvers | None = None, printing: Place | None = None,
-        skip_slow: bool = False, advance: Advance | None = None, whole: int | None = None,
+        self, chain: Chain, compensator: Compensator | None = None,
+        strategies: tuple[str, ...] = (), beginning: Beginning | None = None,
+        at_stops: StopSolvers | None = None,
     ) -> None:  # fmt: skip
-        printer, options, printing = chain.printer, chain.options, printing or Place()
-        self._skip_slow, self._chain = skip_slow, chain
-        self._options, self._compensator = options, compensator
-        self._plant, self._limits = printer.plant, printer.limits
+        printer, options, own = chain.printer, chain.options, chain.firmware
+        start = beginning or Beginning(advance=own.advance())
+        self._chain, self._compensator = chain, compensator or chain.compensator
+        self._lines = beginning is not None
         self._strategies = strategies or options.strategies
-        self._at_stops = at_stops or stop_solvers(chain, compensator, self._strategies)
+        self._at_stops = at_stops or stop_solvers(chain, self._compensator, self._strategies)
         # without compensation a file moves as the firmware plays it today
         motors = printer.motors if options.strategy != "none" else Motors()
         checked = (printer.travel, motors, printer.kinematics)
         self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
-        own = chain.firmware
         rules = own.motion(options.tolerance)
-        self._advancing = Advancing(advance or own.advance(), rules.extruder)
+        self._advancing = Advancing(start.advance, rules.extruder)
+        # a picture shows all of a print
+        picture = _picture(replace(start.printing)) if options.picture else None
+        whole = None if picture or not self._lines else 0 if start.place else WHOLE
         self._errors = ErrorMeter(
             printer.plant, doubts=Doubts.from_plant(printer.plant, printer.uncertainty),
-            picture=(picture := _picture(printing) if options.picture else None),
-            whole=None if picture else whole, rules=None if whole is None else rules,
+            picture=picture, whole=whole, rules=rules if self._lines else None,
         )  # fmt: skip
         self._notes = SampleNotes()
 
     def commands(self, items: Iterable[Planned]) -> Iterator[Samples]:
-        """Yield checked commands for planned motion; the first sample is number 0.
+        """Yield commands for planned motion that are safe for the machine.
 
-        Raises HframeError.
+        The first sample is number 0. Raises HframeError for others.
         """
-        return self.checked(self.compensated(self._chain.sampled(items, self._skip_slow)))
+        chain, options = self._chain, self._chain.options
+        skip_slow = self._lines and options.tolerance is not None
+        commands = self.compensated(chain.sampled(items, skip_slow))
+        own = chain.printer
+        commands = check_deviation(commands, options.strategy, own.plant, own.limits)
+        if options.clamp:
+            commands = self._clamp.limit(commands, options.strategy)
+        return self._guard.check(commands, options.strategy)
 
     def whole(self, spans: Spans) -> Iterator[Samples]:
         """Yield checked commands for a print; the spans continue each other. Raises HframeError."""
         streams = (self.commands(span.items) for span in spans)
-        return successive(streams if self._plant.bed is None else map(ended, streams))
+        return successive(streams if self._chain.printer.plant.bed is None else map(ended, streams))
 
     def compensated(self, samples: Iterable[Samples]) -> Iterator[Samples]:
         commands = compensate(samples, self._compensator, self._strategies)
         return dwell_at_stops(commands, self._at_stops)
 
-    def checked(self, commands: Iterable[Samples]) -> Iterator[Samples]:
-        """Yield commands that are safe for the machine. Raises HframeError for others."""
-        strategy = self._options.strategy
-        commands = check_deviation(commands, strategy, self._plant, self._limits)
-        if self._options.clamp:
-            commands = self._clamp.limit(commands, strategy)
-        return self._guard.check(commands, strategy)
-
-    def advanced(
-        self, commands: Iterable[Samples], advance: Advance | None = None
-    ) -> Iterator[Samples]:
-        """Add pressure advance.
-
-        advance: at the beginning of another stream, whose first sample is number 0 again.
-        """
-        return self._advancing.samples(commands, advance)
-
     def predicted(self, commands: Iterable[Samples]) -> Iterator[Samples]:
         """Add advance; measure contour error and print time, on the way to the output."""
-        commands = self.advanced(commands)
-        if self._options.predict:
-            if self._options.shaping is not None:
+        commands, options = self._advancing.samples(commands), self._chain.options
+        if options.predict:
+            if options.shaping is not None:
                 from hframe_post.compensation.shape import SHAPER, shape
 
-                commands = shape(commands, {SHAPER: self._options.shaping})
+                commands = shape(commands, {SHAPER: options.shaping})
             commands = self._errors.samples(commands)
         return self._notes.samples(commands)
 

@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
-from fnmatch import fnmatchcase
-from typing import Any, NamedTuple
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, NamedTuple, Self
 
 from hframe_post.compensation.shape import SHAPER
 from hframe_post.conversion.ledger import Ledger
+from hframe_post.conversion.options import Options
+from hframe_post.conversion.print_warnings import warnings
 from hframe_post.conversion.rows import Row, percent, range_as_text
-from hframe_post.gcode.reader import CHANGE_OF_OBJECT, START_OF_FILE
+from hframe_post.firmware.base import Firmware
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.error_meter import PIECE
+from hframe_post.printer.settings import Printer
 from hframe_post.writers.print_time import duration
 
-TOOL = re.compile(r"T[1-9]\d*")
 VISIBLE = 0.012  # mm RMS; ringing below it shows on no wall, whatever the light
 NO_GAIN = 0.9  # share of the best shaper's error from which on compensation is not worth its stream
 FASTER = 0.02  # of the print's time: won by a speed that was asked for, and so is worth a stream
 WORTH_SAYING = 5e-3  # of the print's time, which no owner notices
 OUTRUN = 1.05  # times its limit, the acceleration of an extruder is worth a line
-REMEDIES = {  # of extrusion that is not compensated, by causes other than commands
-    START_OF_FILE: "because its place is not known: begin with a move to X, Y and Z",
-    CHANGE_OF_OBJECT: "because an object begins without a travel to it",
-}
 
 
 class PrintTime(NamedTuple):
@@ -44,29 +40,32 @@ class PrintTime(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report(Ledger):
-    """What one conversion did: its ledger, and what must be known of the printer to read it.
+    """What one conversion did: its ledger, and what it was made for.
 
-    speed: rows on how accuracy was traded for speed. notices: warnings of the printer's profile.
-    capped: whether limits of the profile bind what the file asks. other_tools: commands after which
-    the plant is not that of the tool that prints; None if the profile does not say. extruder_limit:
-    acceleration in the profile, mm/s²; None where no firmware plays the output. couples: whether a
-    coupling, such as racking, is compensated. shaping: the best input shaper, whose errors stand
-    among the others. predicted_sliced: share of the print whose errors as sliced are predicted.
-    lines_per_second: that the firmware takes. when_stopped: what to send after the print was
-    stopped midway.
+    player: the firmware that plays the output; None if none does. speed: rows on how accuracy was
+    traded for speed. notices: warnings that no figure tells. capped: whether limits of the profile
+    bind what the file asks. shaping: the best input shaper, whose errors stand among the others.
+    predicted_sliced: share of the print whose errors as sliced are predicted.
     """
 
-    strategy: str
+    printer: Printer = field(repr=False)
+    options: Options
+    player: Firmware | None = field(default=None, compare=False, repr=False)
     speed: tuple[Row, ...] = ()
     notices: tuple[str, ...] = ()
     capped: bool = True
-    other_tools: tuple[str, ...] | None = None
     shaping: Shaping | None = None
-    couples: bool = True
-    extruder_limit: float | None = None
     predicted_sliced: float = 1.0
-    lines_per_second: float = math.inf
-    when_stopped: str = ""
+
+    @classmethod
+    def from_ledger(cls, ledger: Ledger, **more: Any) -> Self:
+        """Return a report with all fields of a ledger, or of a report, and more."""
+        return cls(**{each.name: getattr(ledger, each.name) for each in fields(ledger)}, **more)
+
+    @property
+    def strategy(self) -> str:
+        """Return whose commands were written."""
+        return self.options.strategy
 
     @property
     def time(self) -> PrintTime:
@@ -92,8 +91,8 @@ class Report(Ledger):
         """Return what a strategy compensates on this printer, or a shaper's name."""
         if name == SHAPER:
             return "best input shaper"
-        compensated = name != "none" and not self.couples
-        return "ringing" if compensated else STRATEGIES[name].label
+        couples = self.printer.kinematics.racks and self.printer.plant.Gxtheta is not None
+        return STRATEGIES[name].label if couples or name == "none" else "ringing"
 
     # ------------------------------------------------------------------ as text and as JSON
 
@@ -110,9 +109,9 @@ class Report(Ledger):
 
     def summary(self, head: Iterable[str]) -> str:
         """Return notices and what an owner asks first, then the head, then all figures."""
-        notices = [Row("WARNING", text) for text in self.notices]
-        warnings = [Row("WARNING", text) for text in self.warnings()[len(notices) :]]
-        first = [*notices, *self._first(), *warnings, *self._advice()]
+        found = [Row("WARNING", text) for text in self.warnings()]
+        notices, others = found[: len(self.notices)], found[len(self.notices) :]
+        first = [*notices, *self._first(), *others, *self._advice()]
         rows = [*first, *head, *self._figures()]
         return "\n".join(str(row) for row in rows if not isinstance(row, Row) or row.text)
 
@@ -191,6 +190,7 @@ class Report(Ledger):
         filament = {"before": read.filament, "after": after}
         x, y = peaks.axis_acceleration
         motors = ", ".join(f"{motor} {n}" for motor, n in steps.motors.items()) if steps else ""
+        stopped = self.player.code().when_stopped if self.player else ""
         return [
             Row("moves", f"{read.moves} in {read.lines} lines; {lines} lines written", {
                 "moves": read.moves, "lines_read": read.lines, "lines_written": lines,
@@ -213,8 +213,7 @@ class Report(Ledger):
             *((Row("steps", f"{steps.rows} rows, {steps.ticks} ticks of {steps.clock_hz:g} Hz; "
                 f"{motors}", {"steps": asdict(steps)}),) if steps else ()),
             *self.speed,
-            Row("if you stop it", f"send {self.when_stopped} before you print again"
-                if self.when_stopped else ""),
+            Row("if you stop it", f"send {stopped} before you print again" if stopped else ""),
         ]  # fmt: skip
 
     def _predicted(self) -> Row:
@@ -242,8 +241,8 @@ class Report(Ledger):
 
     def _advance(self) -> list[Row]:
         """Return a row on pressure advance, and one on what the extruder cannot follow."""
-        found, limit = self.advancing, self.extruder_limit
-        if limit is None or not found.most:
+        found, limit = self.advancing, self.printer.limits.extruder_acceleration
+        if self.player is None or not found.most:
             return []
         slowed, to = self.following or (0.0, math.inf)
         values = f"{found.least:.3g}" + f" to {found.most:.3g}" * (found.most != found.least)
@@ -284,65 +283,8 @@ class Report(Ledger):
         text = f"off by {shares} (RMS, on {PIECE:g} mm of line)" if shares else ""
         return Row("line width", text, {"line_width_error_percent": known})
 
-    # ------------------------------------------------------------------ warnings
-
     def warnings(self) -> list[str]:
         """Return a sentence for everything that a person must not overlook."""
-        found, uncompensated = list(self.notices), self.path.uncompensated
-        if not self.read.moves:
-            found.append(
-                "nothing was compensated, because no move starts at a known position: move to an "
-                "absolute X, Y and Z before printing"
-            )
-        found += [*self.read.oddities.values(), *self._tools()]
-        cause = max(uncompensated, key=lambda name: uncompensated[name].filament, default="")
-        if self.path.extrusion_share > 0.005 and not self._is_other_tool(cause):
-            found.append(
-                f"{100.0 * self.path.extrusion_share:.1f} % of the extrusion is not compensated, "
-                + REMEDIES.get(
-                    cause,
-                    f"mostly after {cause}. If {cause} does not move the head, add it to harmless "
-                    "in [firmware] of the profile; if the head comes back, add it to returns",
-                )
-            )
-        if self.written.busiest_second > self.lines_per_second:
-            found.append(
-                f"up to {self.written.busiest_second} lines in a second; the printer takes "
-                f"{self.lines_per_second:.0f} (lines_per_second in the profile), so it may stutter"
-            )
-        if (count := self.read.firmware_retractions) > 9:  # more than a few in macros
-            found.append(
-                f"estimated duration of {count} G10/G11: less is compensated next to them. Say in "
-                "[retraction] of the profile what they do"
-            )
-        if self.clamped.samples:
-            found.append(
-                f"less is compensated on {percent(1e-3 * self.clamped.samples / self.time.after)} "
-                f"of the print, first at line {self.clamped.line}, by up to "
-                f"{self.clamped.most:.3f} mm: the bed's edge ([travel] of the profile) or the "
-                "motors ([motors]) allow no more. If the motors can do more, raise "
-                "motors.belt_acceleration"
-            )
-        return found
-
-    def _tools(self) -> list[str]:
-        """Return a warning if the file uses tools that the profile may have no model of."""
-        parts = self.path.uncompensated
-        if self.other_tools is None:
-            if not (named := ", ".join(filter(TOOL.fullmatch, parts))):
-                return []
-            return [
-                f"the file changes tools ({named}), and all are compensated with the model of one. "
-                "If they are separate heads, list those that were not measured below [firmware] of "
-                'the profile, such as other_tools = ["T1"]; otherwise write other_tools = []'
-            ]
-        others = {name: p.filament for name, p in parts.items() if self._is_other_tool(name)}
-        if not (filament := sum(others.values())):
-            return []
-        return [
-            f"{percent(filament / self.path.filament)} of the extrusion is not compensated: the "
-            f"profile has no model of {', '.join(others)} (other_tools in the profile)"
-        ]
-
-    def _is_other_tool(self, cause: str) -> bool:
-        return any(fnmatchcase(cause, name.upper()) for name in self.other_tools or ())
+        motion = self.player.motion(self.options.tolerance) if self.player else None
+        most = motion.lines_per_second if motion else math.inf
+        return [*self.notices, *warnings(self, self.printer.firmware.other_tools, most)]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import fields
+from dataclasses import replace
+from functools import cached_property
+from typing import ClassVar
 
 from hframe_post.compensation.guard import check_prediction
 from hframe_post.conversion.ledger import FileNotes, Ledger
@@ -16,69 +18,71 @@ from hframe_post.conversion.spans import Spans
 from hframe_post.errors import HframeError
 from hframe_post.gcode.limits import with_motors
 from hframe_post.model.strategies import Compensator
-from hframe_post.printer.settings import Limits, Printer
+from hframe_post.printer.settings import Printer
 from hframe_post.stream.tally import joined
 from hframe_post.stream.types import Samples
 
 
-class PlannedFile:
-    """A file as spans of planned motion, and a ledger of what it asks for."""
+class WholeFile:
+    """A file as spans of planned motion, what is noted of it, and the report of its conversion.
 
-    def __init__(self, lines: Iterable[bytes], chain: Chain) -> None:
-        self._lines, self._chain, self._options = lines, chain, chain.options
-        self._notes = FileNotes(chain.firmware.dialect.label)
-        self._sliced = SlicedFile(chain.sliced.printer, chain.sliced)
-        self._following = chain.following()
-        self._within = chain.within_motors()
+    spans: use up each before taking the next; they raise HframeError. done: what later stages have
+    noted so far. played: whether a firmware plays the output.
+    """
 
-    @property
-    def sliced_seconds(self) -> float:
-        """Return how long the firmware takes for what was read so far, as sliced."""
-        return self._sliced.own.seconds
+    played: ClassVar[bool] = False
 
-    def spans(self) -> Spans:
-        """Yield the spans; use up each before taking the next. Raises HframeError."""
-        notes, chain = self._notes, self._chain
-        items = read_ahead(notes.items(chain.read(self._lines, notes)))
-        plans = chain.scheduled(self._sliced.items(items), self._following, self._within)
-        return Spans(plans, chain.firmware.advance())
+    def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
+        lines, self.printer = with_motors(lines, printer, options.limits)
+        self.chain = chain = Chain(self.printer, options)
+        self._notes = notes = FileNotes(chain.firmware.dialect.label)
+        self._sliced = SlicedFile(self.printer, chain.sliced)
+        self._following, self._within = chain.following(), chain.within_motors()
+        items = self._sliced.items(read_ahead(notes.items(chain.read(lines, notes))))
+        plans = chain.scheduled(items, self._following, self._within)
+        self.spans = Spans(plans, chain.firmware.advance())
+        self.done = Ledger()
 
     @property
-    def ledger(self) -> Ledger:
-        """Return what was noted of the file so far."""
+    def times(self) -> tuple[float, float]:
+        """Return the duration of the print so far as sliced and as converted, s."""
+        return self._sliced.own.seconds, self.done.duration
+
+    def report(self) -> Report:
+        """Return the report, once the output was used up.
+
+        Raises HframeError if the model predicts an error that no working printer has.
+        """
+        return self._report
+
+    @cached_property
+    def _report(self) -> Report:
+        printer, options, caps = self.printer, self.chain.options, self.chain.caps
         notes, own, slowed = self._notes, self._sliced.own, self._following
-        return Ledger(
+        planned = Ledger(
             read=notes.read, path=notes.path,
             slowed=self._within.share, sliced_s=own.seconds, elsewhere=own.elsewhere,
             following=None if slowed is None else (slowed.share, slowed.least),
         )  # fmt: skip
-
-    def report(self, rest: Ledger) -> Report:
-        """Return the report of a conversion whose later stages noted the rest.
-
-        Raises HframeError if the model predicts an error that no working printer has.
-        """
-        printer, options, ledger = self._chain.printer, self._options, joined(self.ledger, rest)
-        contour, width, shaping, share = ledger.contour, ledger.width, None, 1.0
-        if self._judges_today:
+        ledger = joined(planned, self.done)
+        shaping, share = None, 1.0
+        if "none" in (options.predict or ()) and options.strategy != "none":
             today = self._sliced.today(live=options.picture)
-            contour, width = {**contour, **today.contour}, {**width, **today.width}
             shaping, share = today.shaping, today.share
-        if "none" in contour:
-            check_prediction(contour["none"].rms)
-        noted = {each.name: getattr(ledger, each.name) for each in fields(Ledger)}
-        return Report(
-            **noted | {"contour": contour, "width": width}, strategy=options.strategy,
-            shaping=shaping, predicted_sliced=share,
-            couples=printer.kinematics.racks and printer.plant.Gxtheta is not None,
-            notices=tuple(printer.warnings()) if options.strategy != "none" else (),
-            capped=_binds(self._chain.caps),
-            other_tools=printer.firmware.other_tools,
+            ledger = replace(
+                ledger, contour={**ledger.contour, **today.contour},
+                width={**ledger.width, **today.width},
+            )  # fmt: skip
+        if "none" in ledger.contour:
+            check_prediction(ledger.contour["none"].rms)
+        asked = caps.velocity, caps.acceleration, caps.square_corner_velocity
+        player = self.chain.sliced if self.played else None
+        notices = printer.warnings() if options.strategy != "none" else []
+        return Report.from_ledger(
+            ledger, printer=printer, options=options, player=player, shaping=shaping,
+            notices=(*notices, *(player.code().notices if player else ())),
+            capped=any(map(math.isfinite, asked)), predicted_sliced=share,
         )  # fmt: skip
-
-    @property
-    def _judges_today(self) -> bool:
-        return "none" in (self._options.predict or ()) and self._options.strategy != "none"
 
     def check_filament(self, written: float, late: float = 0.0) -> None:
         """Raise HframeError unless all filament read was written, both in mm.
@@ -90,42 +94,31 @@ class PlannedFile:
             raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")
 
 
-def _binds(caps: Limits) -> bool:
-    """Return whether limits of a profile bind what a file asks."""
-    asked = caps.velocity, caps.acceleration, caps.square_corner_velocity
-    return any(map(math.isfinite, asked))
-
-
-class SampleStream:
+class Commands(WholeFile):
     """Safe commands for the motors of a whole file, streamed in constant memory.
 
-    strategies: to compute; the options' by default. Iterating raises HframeError. The report is
-    complete once all commands were taken.
+    strategies: to compute; the options' by default.
     """
 
     def __init__(
         self, lines: Iterable[bytes], printer: Printer, options: Options,
         strategies: tuple[str, ...] = (), compensator: Compensator | None = None,
     ) -> None:  # fmt: skip
-        lines, printer = with_motors(lines, printer, options.limits)
-        chain = Chain(printer, options)
-        self._source = PlannedFile(lines, chain)
-        self._stages = Stages(chain, compensator or chain.compensator, strategies)
-        self.check_filament = self._source.check_filament
-
-    def __iter__(self) -> Iterator[Samples]:
-        """Yield commands with prediction."""
-        return self._stages.predicted(self.computed())
+        super().__init__(lines, printer, options)
+        self._stages = Stages(self.chain, compensator or self.chain.compensator, strategies)
 
     def computed(self) -> Iterator[Samples]:
-        """Yield the commands alone: no prediction, no print time."""
-        return self._stages.whole(self._source.spans())
+        """Yield the commands alone: no prediction, no print time. Raises HframeError."""
+        return self._stages.whole(self.spans)
 
-    @property
-    def ledger(self) -> Ledger:
-        """Return what was noted of the commands taken so far."""
-        return self._stages.ledger
+    def predicted(self) -> Iterator[Samples]:
+        """Yield the commands with prediction. Raises HframeError."""
+        yield from self._stages.predicted(self.computed())
+        self.done = self._stages.ledger
 
-    def report(self) -> Report:
-        """Return what is known of the commands taken so far."""
-        return self._source.report(self.ledger)
+
+class SampleStream(Commands):
+    """Commands with prediction; the report is complete once all were taken."""
+
+    def __iter__(self) -> Iterator[Samples]:
+        return self.predicted()

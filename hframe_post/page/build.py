@@ -36,16 +36,13 @@ PER_MM_OFF = 1e3  # the way from the path to the nozzle in 1 µm
 SHOWN = ("none", SHAPER, *list(STRATEGIES)[1:])
 
 
-def page(
-    report: Report, lines: Iterable[bytes], printer: Printer, options: Options, name: str,
-    notes: list[str],
-) -> bytes:  # fmt: skip
+def page(report: Report, lines: Iterable[bytes], name: str, notes: list[str]) -> bytes:
     """Return the HTML page for a print.
 
     report: with a picture. lines: of the file, shown where the reader points. name: the title;
     notes: the lines of the summary.
     """
-    picture = report.picture
+    picture, printer = report.picture, report.printer
     assert picture is not None
     strategies = [each for each in SHOWN if each in picture.strategies]
     columns = [picture.strategies.index(each) for each in strategies]
@@ -56,8 +53,8 @@ def page(
         "version": __version__,
         "warnings": report.warnings(),
         "notes": [*(each for each in notes if not each.startswith("WARNING")), *_live(report)],
-        "facts": _facts(printer, options),
-        "chosen": options.strategy,
+        "facts": _facts(printer, report.options),
+        "chosen": report.strategy,
         "strategies": [_strategy(each, report) for each in strategies],
         "seconds": [report.time.before, report.time.after],
         "belts": {
@@ -68,7 +65,7 @@ def page(
         "features": picture.labels.features,
         "layers": _layers(picture, pieces, columns),
         "byFeature": _by_feature(picture, columns),
-        "worst": _worst(pieces, picture.strategies.index(options.strategy)) if strategies else [],
+        "worst": _worst(pieces, picture.strategies.index(report.strategy)) if strategies else [],
         "coarse": picture.finest if picture.coarser else None,
     }
     packed = _packed(pieces, columns)

@@ -7,7 +7,7 @@ commands → (whole steps) → judged on the plant, and on printers that are not
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import Any
 
@@ -274,9 +274,8 @@ def simulate(
         check_prediction(contour["none"].rms)
     width = {name: figures.width for name, figures in parts.whole.items()}
     report = replace(ours.report(), contour=contour, width=width, picture=picture)
-    return SimulationReport(
-        **{field.name: getattr(report, field.name) for field in fields(Report)}, plant=study.name,
-        quantised=study.steps is not None, parts=parts,
+    return SimulationReport.from_ledger(
+        report, plant=study.name, quantised=study.steps is not None, parts=parts,
         model_error=tuple(Uncertainty(*each) for each in off.items()),
     )  # fmt: skip
 

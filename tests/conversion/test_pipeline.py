@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 import pytest
 
-from hframe_post.conversion import pipeline, whole_file
+from hframe_post.conversion import whole_file
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.ledger import FileNotes
 from hframe_post.conversion.options import Options
@@ -131,7 +131,7 @@ def test_a_fault_at_the_end_comes_before_the_work(paper: Printer) -> None:
     """A move of the end code off the bed was refused after minutes of computing."""
     walls = [b"G1 X%d Y100 E1 F6000\n" % (120 + 20 * (k % 2)) for k in range(20_000)]
     lines = [b"G28\n", b"M83\n", b"G1 X100 Y100 Z1 F6000\n", *walls, b"G1 X0 Y999\n"]
-    spans = whole_file.PlannedFile(lines, pipeline.Chain(paper, Options("racking"))).spans()
+    spans = whole_file.WholeFile(lines, paper, Options("racking")).spans
     with pytest.raises(LimitError, match="line 20004"):
         next(iter(next(iter(spans)).items))
 

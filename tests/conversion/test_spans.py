@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hframe_post.conversion import conversions, spans
+from hframe_post.conversion import spans, workers
 from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.spans import Span, Spans
@@ -118,9 +118,9 @@ def test_the_first_error_in_the_file_is_raised(paper: Printer, jobs: int) -> Non
 
 @pytest.mark.usefixtures("short")
 def test_a_killed_worker_is_an_error(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
-    def killed(self: conversions.SpanWriter, span: Span) -> None:
+    def killed(self: workers.SpanWriter, span: Span) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
-    monkeypatch.setattr(conversions.SpanWriter, "streamed", killed)
+    monkeypatch.setattr(workers.SpanWriter, "streamed", killed)
     with pytest.raises(HframeError, match="jobs 1"):
         converted(layers("cube.gcode", 3), paper, 2)

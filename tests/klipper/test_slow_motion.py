@@ -8,6 +8,7 @@ import pytest
 from hframe_post.arrays import Array
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain, Stages
+from hframe_post.conversion.spans import Beginning
 from hframe_post.planner import sampling
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer import profile
@@ -82,7 +83,7 @@ def test_samples_do_not_grow_with_the_time_that_slow_lines_take(feed: int) -> No
     lines += [b"G4 P%d\n" % (1_000_000 / feed), b"G1 E-9 F%d\n" % feed, b"G1 Z9.3 F%d\n" % feed]
     printer, options = profile.load("paper"), Options("racking")
     chain = Chain(printer, options)
-    stages = Stages(chain, chain.compensator, skip_slow=True)
+    stages = Stages(chain, beginning=Beginning())
     planned = plan(chain.read(lines), printer.limits)
     chunks = list(stages.predicted(stages.commands(planned)))
     seconds = (10 * 40 + 9 + 9) * 60 / feed + 1000 / feed
