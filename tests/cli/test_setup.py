@@ -172,6 +172,7 @@ def test_again_it_keeps_an_identified_plant(config: Path) -> None:
         (b"[printer]\nkinematics: delta\n", "kinematics: delta"),
         (b"[printer]\nkinematics: corexy\n", "[printer] max_velocity is missing"),
         (b"[printer]\nkinematics: corexy\nmax_velocity: 9\nmax_accel: 9\n", "position_max"),
+        (b"[printer]\nkinematics: corexy\nmax_velocity: 9%s\n" % (b"9e" * 9999), "not a number"),
         (b"nonsense\n", "printer.cfg:1 is neither a [section]"),
         (b"", "no section [printer]"),
     ],
@@ -182,6 +183,7 @@ def test_what_is_no_printer_cfg_is_refused(config: Path, content: bytes, message
     assert message in printed
     assert printed.startswith("Error: ")
     assert printed.count("\n") == 1
+    assert len(printed) < 500
     assert sorted(each.name for each in config.parent.iterdir()) == ["printer.cfg"]
 
 

@@ -165,7 +165,7 @@ class KlipperConfig:
             return float(text)
         except ValueError:
             where = f"{self.place(section, key)}: [{section}] {key}"
-            raise HframeError(f"{where}: {text!r} is not a number") from None
+            raise HframeError(f"{where}: {text[:80]!r} is not a number") from None
 
     def sections(self, *kinds: str) -> list[str]:
         """Return the sections whose name begins with one of these words, in order."""
