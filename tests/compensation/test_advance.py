@@ -14,7 +14,6 @@ from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.firmware.dialect import Advance, ExtruderLimits, klipper_advance, marlin_advance
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Extruder
-from hframe_post.stream.chunks import smaller
 from hframe_post.stream.types import Samples
 from tests.gcode_tools import converted, sample
 
@@ -45,13 +44,6 @@ def advances(chunks: Iterable[Samples], name: str) -> tuple[Array, Advancing]:
         np.zeros((len(c), 2)) if c.advance is None else c.advance for c in stage.samples(chunks)
     )
     return np.concatenate(list(found)), stage
-
-
-@pytest.mark.parametrize("name", ADVANCES)
-def test_cuts_do_not_matter(chunks: list[Samples], name: str) -> None:
-    whole, _ = advances(chunks, name)
-    cut, _ = advances(smaller(chunks, 177), name)
-    np.testing.assert_array_equal(cut[:, 0], whole[:, 0])
 
 
 @pytest.mark.parametrize("name", ADVANCES)

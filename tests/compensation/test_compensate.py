@@ -6,14 +6,12 @@ import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import SETTLED, compensate, settling_samples
-from hframe_post.model.lpfbs import Window
-from hframe_post.model.plant import Plant
-from hframe_post.model.strategies import STRATEGIES, Compensator
+from hframe_post.model.strategies import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Travel
 from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
-from tests.paths import ORIGIN, stroke, strokes
+from tests.paths import stroke
 
 
 def block(x: Array, y: Array, first: int = 0) -> Samples:
@@ -32,18 +30,3 @@ def test_settling_covers_the_fastest_stop(compensator: Compensator) -> None:
     assert (off[-1000 + r + 5 :] < 1.2 * SETTLED).all(), "mm"
     assert (off[: 1000 - r - 5] < 1.2 * SETTLED).all(), "mm"
     assert off[-1000 + r - 20] > 0.8 * SETTLED, "mm"
-
-
-WINDOW = Window(5, 88, 44, 30.0)
-
-
-def commanded(plant: Plant, strategy: str = "racking", cuts: tuple[int, ...] = ()) -> Array:
-    state = STRATEGIES[strategy].begin(Compensator(plant, (WINDOW, WINDOW)), ORIGIN)
-    return np.concatenate([*map(state.feed, np.split(strokes(), cuts)), state.finish()])
-
-
-def test_equal_bits_however_the_stream_is_cut() -> None:
-    plant = load("paper").plant
-    whole = commanded(plant)
-    for cuts in ((1, 2, 2, 700), tuple(range(7, 2000, 7))):
-        np.testing.assert_array_equal(commanded(plant, cuts=cuts), whole)

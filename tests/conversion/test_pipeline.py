@@ -11,12 +11,10 @@ from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.ledger import FileNotes
 from hframe_post.conversion.options import Options
 from hframe_post.errors import HframeError, LimitError
-from hframe_post.gcode import batching
-from hframe_post.planner import sampling
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Item
-from tests.gcode_tools import assert_same_stream, converted, follow, layers, sample, small_rectangle
+from tests.gcode_tools import assert_same_stream, converted, follow, layers, sample
 from tests.same_print import print_of, unstamped
 
 STRICT = Options("racking", clamp=False)
@@ -27,28 +25,6 @@ def test_numbers_are_plain(paper: Printer) -> None:
         if line.startswith(b"G1 "):
             assert re.fullmatch(rb"G1( [XYZEF]-?\d+(\.\d*[1-9])?)+", line) or b";" in line
             assert not re.search(rb"-0(?![.\d])", line)
-
-
-@pytest.mark.parametrize(
-    ("lines", "cuts"),
-    [(small_rectangle(), [(1, 7), (100, 100)]), (layers("cube.gcode", 1), [(7, 1000)])],
-    ids=["rectangle", "cube"],
-)
-def test_output_does_not_depend_on_how_the_stream_is_cut(
-    paper: Printer, monkeypatch: pytest.MonkeyPatch, lines: list[bytes], cuts: list[tuple[int, int]]
-) -> None:
-    options = Options("racking", ("none", "racking"))
-    whole, report = converted(lines, paper, options)
-    for moves, samples in cuts:
-        monkeypatch.setattr(batching, "MOVES_PER_ITEM", moves)
-        monkeypatch.setattr(sampling, "SAMPLES_PER_CHUNK", samples)
-        cut, cut_report = converted(lines, paper, options)
-        assert cut == whole
-        figures = cut_report.as_json()["contour_error_um"]
-        for name, figure in report.as_json()["contour_error_um"].items():
-            moving, as_whole = figures[name].pop("all"), figure.pop("all")
-            assert moving == pytest.approx(as_whole, rel=1e-6)
-            assert figures[name] == pytest.approx(figure, rel=1e-6)
 
 
 def test_golden_rectangle(paper: Printer, golden: Callable[[str, bytes], bytes]) -> None:

@@ -15,7 +15,6 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import RACKING_WALLS, Printer
 from hframe_post.stream.features import KINDS, OTHER, kind
 from hframe_post.stream.types import Item, Moves, Plan
-from tests.planner.planning import cut
 
 PRINT = """\
 M201 X1000 Y500
@@ -37,16 +36,13 @@ G1 X0 Z0.22 E0.5
 """.splitlines(keepends=True)
 
 
-def asked(size: int = 0) -> list[Item]:
+def asked() -> list[Item]:
     lines = [line.encode() for line in PRINT]
-    items: list[Item] = []
-    for item in read(lines, ReadOptions(FIRMWARES["klipper"].dialect, "file-all")):
-        items += cut(item, size) if size and isinstance(item, Moves) else [item]
-    return items
+    return list(read(lines, ReadOptions(FIRMWARES["klipper"].dialect, "file-all")))
 
 
-def paced(pace: Pace, size: int = 0) -> list[Moves]:
-    return [item for item in pace.items(asked(size)) if isinstance(item, Moves)]
+def paced(pace: Pace) -> list[Moves]:
+    return [item for item in pace.items(asked()) if isinstance(item, Moves)]
 
 
 def test_all_but_the_first_layer_and_bridges_is_raised_up_to_what_the_motors_allow() -> None:
@@ -67,16 +63,6 @@ def test_what_the_file_asks_for_beyond_that_stays_and_a_gentler_pace_is_for_all(
     (moves,) = paced(Pace(0.5))
     np.testing.assert_allclose(moves.acceleration, [500.0, 500.0, 250.0, 500.0], rtol=1e-6)
     assert moves.corner.tolist() == [4.0] * 4
-
-
-def test_cuts_change_nothing() -> None:
-    (whole,) = paced(Pace(4.0))
-    for size in (1, 2, 3):
-        pieces = paced(Pace(4.0), size)
-        assert len(pieces) > 1
-        for name in ("speed", "acceleration", "corner", "line"):
-            joined = np.concatenate([getattr(moves, name) for moves in pieces])
-            np.testing.assert_array_equal(joined, getattr(whole, name))
 
 
 @pytest.mark.parametrize(

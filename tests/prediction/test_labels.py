@@ -1,14 +1,9 @@
 """Layers and features of every sample, as the slicer's comments tell."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from hframe_post.prediction.statistics import BEFORE, TRAVEL
-from hframe_post.stream.chunks import part
 from hframe_post.stream.types import Dwell, MoveAtRest, Samples
 from tests.prediction.label_tools import block, names, printing
 
@@ -75,26 +70,6 @@ def test_comments_between_stops_count_like_those_in_motion() -> None:
     retraction = Dwell(0, 0, MoveAtRest(1, (0, 0, 0, 1), (0, 0, 0, 0), 30.0))
     still = Samples(0, np.ones((1, 4)), np.zeros(1, np.int64), (retraction,))
     assert names([still]) == ([BEFORE], [BEFORE])
-
-
-TEXTS = st.sampled_from(
-    [b";LAYER:0", b";LAYER:5", b";LAYER_CHANGE", b";TYPE:FILL", b"; FEATURE: Wall", b";Z:3", b"M1"]
-)
-
-
-@given(
-    st.lists(st.sampled_from([-1.0, 0.0, 0.0, 1.0, 1.0]), min_size=1, max_size=20),
-    st.lists(st.tuples(st.integers(0, 20), TEXTS), max_size=12),
-    st.lists(st.integers(0, 20), max_size=8),
-)
-def test_cuts_change_no_label(
-    steps: list[float], comments: list[tuple[int, bytes]], cuts: list[int]
-) -> None:
-    n = len(steps)
-    known = sorted(((k, text) for k, text in comments if k <= n), key=lambda comment: comment[0])
-    whole = block(np.cumsum(steps), *known, first=7)
-    edges = [0, *sorted(c for c in cuts if c <= n), n]
-    assert names([part(whole, *edge) for edge in pairwise(edges)]) == names([whole])
 
 
 def test_both_marks_of_bambu_studio_are_one_layer() -> None:

@@ -1,4 +1,4 @@
-"""Running statistics equal those of the whole stream, however it was cut."""
+"""Running statistics: exact, or within a bin."""
 
 import numpy as np
 import pytest
@@ -9,14 +9,12 @@ from hframe_post.arrays import Array
 from hframe_post.prediction.statistics import SMALLEST, ErrorStatistics
 
 ERRORS = st.lists(st.floats(0.0, 250.0), min_size=1, max_size=60).map(np.array)
-CUTS = st.lists(st.integers(0, 60), max_size=5)
 BIN = 1.0 + 1.0 / 128.0
 
 
-def statistics(errors: Array, cuts: list[int] | None = None) -> ErrorStatistics:
+def statistics(errors: Array) -> ErrorStatistics:
     running = ErrorStatistics()
-    for piece in np.split(errors, sorted(min(c, len(errors)) for c in cuts or [])):
-        running.add(piece)
+    running.add(errors)
     return running
 
 
@@ -37,11 +35,3 @@ def test_percentiles_are_within_their_bin(errors: Array, share: float) -> None:
     assert got <= max(true, SMALLEST) * BIN * rounding
     assert got * rounding >= true
     assert got <= errors.max()
-
-
-@given(ERRORS, CUTS)
-def test_cuts_change_nothing_but_the_rounding_of_the_sum(errors: Array, cuts: list[int]) -> None:
-    one, other = statistics(errors), statistics(errors, cuts)
-    assert (one.count, one.peak) == (other.count, other.peak)
-    np.testing.assert_array_equal(one.histogram, other.histogram)
-    assert one.squares == pytest.approx(other.squares, rel=1e-12)
