@@ -19,7 +19,7 @@ ADVANCES = [b"SET_PRESSURE_ADVANCE ADVANCE=0.09 SMOOTH_TIME=0.02\n", b"M900 K0.0
 
 
 def held_back() -> Printer:
-    """Return an H-bot that advances filament, and that is clamped where the path is near an edge."""
+    """Return an H-bot that advances filament, and that is clamped near an edge."""
     printer = replace(load("example-hbot"), extruder=Extruder(0.05))
     travel = replace(printer.travel, x=(0.0, 300.0), y=(0.0, 300.0))
     motors = replace(printer.motors, belt_acceleration=6000.0, belt_velocity=400.0)
