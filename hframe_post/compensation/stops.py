@@ -12,25 +12,24 @@ the plant's responses reach.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Set
+from collections.abc import Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hframe_post.arrays import Array, E, Z, moved
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.stop_cost import BESIDE, BEYOND, Stop, Surroundings
-from hframe_post.model.stop_solver import StopSolver
+from hframe_post.model.stop_solver import stop_model
 from hframe_post.model.strategies import Compensator, strategy
-from hframe_post.native.stop import NEAREST
+from hframe_post.native.stop import NEAREST, RINGING, SIDE, Stop, StopModel, solve_stops
 from hframe_post.printer.settings import STOPS, Motors, Travel
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Dwell, Samples, StopRules, frozen
 
 LONGEST = 1000  # samples of a stop that is treated as one
 ASIDE = 80  # samples of rest around a longer one, on whose path the command must dwell
-BEFORE = BESIDE + NEAREST + 2  # samples before and after a stop that its solution depends on
-AFTER = BESIDE + BEYOND + NEAREST + 2
+BEFORE = SIDE + NEAREST + 2  # samples before and after a stop that its solution depends on
+AFTER = SIDE + RINGING + NEAREST + 2
 FOREVER = 1 << 60
 SHORTEST = "fast"  # of STOPS
 AT_REST = StopRules()  # lifts come to rest
@@ -44,8 +43,8 @@ def stop_rules(stops: str, strategy: str, lifts: StopRules = AT_REST) -> StopRul
     return replace(lifts, before=n, after=n, long_rest=ASIDE, long_from=LONGEST)
 
 
-class StopSolvers:
-    """Solvers by strategy, without the strategies whose command is the path."""
+class StopModels:
+    """What stops have in common, by strategy, without the strategies whose command is the path."""
 
     def __init__(
         self, compensator: Compensator, names: Iterable[str], travel: Travel, motors: Motors,
@@ -56,30 +55,30 @@ class StopSolvers:
         self._belts = kinematics.matrix
         self._latest = compensator, self._of(compensator)
 
-    def at(self, filament: float) -> dict[str, StopSolver]:
+    def at(self, filament: float) -> dict[str, StopModel]:
         """Return those for the bed with this filament (mm) on it; the latest are kept."""
         loaded = self._compensator.at(filament)
         if self._latest[0] is not loaded:
             self._latest = loaded, self._of(loaded)
         return self._latest[1]
 
-    def _of(self, compensator: Compensator) -> dict[str, StopSolver]:
+    def _of(self, compensator: Compensator) -> dict[str, StopModel]:
         effort = compensator.x.window.effort, compensator.y.window.effort
         plants = {name: strategy(name).assumed(compensator.plant) for name in self._names}
         return {
-            name: StopSolver(plant, effort, self._belts, self._motors, self._bed)
+            name: stop_model(plant, effort, self._belts, self._motors, self._bed)
             for name, plant in plants.items()
             if plant is not None
         }
 
 
-def dwell_at_stops(chunks: Iterable[Samples], solvers: StopSolvers) -> Iterator[Samples]:
-    """Yield the stream with commands that dwell at stops, of the strategies with solvers."""
+def dwell_at_stops(chunks: Iterable[Samples], models: StopModels) -> Iterator[Samples]:
+    """Yield the stream with commands that dwell at stops, of the strategies with models."""
     for first_chunks in stretches(chunks):
         stretch: _Stretch | None = None
         for chunk in first_chunks:
             if stretch is None and len(chunk):
-                stretch = _Stretch(chunk, solvers.at(float(chunk.xyze[0, E])))
+                stretch = _Stretch(chunk, models.at(float(chunk.xyze[0, E])))
             if stretch is None:
                 yield chunk
             else:
@@ -91,11 +90,11 @@ def dwell_at_stops(chunks: Iterable[Samples], solvers: StopSolvers) -> Iterator[
 class _Stretch:
     """One stretch: its stops that are not solved yet, and the chunks that wait for them."""
 
-    def __init__(self, chunk: Samples, solvers: dict[str, StopSolver]) -> None:
-        self._window = _Window(chunk, solvers)
+    def __init__(self, chunk: Samples, models: dict[str, StopModel]) -> None:
+        self._window = _Window(chunk, models)
         self._buffered: deque[Samples] = deque()
         # samples from which and before which the command dwells; the stretch begins with one
-        self._stops = [(-FOREVER, chunk.first + 1)]
+        self._stops = deque([(-FOREVER, chunk.first + 1)])
         self._arrived = True  # at the first of the stops, which is a long one
         self._free = chunk.first + 1  # end of the last solved stop: from here on a command may move
 
@@ -125,27 +124,35 @@ class _Stretch:
 
     def _solve(self) -> int:
         """Solve the stops whose surroundings are known; return the first sample still needed."""
-        window = self._window
+        window, known = self._window, list[Stop]()
+        needed = window.end - 1
         while self._stops:
             a, b = self._stops[0]
-            before, long = min(a - self._free, BESIDE), b - a > LONGEST
-            if long and not self._arrived and window.end >= a + window.after:
-                window.put_on_path(a, b)
-                window.solve(Stop(a, a, before, 0, False, a))
-                self._arrived = True
-            if self._arrived:
-                window.put_on_path(a, b)
-            if window.end < b + window.after:
-                return min(b if self._arrived else a, window.end - 1) - BEFORE
-            following = self._stops[1][0] if len(self._stops) > 1 else FOREVER
-            after = min(following - b, BESIDE)
+            before, long = min(a - self._free, SIDE), b - a > LONGEST
             if long:
-                window.solve(Stop(b, b, 0, after, False, following))
+                window.solve(known)
+                known = self._arrive(a, b, before)
+            if window.end < b + window.after:
+                needed = min(b if self._arrived else a, needed)
+                break
+            following = self._stops[1][0] if len(self._stops) > 1 else FOREVER
+            after = min(following - b, SIDE)
+            if long:
+                known.append(Stop(b, b, following, 0, after, movable=False))
             else:
-                window.solve(Stop(a, b, before, after, True, following))
+                known.append(Stop(a, b, following, before, after, movable=True))
             self._free, self._arrived = b, False
-            del self._stops[0]
-        return window.end - 1 - BEFORE
+            self._stops.popleft()
+        window.solve(known)
+        return needed - BEFORE
+
+    def _arrive(self, a: int, b: int, before: int) -> list[Stop]:
+        """Let the command dwell on the path in a long stop; return the stop at its beginning."""
+        window, arrived = self._window, self._arrived
+        self._arrived |= window.end >= a + window.after
+        if self._arrived:
+            window.put_on_path(a, b)
+        return [Stop(a, a, a, before, 0, movable=False)] if self._arrived and not arrived else []
 
     def _release(self, end: int) -> Iterator[Samples]:
         """Yield the chunks of which all samples are before ``end``."""
@@ -166,9 +173,9 @@ def _longer(known: Array, following: Array, origin: Array) -> Array:
 
 @dataclass
 class _Track:
-    """One strategy's command (n, 2) in the window, from the origin."""
+    """One strategy's command (n, 2) in the window, from the origin, and the model of its stops."""
 
-    solver: StopSolver
+    model: StopModel
     command: Array
 
 
@@ -179,17 +186,15 @@ class _Window:
     after: samples after a stop that its solution depends on.
     """
 
-    def __init__(self, chunk: Samples, solvers: dict[str, StopSolver]) -> None:
-        around = [solver.around for solver in solvers.values()]
-        self._remembered = BEFORE + max((each.memory for each in around), default=0)
-        self.after = AFTER + max((each.ahead for each in around), default=0)
+    def __init__(self, chunk: Samples, models: dict[str, StopModel]) -> None:
+        self._remembered = BEFORE + max((each.memory for each in models.values()), default=0)
+        self.after = AFTER + max((each.ahead for each in models.values()), default=0)
         self._first = chunk.first - self._remembered
         self._origin, self._e = chunk.xyze[0, :Z], chunk.xyze[:1, E]
         self._path = np.zeros((self._remembered, 2))
         self._extruding = np.zeros(self._remembered, dtype=bool)
         self._tracks = {
-            name: _Track(solver, np.zeros((self._remembered, 2)))
-            for name, solver in solvers.items()
+            name: _Track(model, np.zeros((self._remembered, 2))) for name, model in models.items()
         }
 
     @property
@@ -239,8 +244,11 @@ class _Window:
         for track in self._tracks.values():
             track.command[self._rows(a, b)] = self._path[self._rows(a, b)]
 
-    def solve(self, stop: Stop) -> None:
-        around = Surroundings(self._path, self._origin, self._extruding)
-        local = stop.counted_from(self._first)
+    def solve(self, stops: Sequence[Stop]) -> None:
+        """Let the commands dwell at stops, in the order of time."""
         for track in self._tracks.values():
-            track.solver.solve(around, track.command, local)
+            if stops:
+                solve_stops(
+                    self._path, self._extruding, track.command, self._origin, stops, self._first,
+                    track.model,
+                )  # fmt: skip

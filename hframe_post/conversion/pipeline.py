@@ -28,7 +28,7 @@ from hframe_post.compensation.advance import Advancing
 from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate, hardest
 from hframe_post.compensation.guard import Guard, check_deviation, check_model
-from hframe_post.compensation.stops import StopSolvers, dwell_at_stops, stop_rules
+from hframe_post.compensation.stops import StopModels, dwell_at_stops, stop_rules
 from hframe_post.conversion.ledger import FileNotes, Ledger, SampleNotes
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.spans import Beginning, Spans
@@ -168,20 +168,20 @@ class Stages:
 
     strategies: to compute; the options' by default. beginning: of a span that becomes lines; None:
     commands become samples, whose errors are judged in the same way for all of the print. at_stops:
-    solvers reused from other stages with the same chain, because solvers cache their solutions.
+    models reused from other stages with the same chain, because they take a while to compute.
     """
 
     def __init__(
         self, chain: Chain, compensator: Compensator | None = None,
         strategies: tuple[str, ...] = (), beginning: Beginning | None = None,
-        at_stops: StopSolvers | None = None,
+        at_stops: StopModels | None = None,
     ) -> None:  # fmt: skip
         printer, options, own = chain.printer, chain.options, chain.firmware
         start = beginning or Beginning(advance=own.advance())
         self._chain, self._compensator = chain, compensator or chain.compensator
         self._lines = beginning is not None
         self._strategies = strategies or options.strategies
-        self._at_stops = at_stops or stop_solvers(chain, self._compensator, self._strategies)
+        self._at_stops = at_stops or stop_models(chain, self._compensator, self._strategies)
         # without compensation a file moves as the firmware plays it today
         motors = printer.motors if options.strategy != "none" else Motors()
         checked = (printer.travel, motors, printer.kinematics)
@@ -243,12 +243,12 @@ class Stages:
         )  # fmt: skip
 
 
-def stop_solvers(
+def stop_models(
     chain: Chain, compensator: Compensator, strategies: tuple[str, ...] = ()
-) -> StopSolvers:
-    """Return solvers of stops for these strategies; the options' by default."""
+) -> StopModels:
+    """Return what the stops of these strategies have in common; the options' by default."""
     printer, names = chain.printer, strategies or chain.options.strategies
-    return StopSolvers(compensator, names, printer.travel, printer.motors, printer.kinematics)
+    return StopModels(compensator, names, printer.travel, printer.motors, printer.kinematics)
 
 
 def _picture(printing: Place) -> Picture:

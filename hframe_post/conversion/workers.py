@@ -13,7 +13,7 @@ from itertools import chain as chained
 from typing import TYPE_CHECKING
 
 from hframe_post.conversion.ledger import Ledger
-from hframe_post.conversion.pipeline import Chain, Stages, stop_solvers
+from hframe_post.conversion.pipeline import Chain, Stages, stop_models
 from hframe_post.conversion.spans import Span
 from hframe_post.errors import HframeError
 from hframe_post.writers.gcode import GcodeWriter
@@ -36,7 +36,7 @@ class SpanWriter:
     """Everything that is needed to write any span of a print."""
 
     def __init__(self, chain: Chain) -> None:
-        self._chain, self._at_stops = chain, stop_solvers(chain, chain.compensator)
+        self._chain, self._at_stops = chain, stop_models(chain, chain.compensator)
 
     def streamed(self, span: Span) -> WrittenSpan:
         """Return a span that is computed while its output is taken."""

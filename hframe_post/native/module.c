@@ -29,7 +29,7 @@
     EACH(limit_moves)                                                                         \
     EACH(lower_moves)                                                                         \
     EACH(smoothed_runs)                                                                       \
-    EACH(solve_stop)                                                                          \
+    EACH(solve_stops)                                                                         \
     EACH(line_pieces)                                                                         \
     EACH(marlin_block_times)                                                                  \
     EACH(marlin_blocks)                                                                       \

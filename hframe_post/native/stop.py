@@ -1,72 +1,83 @@
-"""The least squares of one stop. Symbols are those of ``model.stop_solver``.
-
-p is (k, 2): the weights of k splines, in the order in which these begin, for x and y. In matrices
-x and y alternate, so that a row in time has a prefix of columns only.
-"""
+"""The commands around stops. Symbols are those of ``model.stop_solver``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from hframe_post.arrays import Array, Flags, Integers
+from hframe_post.arrays import Array, Flags
 from hframe_post.native import kernels
 
-NEAREST = 24  # samples to either side in which the path's nearest point is sought, as in stop.c
+# as in stop.h, in samples: on either side of a dwell, where its command may change; after these,
+# judged too, since ringing shows there; on either side of one, where its nearest point is sought
+SIDE, RINGING, NEAREST = 100, 100, 24
+
+
+class Stop(NamedTuple):
+    """A stop in a stretch of samples: the command dwells from sample a to b − 1.
+
+    ends: the first sample after b that is not judged, because another stop begins there. before,
+    after: samples on either side that may change; movable: whether the place of the dwell may,
+    which it must unless only one side does.
+    """
+
+    a: int
+    b: int
+    ends: int
+    before: int
+    after: int
+    movable: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Splines:
-    """The usable ones of all splines and the dwell.
+class StopModel:
+    """What the stops of one printer have in common.
 
-    N (q, k): the command by p, from two samples before to two after; D (q − 2, k): its second
-    differences; bands (q, 2): each row of N has nonzero values from one column to before another;
-    by_p (2 or 3, r, k): outputs of the plant's filters by a half of p; first (k,): the row
-    at which each spline begins to act; limit (q − 2,): bounds of the belts' second difference.
+    splines (SIDE, k): those that begin at a dwell, from its first sample to the last; reach (k,):
+    how many samples each needs. filters (2 or 3, 2 + m): the plant's responses of x, y and racking:
+    gain at rest, lag, and taps by acceleration, the oldest first; ahead: samples of the command
+    that a response waits for. outputs (2 or 3, t, 2k + 1): what each filter makes, from SIDE
+    samples before a dwell on, of the k splines before it, of a step there and of the k splines
+    after it, if it takes no time; later it is at rest. bounds (11,): effort of x and y; from x, y
+    to the belts, by rows; the least and then the greatest place on the bed, mm; the belts' limit,
+    mm/sample². x_c: mm, where the lever arm of racking is 0.
     """
 
-    N: Array
-    D: Array
-    bands: Integers
-    by_p: Array
-    first: Integers
-    limit: Array
+    splines: Array
+    reach: Array
+    filters: Array
+    ahead: int
+    outputs: Array
+    bounds: Array
+    x_c: float
 
-    @classmethod
-    def from_matrices(cls, N: Array, by_p: Array, limit: Array) -> Splines:
-        N, by_p = np.ascontiguousarray(N), np.ascontiguousarray(by_p)
-        first, last = (N != 0.0).argmax(axis=0), (N[::-1] != 0.0).argmax(axis=0)
-        row = np.arange(len(N))
-        over = np.searchsorted(np.sort(len(N) - last), row, side="right")
-        begun = np.searchsorted(np.sort(first), row, side="right")
-        bands = np.ascontiguousarray(np.column_stack([over, begun]))
-        acts = (by_p != 0.0).any(axis=0).argmax(axis=0)
-        first = np.minimum.accumulate(acts[::-1])[::-1].copy()
-        return cls(N, np.diff(N, n=2, axis=0), bands, by_p, first, limit)
+    @property
+    def memory(self) -> int:
+        """Return how many samples of the command before a sample its place depends on."""
+        return max(int(self.filters.shape[1]) - 2, self.ahead) + 1
 
 
-def solve_stop(
-    path: Array, extruding: Flags, command: Array, rows: tuple[Integers, Array, slice],
-    stop: Sequence[int], beside: int, shares: Array, soon: int, known: Array, levers: Array,
-    splines: Splines, bounds: Array, origin: Array,
+def solve_stops(
+    path: Array, extruding: Flags, command: Array, origin: Array, stops: Sequence[Stop], first: int,
+    model: StopModel,
 ) -> None:  # fmt: skip
-    """Write the command around a stop into the command (n, 2) of its stretch.
+    """Write the command around stops, one after the other, into that of their stretch.
 
-    path (n, 2), extruding (n,): of the stretch. rows: the r judged samples, counted from ``beside``
-    before the stop, with their weights if all extrude, and which of them are in the dwell. stop: a,
-    b, before, after, ends, see ``stop_cost.Stop``. shares (3,), soon: weights of samples in travel
-    and in the dwell, and at its end if it extrudes within so many samples. known (r, 2): the nozzle
-    without p; levers (0 or 1, r): of racking. bounds (11,): effort of x and y; from x, y to the
-    belts, by rows; the least and then the greatest place on the bed, where the path's origin (2,)
-    is; the belts' limit where nothing lowers it.
+    path, command (n, 2), mm from the origin (2,), and extruding (n,): samples ``first`` and so on.
+    They must reach beyond each stop by SIDE, and there by as much as the plant remembers and by
+    NEAREST; after it by RINGING and ``ahead``, too.
     """
-    judged, weight, dwell = rows
-    s = splines
-    fits = kernels.solve_stop(
-        path, extruding, len(path), command, judged, weight, len(judged), dwell.start, dwell.stop,
-        np.array(stop), beside, shares, soon, known, levers, len(levers), s.by_p, s.first,
-        len(s.first), s.N, s.D, s.bands, s.limit, len(s.N), bounds, origin,
+    table = np.array(stops, np.int64)
+    table[:, :3] -= first  # a, b, ends
+    bounds = np.append(model.bounds, origin[0] - model.x_c)
+    bounds[6:10] -= np.tile(origin, 2)
+    axes, width = model.filters.shape
+    solved = kernels.solve_stops(
+        path, extruding, command, len(path), table, len(table), bounds, model.filters, axes,
+        width - 2, model.ahead, model.splines, model.reach, len(model.reach), model.outputs,
+        model.outputs.shape[1],
     )  # fmt: skip
-    assert fits
+    assert solved == len(table)

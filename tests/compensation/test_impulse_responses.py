@@ -8,7 +8,7 @@ import pytest
 
 from hframe_post.arrays import Array, X
 from hframe_post.compensation.compensate import compensate
-from hframe_post.compensation.stops import StopSolvers, dwell_at_stops
+from hframe_post.compensation.stops import StopModels, dwell_at_stops
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
@@ -205,7 +205,7 @@ def held(chunks: Sequence[Samples], printer: Printer) -> Samples:
     compensator, names = prepared(printer), ("fbs", "racking")
     commands = compensate(chunks, compensator, names)
     bounds = printer.travel, printer.motors, printer.kinematics
-    return join(list(dwell_at_stops(commands, StopSolvers(compensator, names, *bounds))))
+    return join(list(dwell_at_stops(commands, StopModels(compensator, names, *bounds))))
 
 
 def test_a_two_sided_plant_stays_on_the_path_at_stops(hbot: Printer) -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array
 from hframe_post.compensation.compensate import compensate
-from hframe_post.compensation.stops import LONGEST, StopSolvers, dwell_at_stops, stop_rules
+from hframe_post.compensation.stops import LONGEST, StopModels, dwell_at_stops, stop_rules
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
@@ -31,14 +31,14 @@ def paper() -> Printer:
     return load("paper")
 
 
-def solvers(printer: Printer, names: tuple[str, ...] = NAMES) -> StopSolvers:
+def models(printer: Printer, names: tuple[str, ...] = NAMES) -> StopModels:
     bounds = printer.travel, printer.motors, printer.kinematics
-    return StopSolvers(prepared(printer), names, *bounds)
+    return StopModels(prepared(printer), names, *bounds)
 
 
 def compensated(chunks: Iterable[Samples], printer: Printer) -> list[Samples]:
     commands = compensate(chunks, prepared(printer), NAMES)
-    return list(dwell_at_stops(commands, solvers(printer)))
+    return list(dwell_at_stops(commands, models(printer)))
 
 
 def whole_stretches(chunks: Iterable[Samples]) -> list[Samples]:
@@ -177,8 +177,8 @@ def cut(chunks: list[Samples], n: int) -> list[Samples]:
 def test_equal_bits_however_the_stream_is_cut(paper: Printer, n: int) -> None:
     lines = [*strokes(2, 3, 0.4), "G4 P1200", *strokes(3, 2)[2:], "M600", *strokes(4, 2)[2:]]
     commanded = list(compensate(planned(lines, paper), prepared(paper), NAMES))
-    whole = whole_stretches(dwell_at_stops(commanded, solvers(paper)))
-    pieces = list(dwell_at_stops(cut(commanded, n), solvers(paper)))
+    whole = whole_stretches(dwell_at_stops(commanded, models(paper)))
+    pieces = list(dwell_at_stops(cut(commanded, n), models(paper)))
     assert sum(map(len, pieces)) == sum(map(len, commanded))
     for one, other in zip(whole_stretches(pieces), whole, strict=True):
         assert one.events == other.events
@@ -200,7 +200,7 @@ def test_a_wait_of_hours_is_not_kept_in_memory(paper: Printer) -> None:
             yield chunk
 
     commands = compensate(counted(), prepared(paper), ("racking",))
-    for chunk in dwell_at_stops(commands, solvers(paper, NAMES[1:])):
+    for chunk in dwell_at_stops(commands, models(paper, NAMES[1:])):
         returned += len(chunk)
         buffered = max(buffered, taken - returned)
     assert returned == taken > 1_800_000
