@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import click
 
-from hframe_post.cli.model_output import ModelOutput
 from hframe_post.cli.parameters import ask, files_read, number, quoted, write_kernel
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Source
 from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.registry import source_of
 from hframe_post.printer.choice import PROFILE, VARIABLE, set_default
-from hframe_post.printer.model_file import measured, with_windows
+from hframe_post.printer.model_file import named_model
 from hframe_post.printer.new_profile import Known, Tables, differences, profile_text
 from hframe_post.printer.profile import load, parse, text_of
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.outputs import Outputs
 
+SAID = "as you said"
 KINDS = ("cartesian", "corexy", "hbot", "hybrid-corexy", "corexz")
 TWO_BELTS = "corexy (two belts, which cross) or hbot (one long belt in the shape of an H)"
 QUESTION = f"The firmware treats two kinds of printer alike. Is yours {TWO_BELTS}?"
@@ -108,13 +106,13 @@ class NewProfile:
         self._kind = _kinematics(self.source, kinematics, self._before)
         own = self.source.tables(str(self._kind.value), bed or _bed(self.source))
         self._tables = {"kinematics": {"type": self._kind}, **own}
-        self._text = profile_text(self._tables, f"made from {files[0].name}")
-        if self._old and not reset:
-            self._text = _of_kind(self._old, kinematics, target) if kinematics else self._old
+        self._text = self._old
+        if reset or not self._old:
+            model = _model_of(target, self._before)
+            self._text = profile_text(self._tables, f"made from {files[0].name}", model)
         of = target if self._old else files[0]
         self.printer = parse(self._text, target.stem, str(of))
         self._companions = self.source.companions(self.printer)
-        self._keeps_model = reset
 
     def write(self, more: Callable[[Outputs], None] = lambda _: None) -> None:
         """Write the profile, its kernel and what the printer needs next to its own files.
@@ -124,31 +122,28 @@ class NewProfile:
         folder = self.target.parent
         folder.mkdir(parents=True, exist_ok=True)
         with Outputs(files_read(*self._files)) as outputs:
-            self._write_profile(outputs)
+            if self._text != self._old:
+                outputs.open(self.target).write(self._text.encode())
+            write_kernel(outputs, self.target, self.printer)
             for name, content in self._companions.items():
                 if not _holds(folder / name, content):
                     outputs.open(folder / name).write(content.encode())
             more(outputs)
 
-    def _write_profile(self, outputs: Outputs) -> None:
-        target, before = self.target, self._before if self._keeps_model else None
-        if self._text != self._old:
-            if before is not None and not before.invented:
-                model = ModelOutput(outputs, target, str(target), self._text)
-                model.write(_with_model(self.printer, before))
-                return
-            outputs.open(target).write(self._text.encode())
-        write_kernel(outputs, target, self.printer)
-
     def conclude(self) -> list[str]:
         """Make the profile the default; return a summary, and where an older one differs."""
         written = f"{self.target}, {_made_default(self.target, self.source.warnings)}"
-        found = list(_summary(self.source, self.printer, written, self._kind))
+        kind = self._kind
+        if self.printer.kinematics.type != kind.value:  # asked for, but the profile stays
+            kind = Known(self.printer.kinematics.type, f"as {PROFILE} says")
+        found = list(_summary(self.source, self.printer, written, kind))
         if self._before is None:
             return found
-        again = quoted(self._files[0]) + (
-            f" --bed {self._bed[0]:g},{self._bed[1]:g}" if self._bed else ""
-        )
+        again = quoted(self._files[0])
+        if self._bed:
+            again += f" --bed {self._bed[0]:g},{self._bed[1]:g}"
+        if self._kind.origin == SAID:
+            again += f" --kinematics {self._kind.value}"
         changed = self._text != self._old
         return [*_differences(self._tables, self._before, changed, self.target, again), *found]
 
@@ -172,12 +167,12 @@ def _kinematics(source: Source, requested: str | None, before: Printer | None) -
     if len(possible) == 1:
         return Known(possible[0], source.decided)
     if requested is not None:
-        return Known(requested, "as you said")
+        return Known(requested, SAID)
     if before is not None and before.kinematics.type in possible:
         return Known(before.kinematics.type, f"as {PROFILE} says")
     question = QUESTION if source.decided else ANY_KIND
     if said := ask(question, "", type=click.Choice(possible), default=possible[0]):
-        return Known(said, "as you said")
+        return Known(said, SAID)
     if not source.decided:
         return Known(possible[0], "assumed: the answers do not tell")
     return Known(possible[0], f"assumed: for the firmware {' and '.join(possible)} are the same")
@@ -200,22 +195,22 @@ def _holds(path: Path, text: str) -> bool:
     return path.is_file() and path.read_bytes() == text.encode()
 
 
-def _of_kind(text: str, kinematics: str, target: Path) -> str:
-    """Return a profile's text with this type of kinematics."""
-    changed = re.sub(
-        r'^(\s*(?:kinematics\.)?type\s*=\s*)"[\w-]+"', rf'\1"{kinematics}"', text, count=1,
-        flags=re.MULTILINE,
-    )  # fmt: skip
-    if parse(changed, target.stem, str(target)).kinematics.type != kinematics:
-        raise HframeError(f'{target}: write type = "{kinematics}" below [kinematics]')
-    return changed
+def _model_of(target: Path, before: Printer | None) -> str:
+    """Return the name of the model that a profile has, which a new text of it keeps.
 
-
-def _with_model(profile: Printer, before: Printer) -> Printer:
-    """Return a profile with the model of the one that it replaces."""
-    model = measured(profile, before.plant, before.uncertainty, before.measured)
-    model = replace(model, verified=before.verified)
-    return with_windows(model, before.compensation.windows)
+    Raises HframeError if the profile contains what was measured: a new text would lose it.
+    """
+    if before is None:
+        return ""
+    if found := named_model(str(target)):
+        return found[0].relative_to(target.parent).as_posix()
+    if before.invented:
+        return ""
+    raise HframeError(
+        f"{target} contains what was measured, which --reset would delete: move its tables [plant] "
+        'and [compensation] into printer.model.toml, and write model = "printer.model.toml" in '
+        "their place, as the first line"
+    )
 
 
 def _differences(
@@ -243,7 +238,7 @@ def _summary(source: Source, profile: Printer, target: str, kind: Known) -> Iter
     if kind.origin.startswith("assumed"):
         other = "hbot" if source.decided else "corexy"
         shown = "an H-bot" if source.decided else "a CoreXY"
-        command = f"hframe-post setup {quoted(source.path)} --kinematics {other}"
+        command = f"hframe-post setup {quoted(source.path)} --kinematics {other} --reset"
         yield f"                 for {shown}: {command}"
     own = f"{limits.velocity:g} mm/s, {limits.acceleration:g} mm/s²"
     yield f"path             {own}, or what a file sets"

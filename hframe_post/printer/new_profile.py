@@ -88,14 +88,15 @@ FIRMWARE = "firmware."  # how the name of a firmware's table begins
 COLUMN = 32
 
 
-def profile_text(tables: Tables, description: str) -> str:
-    """Return a new profile as TOML. It has no plant yet: 'identify' writes it."""
+def profile_text(tables: Tables, description: str, model: str = "") -> str:
+    """Return a new profile as TOML. model: file of its model, which 'identify' writes, if any."""
     (dialect,) = (name[len(FIRMWARE) :] for name in tables if name.startswith(FIRMWARE))
     others = dict(tables)
     firmware = "".join(f"{_line(*item)}\n" for item in others.pop("firmware", {}).items())
+    named = f"model = {json.dumps(model)}\n" if model else ""
     settings = "\n".join(line for name, table in others.items() for line in _table(name, table))
     return f"""\
-# A profile for hframe-post, in mm and s. A comment says where a value was found; what is not
+{named}# A profile for hframe-post, in mm and s. A comment says where a value was found; what is not
 # here has its default. No command changes a value; what is measured goes into another file.
 
 description = {json.dumps(description, ensure_ascii=False)}

@@ -47,11 +47,6 @@ MEASURED = ("plant", "compensation", "speed", "verified")  # tables of a model
 # a profile without a plant: the nozzle follows the motors exactly
 NOT_MEASURED = {"Ts": TS} | {G: {"gain": 1.0, "zeros": [], "poles": []} for G in ("Gxx", "Gyy")}
 MAX_PROFILE_BYTES = 1 << 20  # bytes of a profile
-# a value, and the comment in which `setup` repeated it: jerk and deceleration, limits of the motors
-GUESSED = re.compile(
-    r"^\w+ = (\S+) +# \1 \((?:low, for small errors|as M201 does|[^()\n]*the velocity above|"
-    r"[^()\n]*which compensation may need)[^\n]*(?:\n|$)", re.MULTILINE,
-)  # fmt: skip
 KLIPPER_SECTION = re.compile(r"^\[(printer|mcu|stepper_x|include .*)\]\s*$", re.MULTILINE)
 
 
@@ -97,14 +92,9 @@ def parse(text: str, name: str, source: str = "", model: str | None = None) -> P
         raise PrinterError(error.cause, error.key, source or name) from None
 
 
-def without_guesses(text: str) -> str:
-    """Return a profile's text without what earlier versions guessed and nobody changed."""
-    return GUESSED.sub("", text)
-
-
 def _loaded(text: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(without_guesses(text))
+        return tomllib.loads(text)
     except ValueError as error:  # also a number of thousands of digits
         if KLIPPER_SECTION.search(text):
             raise PrinterError(

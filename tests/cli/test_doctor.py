@@ -57,7 +57,7 @@ def test_doctor_finds_no_problem_after_setup(machine: Path) -> None:
     assert "PROBLEM" not in printed
 
 
-OLD_MACRO = "[gcode_macro CANCEL_PRINT]\ngcode:\n    _HFRAME_END\n    CANCEL_PRINT_BASE\n"
+OWN_MACRO = "[gcode_macro CANCEL_PRINT]\ngcode:\n    M117\n    CANCEL_PRINT_BASE\n"
 
 
 @pytest.mark.parametrize(
@@ -66,9 +66,8 @@ OLD_MACRO = "[gcode_macro CANCEL_PRINT]\ngcode:\n    _HFRAME_END\n    CANCEL_PRI
         ("printer.cfg", SAVED, f"{SAVED}\n[fan]\n", "all that SAVE_CONFIG saved"),
         ("printer.cfg", INCLUDE + SAVED, SAVED + INCLUDE, "all that SAVE_CONFIG saved"),
         ("printer.cfg", INCLUDE, "", "hframe.cfg is not included"),
-        ("printer.cfg", INCLUDE, INCLUDE + OLD_MACRO.replace("CANCEL", "Cancel"), "comes later"),
-        ("printer.cfg", INCLUDE, INCLUDE + OLD_MACRO, "is of an older hframe-post and replaces"),
-        ("printer.cfg", INCLUDE, INCLUDE + OLD_MACRO.replace("_HFRAME_END", "M117"),
+        ("printer.cfg", INCLUDE, INCLUDE + OWN_MACRO.replace("CANCEL", "Cancel"), "comes later"),
+        ("printer.cfg", INCLUDE, INCLUDE + OWN_MACRO,
          "replaces the [gcode_macro CANCEL_PRINT] of @/mainsail.cfg:6"),
         ("hframe.cfg", "ACCEL=", "ACCEL=9", "hframe.cfg is not what this profile gives"),
         ("printer.cfg", "max_accel: 10000", "max_accel: 3000",

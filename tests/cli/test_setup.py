@@ -1,6 +1,5 @@
 """``setup`` from printer.cfg or M503, again after changes, and wrong input."""
 
-import math
 import os
 import pty
 import shutil
@@ -11,13 +10,14 @@ import numpy as np
 import pytest
 
 from hframe_post.hosts.klipper.kernel_file import read
+from hframe_post.printer import model_file
+from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.profile import load
-from hframe_post.printer.settings import Motors
 from hframe_post.process import program
 from tests.command_line import RECTANGLE, run
 from tests.command_server import call
 from tests.conftest import ROOT
-from tests.printers import M503, REAL, with_plant
+from tests.printers import M503, REAL, in_one
 
 
 @pytest.fixture
@@ -55,26 +55,6 @@ def test_setup_writes_profile_and_macros_and_makes_the_profile_the_default(confi
     assert str(config.parent / "printer.toml") in at_home("doctor").stdout.decode()
     assert at_home(RECTANGLE, "-n").returncode == 0
     assert at_home("connect", "klipper").stdout == (config.parent / "hframe.cfg").read_bytes()
-
-
-def test_what_an_earlier_setup_guessed_counts_no_more_unless_it_was_changed(config: Path) -> None:
-    """They cost prints a fourth of their time. Without setup nothing has to be done."""
-    own = config.parent / "printer.toml"
-    set_up(config)
-    guessed = """
-deceleration = 5000             # 5000 (low, for small errors; 'hframe-post tune' finds yours)
-jerk = 2e6                      # 1000000 (low, for small errors; 'hframe-post tune' finds yours)"""
-    edited(own, "\nsquare_corner", f"{guessed}\nsquare_corner")
-    motors = """
-[motors]                # limits of every command, measured at the belts
-belt_velocity = 777.8           # 777.8 (1.1 × √2 × the velocity above)
-belt_acceleration = 31113       # 31113 (√2 × 22000, which compensation may need; less if …)
-
-[steps]"""
-    edited(own, "\n[steps]", motors)
-    old = load(str(own))
-    assert (old.limits.deceleration, old.limits.jerk) == (math.inf, 2e6)
-    assert old.motors.stated == Motors()
 
 
 def test_again_it_changes_nothing_and_says_what_differs(config: Path) -> None:
@@ -149,8 +129,14 @@ def test_again_it_keeps_an_identified_plant(config: Path) -> None:
     own = config.parent / "printer.toml"
     set_up(config, "--kinematics", "hbot")
     paper = load("paper")
-    own.write_text(with_plant(str(own), paper.plant, paper.compensation.windows, ["measured"]))
+    found = measured(load(str(own)), paper.plant, None, None)
+    texts = model_file.texts(with_windows(found, paper.compensation.windows), str(own), own)
     edited(config, "max_accel: 10000", "max_accel: 8000")
+    own.write_text(inside := in_one(texts.printer, str(own)))
+    assert "contains what was measured" in set_up(config, "--reset", status=1)
+    assert own.read_text() == inside
+    own.write_text(texts.profile)
+    own.with_suffix(".model.toml").write_text(texts.model)
     set_up(config, "--reset")
     assert 'model = "printer.model.toml"' in own.read_text()
     profile = load(str(own))
@@ -199,9 +185,10 @@ def test_answers_of_marlin_make_a_profile_without_macros(tmp_path: Path) -> None
     assert "--kinematics corexy" in printed
     edited(own, "\nmax_acceleration_e", '\nplanner = "2.0"\nmax_acceleration_e')
     edited(answers, "J0.08", "J0.02")
-    set_up(answers, "--kinematics", "hbot")
-    assert load(str(own)).kinematics.racks
-    printed = set_up(answers, "--bed", "300,200", "--reset")
+    again = ("--bed", "300,200", "--kinematics", "hbot")
+    assert " ".join([*again, "--reset"]) in set_up(answers, *again)
+    assert load(str(own)).kinematics.type == "cartesian"
+    printed = set_up(answers, *again, "--reset")
     assert 'firmware.marlin.planner: "2.1"' in printed
     profile = load(str(own))
     assert profile.kinematics.racks

@@ -135,13 +135,7 @@ def _replaced(config: KlipperConfig, name: str, own: str) -> Iterator[Finding]:
     sections = config.macros(name)
     for section in sections:
         bodies = config.lines(section, "gcode")
-        if section != own and END in config.text(section, "gcode"):
-            yield Finding(
-                True,
-                f"{bodies[-1].place}: [{section}] is of an older hframe-post and replaces your "
-                f"own {name}: delete it, and what hframe-post wrote next to it",
-            )
-        elif len(bodies) > 1:
+        if len(bodies) > 1:
             yield Finding(
                 section == own,
                 f"{bodies[-1].place}: replaces the [{section}] of {bodies[0].place}, because "
