@@ -22,7 +22,7 @@ from hframe_post.arrays import TS, Array, Complex
 from hframe_post.conversion.options import Options
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
-from hframe_post.identification.estimation import known_start
+from hframe_post.identification.estimation import response as estimation
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     Spectra,
@@ -121,7 +121,7 @@ def drift(old: ImpulseResponse, response: FrequencyResponse, unseen: tuple[Array
     response: of the part that is fitted. unseen: the rest, commanded and measured acceleration
     (n,), mm/s². Raises IdentificationError if the recording is not of its printer.
     """
-    found = known_start.estimated(response)
+    found = estimation.estimated(response)
     before, now = _main(old), _main(found.G)
     judged = [_foreseen(G, unseen) for G in (old, found.G)]
     measured = _whole_record(*unseen)

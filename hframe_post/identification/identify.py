@@ -15,7 +15,7 @@ import numpy as np
 from hframe_post.arrays import Flags
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
-from hframe_post.identification.estimation.axes import fit_known_start, fit_unknown_start
+from hframe_post.identification.estimation.fit import Fit
 from hframe_post.identification.estimation.frequency_response import (
     average,
     share_left,
@@ -27,7 +27,7 @@ from hframe_post.identification.estimation.measured import (
     Run,
     stroke_responses,
 )
-from hframe_post.identification.estimation.regression import Fit
+from hframe_post.identification.estimation.response import fit_known_start, fit_unknown_start
 from hframe_post.identification.estimation.uncalibrated import uncalibrated_responses
 from hframe_post.identification.places import (
     DAY_TO_DAY,

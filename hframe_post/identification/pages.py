@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Complex
+from hframe_post.identification.estimation.fit import Fit
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.estimation.measured import Measured
-from hframe_post.identification.estimation.regression import Fit
 from hframe_post.identification.identify import AXIS
 from hframe_post.identification.report import IdentificationReport
 from hframe_post.model.impulse_response import ImpulseResponse

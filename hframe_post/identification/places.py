@@ -16,7 +16,7 @@ from scipy import stats
 
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.estimation.axes import fit_racking
+from hframe_post.identification.estimation.fit import Fit
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
     average,
@@ -28,7 +28,7 @@ from hframe_post.identification.estimation.measured import (
     MeasurementSettings,
     RunResponse,
 )
-from hframe_post.identification.estimation.regression import Fit
+from hframe_post.identification.estimation.response import fit_racking
 from hframe_post.model.impulse_response import ImpulseResponse
 
 DAY_TO_DAY = 0.05  # relative change of a printer as belts, bearings and temperature change
@@ -150,7 +150,7 @@ def _fitted(
     # an unknown excitation is wrong in x alone, an unknown sensor where it measures
     calibrated = group.known_start
     gain = fits["Gyy" if calibrated and "Gyy" in fits else "Gxx"].gain
-    return fit_racking(seen, fits["Gxx"], gain, calibrated)
+    return fit_racking(seen, fits["Gxx"], gain)
 
 
 def _lever_arm(

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import TS
-from hframe_post.identification.estimation.axes import fit_known_start
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse, average
+from hframe_post.identification.estimation.response import fit_known_start
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identify import MeasurementSettings, identify
 from hframe_post.identification.places import (

@@ -7,14 +7,12 @@ from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation import regression
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
-from hframe_post.identification.estimation.known_start import estimated
+from hframe_post.identification.estimation.kernel import Decay, Prior, ringing
 from hframe_post.identification.estimation.regression import (
     Data,
-    Decay,
-    Prior,
     regress,
-    ringing,
 )
+from hframe_post.identification.estimation.response import estimated
 from tests.modes import axis_mode
 from tests.quantities import below
 

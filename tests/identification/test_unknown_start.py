@@ -9,10 +9,9 @@ import pytest
 import hframe_post as hp
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.estimation.axes import fit_unknown_start
+from hframe_post.identification.estimation.fit import Fit
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse, share_left
-from hframe_post.identification.estimation.regression import Fit
-from hframe_post.identification.estimation.unknown_start import estimated
+from hframe_post.identification.estimation.response import fit_unknown_start, with_an_ideal_mode
 from hframe_post.identification.identify import DRIFT, DRIFT_ALONE, Identified
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
@@ -57,7 +56,7 @@ def fitted(measured: FrequencyResponse) -> Fit:
 
 def test_gain_delay_and_response_are_found() -> None:
     measured, true = drawn(-1.12, 2.3e-3, 0.05)
-    found = estimated(measured)
+    found = with_an_ideal_mode(measured)
     assert found.gain == pytest.approx(-1.12, rel=0.05)
     assert found.delay == pytest.approx(2.3e-3, abs=2e-4)  # s
     assert found.resonance_hz == pytest.approx(46.0, abs=0.5)
@@ -69,7 +68,7 @@ def test_gain_delay_and_response_are_found() -> None:
 
 
 def test_below_the_resonance_it_is_one_ideal_mode() -> None:
-    found = estimated(drawn(1.0, 0.0, 0.05)[0])
+    found = with_an_ideal_mode(drawn(1.0, 0.0, 0.05)[0])
     hz = np.arange(0.5, 0.25 * found.resonance_hz, 0.5)
     off = found.G.response(2.0 * np.pi * TS * hz) - 1.0 / (1.0 - (hz / found.resonance_hz) ** 2)
     assert np.abs(off).max() < 2e-3  # of the command
@@ -81,9 +80,9 @@ def test_below_the_resonance_it_is_one_ideal_mode() -> None:
 def test_a_test_that_shows_nothing_below_the_resonance_is_refused() -> None:
     measured, _ = drawn(1.0, 0.0, 0.01)
     with pytest.raises(IdentificationError, match="begin the test at a lower frequency"):
-        estimated(measured.within((30.0, 95.0)))
+        with_an_ideal_mode(measured.within((30.0, 95.0)))
     with pytest.raises(IdentificationError, match="too few"):
-        estimated(measured.within((30.0, 31.0)))
+        with_an_ideal_mode(measured.within((30.0, 31.0)))
 
 
 @pytest.mark.slow
@@ -176,8 +175,8 @@ def best_shaper(G: ImpulseResponse, path: Array) -> Array:
 @pytest.mark.parametrize("first", [1])
 def test_the_error_of_another_day_is_in_the_predicted_range(first: int) -> None:
     """Of 18 days later or before; the range is at most three times as wide as needed."""
-    known = [replace(estimated(one).G, drift=DRIFT_ALONE) for one in real(first)]
-    truth = tuple(estimated(one).G for one in real(3 - first))
+    known = [replace(with_an_ideal_mode(one).G, drift=DRIFT_ALONE) for one in real(first)]
+    truth = tuple(with_an_ideal_mode(one).G for one in real(3 - first))
     base = hp.load_printer("example-corexy")
     compensation = replace(base.compensation, effort=(10.0, 10.0))
     plant = Plant(known[0], known[1], None, 0.0)
@@ -206,8 +205,8 @@ def test_the_error_of_another_day_is_in_the_predicted_range(first: int) -> None:
 @pytest.mark.parametrize("first", [1, 2])
 def test_one_day_foresees_another_better_than_the_best_shaper(first: int) -> None:
     """Identified on one day, judged by the response of 18 days later or before."""
-    known = tuple(estimated(one).G for one in real(first))
-    truth = tuple(estimated(one).G for one in real(3 - first))
+    known = tuple(with_an_ideal_mode(one).G for one in real(first))
+    truth = tuple(with_an_ideal_mode(one).G for one in real(3 - first))
     path = outline()
     base = hp.load_printer("example-corexy")
     printer = replace(base, plant=Plant(known[0], known[1], None, 0.0), invented=False)
