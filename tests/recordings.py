@@ -1,11 +1,13 @@
 """Sweeps, and files of recordings."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array
-from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
+from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording, from_table
+from hframe_post.identification.recordings.formats import read_tables, unpacked
 
 # printer.cfg of the Sovol SV08 whose recordings are among the tests
 SV08_CONFIG = """
@@ -50,6 +52,12 @@ def chirp(low: float, high: float, n: int, edge: int) -> Array:
 def fading(n: int, edge: int) -> Array:
     u = np.clip(np.minimum(np.arange(n), np.arange(n)[::-1]) / edge, 0.0, 1.0)
     return np.asarray(u**3 * (10.0 - u * (15.0 - 6.0 * u)))
+
+
+def read(path: Path, columns: Sequence[str] | None = None) -> Recording:
+    """Return the one recording in a file."""
+    (table,) = read_tables(path, unpacked(path), columns)
+    return from_table(path, table)
 
 
 def write_klipper(path: Path, recording: Recording) -> Path:

@@ -50,8 +50,8 @@ NO_WINDOW = (
 
 def _columns(text: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(","))
-    if len(names) != 4 or not all(names):
-        raise click.BadParameter(f"{text!r} is not four names, of time, x, y and z")
+    if len(names) != 4 or len(set(names)) != 4 or not all(names):
+        raise click.BadParameter(f"{text!r} is not four names of columns, of time, x, y and z")
     return names
 
 
@@ -119,7 +119,7 @@ def identify(
         from hframe_post.identification.pages import identification_page
         from hframe_post.identification.report import conclude
 
-        gathered = gather(recordings, nozzle, config, profile.travel, columns)
+        gathered = gather(recordings, config, profile.travel, columns, pairs=nozzle)
         settings = _settings(profile, config if text else None, band, offset)
         report = conclude(gathered, profile, settings)
         found = Findings(
@@ -241,12 +241,12 @@ def _drifted(recordings: tuple[Path, ...], profile: Printer) -> Findings:
 
 def _gathered(recordings: tuple[Path, ...], profile: Printer) -> Gathered:
     """Return the runs of `check`, sorted by date."""
-    from hframe_post.identification.gather import from_folders
+    from hframe_post.identification.gather import gather
     from hframe_post.identification.recordings.folder import CHECK
 
     sweep = profile.sweep
     chips = {axis: chip.lower() for axis, chip in (("x", sweep.chip_x), ("y", sweep.chip_y))}
-    found = from_folders(recordings, None, profile.travel, chips=chips)
+    found = gather(recordings, None, profile.travel, chips=chips)
     found = replace(found, used=[one for one in found.used if one.kind == CHECK])
     if not found.used:
         raise IdentificationError(

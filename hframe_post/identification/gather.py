@@ -1,6 +1,6 @@
 """Experiments to identify a printer from: recordings, each with the motion that was played.
 
-    folders, pairs → experiments, each a run
+    files → experiments, each a run
 
 The motion of strokes, or of Marlin's sweep, is in its command's file. That of a test of resonances
 follows from [resonance_tester] of printer.cfg, corrected by what the recording shows.
@@ -19,16 +19,13 @@ from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.estimation.measured import Run
-from hframe_post.identification.recordings import accelerometer
+from hframe_post.identification.recordings.accelerometer import Recording, axes_map
 from hframe_post.identification.recordings.clock import known_start, on_command_clock
 from hframe_post.identification.recordings.folder import (
     Aside,
     Measurement,
-    RunMotion,
     contents,
-    digest_of,
 )
-from hframe_post.identification.recordings.names import parsed
 from hframe_post.identification.recordings.resonance_search import find
 from hframe_post.identification.recordings.resonance_test import (
     DEFAULTS,
@@ -113,31 +110,20 @@ class Gathered:
 
 
 def gather(
-    paths: Sequence[Path], pairs: Sequence[tuple[Path, Path]], config: KlipperConfig | None,
-    travel: Travel, columns: Sequence[str] | None,
-) -> Gathered:  # fmt: skip
-    """Return the experiments of ``from_folders``, and those of ``from_pair``."""
-    found = from_folders(paths, config, travel, columns) if paths else Gathered([], [])
-    paired = [from_pair(command, path, travel, columns) for command, path in pairs]
-    return Gathered([*found.used, *paired], found.aside)
-
-
-# ---------------------------------------------------------------------- folders
-
-
-def from_folders(
     paths: Sequence[Path], config: KlipperConfig | None, travel: Travel,
     columns: Sequence[str] | None = None, chips: Mapping[str, str] = MappingProxyType({}),
+    pairs: Sequence[tuple[Path, Path]] = (),
 ) -> Gathered:  # fmt: skip
     """Return the experiments in files and folders, with recordings in the sensors' axes.
 
     config: printer.cfg, which describes the tests of resonances; Klipper's defaults without it.
     columns: names of time, x, y, z in files that do not say it. chips: by x and y, the sensors
-    where no config names them. Raises OSError, and IdentificationError if no recording can be used.
+    where no config names them. pairs: commands and their recordings, as the owner knows them.
+    Raises OSError, and IdentificationError if no recording can be used.
     """
-    held = contents(paths, columns, _chips(config) or chips)
-    found, aside = list[Experiment](), list(held.aside)
-    for one in held.measurements:
+    measurements, aside = contents(paths, columns, _chips(config) or chips, pairs)
+    found = list[Experiment]()
+    for one in measurements:
         try:
             found.append(_experiment(one, config, travel))
         except HframeError as error:
@@ -156,23 +142,6 @@ def from_folders(
         more = f"; and {len(aside) - 3} more files" if len(aside) > 3 else ""
         raise IdentificationError(f"no recording can be used. {reasons}{more}")
     return Gathered(used, aside)
-
-
-def from_pair(
-    command: Path, path: Path, travel: Travel, columns: Sequence[str] | None
-) -> Experiment:
-    """Return the experiment of a command and its recording, which the user paired.
-
-    travel: of the printer. Raises OSError and IdentificationError.
-    """
-    recording = accelerometer.read(path, columns)
-    one = Measurement(
-        path.name, path, recording, parsed(path.name), digest_of(path), RunMotion.read(command)
-    )
-    try:
-        return _experiment(one, None, travel)
-    except IdentificationError as error:
-        raise IdentificationError(f"{path.name}: {error}") from None
 
 
 def _exchanged(found: Sequence[Experiment]) -> list[Experiment]:
@@ -208,7 +177,7 @@ def _experiment(one: Measurement, config: KlipperConfig | None, travel: Travel) 
     return Experiment(one, run, f"{command.kind} {name}", [*unusual, *notes])
 
 
-def _in_sensor_axes(one: Measurement, config: KlipperConfig | None) -> accelerometer.Recording:
+def _in_sensor_axes(one: Measurement, config: KlipperConfig | None) -> Recording:
     """Return the recording without the axes_map of printer.cfg.
 
     Owners' maps often mirror, and then gravity does not tell on which side the other axis lies.
@@ -219,9 +188,7 @@ def _in_sensor_axes(one: Measurement, config: KlipperConfig | None) -> accelerom
     given = config.text(_chip(config, "x" if one.direction[0] else "y"), "axes_map")
     if not given:
         return one.recording
-    named = ",".join(f"{axis}={seen}" for axis, seen in zip("xyz", given.split(","), strict=False))
-    matrix = accelerometer.axis_map(named.replace(" ", ""))
-    return replace(one.recording, a=one.recording.a @ matrix)
+    return replace(one.recording, a=one.recording.a @ axes_map(given))
 
 
 def check_travel(motion: Array, travel: Travel) -> None:

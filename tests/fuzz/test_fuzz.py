@@ -23,7 +23,6 @@ from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import KlipperSource
 from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin
-from hframe_post.identification.recordings import accelerometer
 from hframe_post.printer.new_profile import Known, profile_text
 from hframe_post.printer.profile import load, parse, shipped
 from tests.conftest import SAMPLES
@@ -31,6 +30,7 @@ from tests.fuzz.strategies import LINES, broken, edited, gcode
 from tests.gcode_tools import converted
 from tests.klipper.host import KlippyError, play
 from tests.printers import M503, REAL, profile_of
+from tests.recordings import read
 from tests.same_print import PLACE, assert_same_print, unstamped
 
 KLIPPER_FILAMENT = 5e-3  # mm; a step of the extruder is 0.7e-3
@@ -135,8 +135,8 @@ def taken(data: bytes, suffix: str, reader: Callable[[Path], object]) -> None:
 
 RECORDING = _recording()
 FILES: dict[str, tuple[st.SearchStrategy[bytes], str, Callable[[Path], object]]] = {
-    "recording": (edited(RECORDING), "csv", accelerometer.read),
-    "packed": (broken(gzip.compress(RECORDING, mtime=0)), "csv.gz", accelerometer.read),
+    "recording": (edited(RECORDING), "csv", read),
+    "packed": (broken(gzip.compress(RECORDING, mtime=0)), "csv.gz", read),
     "cfg": (edited(REAL.read_bytes()), "cfg", _configured),
     "m503": (edited(M503.read_bytes()), "txt", _answered),
 }

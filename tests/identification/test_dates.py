@@ -44,5 +44,5 @@ def test_then_the_date_of_the_measurement_in_the_file(tmp_path: Path) -> None:
     rows = [[k / 800.0, float(k % 7), 3.0, 9800.0] for k in range(200)]
     text = json.dumps({"name": "axis_X_20250526_101500", "samples": rows}) + "\n"
     path = file(tmp_path, "x.stdata", zstandard.ZstdCompressor().compress(text.encode()))
-    (found,) = contents([path]).measurements
+    ((found,), _) = contents([path])
     assert found.day == date(2025, 5, 26)

@@ -14,10 +14,11 @@ import zstandard
 
 from hframe_post.arrays import TS
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.folder import Contents, Measurement, contents
+from hframe_post.identification.recordings.folder import Aside, Measurement, contents
 from hframe_post.identification.recordings.formats import command_csv
 from hframe_post.identification.recordings.names import RecordingName, parsed
 
+Contents = tuple[list[Measurement], list[Aside]]
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 A, B = (0.7071, -0.7071, 0.0), (0.7071, 0.7071, 0.0)
 
@@ -108,11 +109,11 @@ def folder(path: Path, files: Mapping[str, bytes]) -> Path:
 
 
 def by_name(found: Contents) -> dict[str, Measurement]:
-    return {Path(one.label).name: one for one in found.measurements}
+    return {Path(one.label).name: one for one in found[0]}
 
 
 def reason(found: Contents, name: str) -> str:
-    (text,) = (one.reason for one in found.aside if name in one.label)
+    (text,) = (one.reason for one in found[1] if name in one.label)
     return text
 
 
@@ -125,7 +126,7 @@ def test_tests_of_resonances_are_found_and_repeated_ones_are_sessions(tmp_path: 
     files |= {"raw_data_x_20250801_090000.csv.gz": gzip.compress(samples(9))}
     files |= {"beltscomparison_20250101_10.stdata": stdata("belt_A_20250101_1", "belt_B_2")}
     found = contents([folder(tmp_path, files)])
-    assert found.aside == []
+    assert found[1] == []
     assert {name: one.session for name, one in by_name(found).items()} == {
         "raw_data_x_20250101_101010.csv": 1,
         "raw_data_x_20250801_090000.csv.gz": 2,
@@ -135,7 +136,7 @@ def test_tests_of_resonances_are_found_and_repeated_ones_are_sessions(tmp_path: 
         "beltscomparison_20250101_10.stdata: belt_A_20250101_1": 2,
         "beltscomparison_20250101_10.stdata: belt_B_2": 1,
     }
-    assert all(one.command is None and not one.recording.started for one in found.measurements)
+    assert all(one.command is None and not one.recording.started for one in found[0])
 
 
 def test_our_sweeps_are_paired_with_their_commands(tmp_path: Path) -> None:
@@ -177,7 +178,7 @@ def test_one_sensor_is_used_where_two_recorded(tmp_path: Path) -> None:
     assert set(by_name(contents([held]))) == {names[0], names[2]}
     found = contents([held], chips={"x": "adxl345", "y": "adxl345_bed"})
     assert set(by_name(found)) == {names[0], names[3]}
-    assert {one.label for one in found.aside} == {names[1], names[2]}
+    assert {one.label for one in found[1]} == {names[1], names[2]}
 
 
 def test_klipper_names_a_sensor_by_the_last_word_of_its_section(tmp_path: Path) -> None:
@@ -221,7 +222,7 @@ def test_what_is_left_aside_has_one_reason_each(tmp_path: Path) -> None:
     }.items():
         assert words in reason(found, name)
         assert str(tmp_path) not in reason(found, name) or words == "a copy of"
-    assert len(found.aside) == 11
+    assert len(found[1]) == 11
 
 
 def test_folders_without_recordings_are_refused(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import text_from_klipper
 from hframe_post.identification.estimation.measured import MeasurementSettings
 from hframe_post.identification.estimation.uncalibrated import uncalibrated_responses
-from hframe_post.identification.gather import from_folders
+from hframe_post.identification.gather import gather
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
 from tests.printers import with_plant
@@ -120,14 +120,14 @@ def test_what_axes_map_mirrored_is_undone(tmp_path: Path, config: Path) -> None:
     held = tmp_path / "held"
     held.mkdir()
     shutil.copy(REAL, held)
-    (plain,) = from_folders([held], KlipperConfig(config), travel).runs
+    (plain,) = gather([held], KlipperConfig(config), travel).runs
     config.write_text(f"{SV08_CONFIG}[adxl345]\naxes_map: -x, z, y\n")
-    (undone,) = from_folders([held], KlipperConfig(config), travel).runs
+    (undone,) = gather([held], KlipperConfig(config), travel).runs
     x, y, z = plain.nozzle.a.T
     np.testing.assert_array_equal(undone.nozzle.a, np.column_stack([-x, z, y]))
     config.write_text(f"{SV08_CONFIG}[adxl345]\naxes_map: x, y\n")
-    with pytest.raises(IdentificationError, match="invalid axis map"):
-        from_folders([held], KlipperConfig(config), travel)
+    with pytest.raises(IdentificationError, match="invalid axes_map"):
+        gather([held], KlipperConfig(config), travel)
 
 
 def test_a_real_belt_of_2023_is_taken(tmp_path: Path, config: Path) -> None:
@@ -146,7 +146,7 @@ def test_a_real_belt_of_2023_is_taken(tmp_path: Path, config: Path) -> None:
                header="time,accel_x,accel_y,accel_z", comments="#")  # fmt: skip
     config.write_text(SV08_CONFIG.replace("accel_per_hz: 90", "accel_per_hz: 75\nmax_freq: 40"))
     travel = parse(text_from_klipper(KlipperConfig(config)), "mine").travel
-    gathered = from_folders([held], KlipperConfig(config), travel)
+    gathered = gather([held], KlipperConfig(config), travel)
     (used,) = gathered.used
     assert used.motion == (
         "TEST_RESONANCES of Klipper before December 2024 of 1,1 at 175,175: min_freq 5, max_freq "
@@ -173,7 +173,7 @@ def test_exchanged_files_and_unusual_settings_are_noticed(tmp_path: Path, config
     for names, exchanged in (("xy", False), ("yx", True)):
         for name, recording in zip(names, made, strict=True):
             write_klipper(tmp_path / f"raw_data_{name}_1.csv", recording)
-        used = from_folders([tmp_path], KlipperConfig(config), travel).used
+        used = gather([tmp_path], KlipperConfig(config), travel).used
         shown = ["the names of the two files are exchanged" in one.as_text() for one in used]
         assert shown == [exchanged, exchanged]
         assert re.search(r"accel_per_hz \d+ .default: 60.", used[not exchanged].motion)

@@ -11,7 +11,7 @@ from scipy.fft import irfft, rfft, rfftfreq
 
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.gather import Gathered, from_folders, from_pair
+from hframe_post.identification.gather import Gathered, gather
 from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.clock import Clock, Resampler
 from hframe_post.identification.recordings.formats import command_csv
@@ -54,7 +54,7 @@ class Folder:
         return name
 
     def gathered(self) -> Gathered:
-        return from_folders([self.path], None, PRINTER.travel)
+        return gather([self.path], None, PRINTER.travel)
 
 
 @cache
@@ -148,7 +148,7 @@ def test_one_axis_of_a_bed_slinger(tmp_path: Path) -> None:
     run = runs(SLINGER, [(150.0, 150.0)], 9.0)[axis]
     machine = replace(MACHINE, kinematics="cartesian")
     folder.add(run, mounted(FAST.record(machine, run.command, axis), mounting(axis)))
-    (found,) = from_folders([tmp_path], None, SLINGER.travel).runs
+    (found,) = gather([tmp_path], None, SLINGER.travel).runs
     assert found.axes == (axis,)
     off = error(
         found.on_command_clock()[:, [axis, axis]], true_acceleration(run, machine)[:, [axis]]
@@ -161,7 +161,7 @@ def test_a_pair_that_the_owner_names_is_the_same_run(tmp_path: Path) -> None:
     name = folder.add(run, FAST.record(MACHINE, run.command, 1))
     (one,) = folder.gathered().runs
     command = tmp_path / f"m.{run.name}.csv"
-    other = from_pair(command, tmp_path / name, PRINTER.travel, None).run
+    (other,) = gather([], None, PRINTER.travel, pairs=[(command, tmp_path / name)]).runs
     assert other.clock == one.clock
     assert np.array_equal(other.on_command_clock(), one.on_command_clock())
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.gather import from_folders
+from hframe_post.identification.gather import gather
 from hframe_post.identification.recordings.accelerometer import Recording
 from hframe_post.identification.recordings.resonance_search import find
 from hframe_post.printer.settings import Travel
@@ -167,7 +167,7 @@ def test_values_in_another_unit_are_no_weak_motion(whole: Recorded, tmp_path: Pa
     r = whole.recording
     write_klipper(tmp_path / "raw_data_x_1.csv", replace(r, a=r.a * 0.1))
     with pytest.raises(IdentificationError, match=r"shows 0\.9\d* m/s² instead of gravity, 9\.81"):
-        from_folders([tmp_path], None, Travel((0.0, 300.0), (0.0, 300.0), (0.0, 300.0)))
+        gather([tmp_path], None, Travel((0.0, 300.0), (0.0, 300.0), (0.0, 300.0)))
 
 
 def test_a_test_of_weak_pulses_is_taken() -> None:

@@ -15,7 +15,7 @@ from hframe_post.identification.estimation.uncalibrated import (
     direction,
     uncalibrated_responses,
 )
-from hframe_post.identification.gather import from_folders
+from hframe_post.identification.gather import gather
 from hframe_post.identification.identify import Identified, MeasurementSettings, Run, identify
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
 from hframe_post.identification.recordings.clock import Clock, acceleration, self_aligned
@@ -142,7 +142,7 @@ def test_sessions_of_three_sensors_with_gaps_show_one_printer(tmp_path: Path) ->
         path = tmp_path / f"raw_data_x_2026010{k}_120000.csv"
         write_klipper(path, replace(made, t=made.t[kept], a=made.a[kept]))
     travel = Travel((0.0, 300.0), (0.0, 300.0), (0.0, 200.0))
-    gathered = from_folders([tmp_path], KlipperConfig(config), travel)
+    gathered = gather([tmp_path], KlipperConfig(config), travel)
     assert [one.source.session for one in gathered.used] == [1, 2, 3]
     assert all("are missing; the longest gap is 3" in one.as_text() for one in gathered.used)
     settings = MeasurementSettings((3.0, 100.0), racks=False)

@@ -8,7 +8,6 @@ import pytest
 
 from hframe_post.arrays import TS, Array
 from hframe_post.firmware.klipper.macros import macros
-from hframe_post.identification.recordings import accelerometer
 from hframe_post.identification.recordings.clock import Clock, known_start
 from hframe_post.identification.recordings.names import parsed
 from hframe_post.identification.recordings.runs import gcode
@@ -18,6 +17,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.writers.print_time import Deferred
 from tests.klipper.host import Playback, play
 from tests.quantities import below
+from tests.recordings import read
 
 pytestmark = pytest.mark.klipper
 SENSORS = "\n[adxl345]\nrate: 3200\n[adxl345 bed]\nrate: 394\n"
@@ -56,7 +56,7 @@ def starts(folder: Path, command: Array) -> dict[float, Clock]:
     """Return the starts that the recordings show, by the rate of their sensor."""
     found = {}
     for path in folder.glob("*measure-at-*.csv"):
-        recording = accelerometer.read(path)
+        recording = read(path)
         ended = parsed(path.name).ended
         rate = 394.0 if "-bed-" in path.name else 3200.0
         found[rate], notes = known_start(recording, len(command), ended)

@@ -13,7 +13,6 @@ lie on a parabola over a second; stamps that a program guessed do not.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +24,7 @@ from scipy.signal import savgol_filter
 from hframe_post.arrays import Array, Integers
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
-from hframe_post.identification.recordings.formats import Table, read_tables, unpacked
+from hframe_post.identification.recordings.formats import Table
 
 GAP = 2.5  # sample periods between neighbours, from which samples are missing
 BLOCK = 0.1  # s of samples whose stamps are averaged
@@ -152,25 +151,6 @@ class Recording:
         ]
 
 
-def read(path: str | Path, columns: Sequence[str] | None = None) -> Recording:
-    """Return the recording in a file of any known format, which must hold one only.
-
-    columns: names of time (s) and the three accelerations, needed if the file's own do not say
-    what they are; with them even a Klipper file is not taken to begin with the command. Raises
-    OSError and IdentificationError, which names file, line and cause.
-    """
-    path = Path(path)
-    if columns is not None and len(set(columns)) != 4:
-        raise IdentificationError(
-            f"{','.join(columns)!r} does not name four columns: time, x, y and z"
-        )
-    tables = read_tables(path, unpacked(path), columns)
-    if len(tables) != 1:
-        names = ", ".join(table.name for table in tables[:5]) or "none"
-        raise IdentificationError(f"{path} does not hold one recording, but {len(tables)}: {names}")
-    return from_table(path, tables[0])
-
-
 def from_table(path: Path, table: Table) -> Recording:
     """Return the recording in a table of a file, in mm/s², its time stamps repaired.
 
@@ -261,22 +241,17 @@ def _clipped(values: Array) -> int | None:
     return min(found, default=None)
 
 
-def axis_map(axes: str) -> Array:
-    """Return the matrix (3, 3) for a map such as ``x=-y,y=x,z=z``.
+def axes_map(text: str) -> Array:
+    """Return the matrix (3, 3) of axes_map in printer.cfg, such as ``-y, x, z``.
 
     It may be a reflection: a sensor on a moving bed sees y mirrored, and so do the recordings of
     an owner whose printer.cfg has a wrong sign. Raises IdentificationError if the map is invalid.
     """
-    parts = [re.fullmatch(r"([xyz])=([-+]?)([xyz])", part.strip())
-             for part in axes.lower().split(",")]  # fmt: skip
-    matrix = np.zeros((3, 3))
-    for part in parts:
-        if part is not None:
-            row, column = AXES.index(part[1]), AXES.index(part[3])
-            matrix[row, column] += -1.0 if part[2] == "-" else 1.0
-    if None in parts or len(parts) != 3 or not np.array_equal(matrix @ matrix.T, np.eye(3)):
+    parts = text.lower().replace(" ", "").split(",")
+    matrix = np.array([[(p == axis) - float(p == f"-{axis}") for axis in AXES] for p in parts])
+    if not np.array_equal(matrix @ matrix.T, np.eye(3)):
         raise IdentificationError(
-            f"invalid axis map {axes!r}: x, y and z must each name one axis of the sensor, as in "
-            "x=-y,y=x,z=z"
+            f"invalid axes_map {text!r} in printer.cfg: write three axes of the sensor, as in "
+            "-y, x, z"
         )
     return matrix

@@ -122,27 +122,19 @@ class Aside:
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class Contents:
-    """What a folder holds: measurements of known motions, and what is left aside."""
-
-    measurements: list[Measurement]
-    aside: list[Aside]
-
-
 def contents(
-    paths: Sequence[Path],
-    columns: Sequence[str] | None = None,
-    chips: Mapping[str, str] = MappingProxyType({}),
-) -> Contents:
-    """Return the recordings in files and folders, each with its motion.
+    paths: Sequence[Path], columns: Sequence[str] | None = None,
+    chips: Mapping[str, str] = MappingProxyType({}), pairs: Sequence[tuple[Path, Path]] = (),
+) -> tuple[list[Measurement], list[Aside]]:  # fmt: skip
+    """Return the recordings in files and folders, each with its motion, and what is left aside.
 
     columns: names of time, x, y, z in files that do not say it. chips: by x and y, the sensor to
-    use where several recorded tests along one direction. Raises OSError if a folder cannot be
-    read, and IdentificationError if no file is of a kind that recordings have.
+    use where several recorded tests along one direction. pairs: commands and their recordings, as
+    the owner knows them. Raises OSError if a folder or a command cannot be read, and
+    IdentificationError if no file is of a kind that recordings have.
     """
     files = files_in(paths)
-    if not files:
+    if not files and not pairs:
         raise IdentificationError(
             f"{', '.join(map(str, paths))}: no recordings here. They have names such as "
             "raw_data_x_….csv, adxl345-….csv or ….stdata. To record with Klipper, print what "
@@ -150,17 +142,18 @@ def contents(
             "AXIS=Y; it writes to /tmp of its host. With Marlin, print what 'hframe-post measure' "
             "writes"
         )
-    read = [each for path, label in files.items() for each in _read(path, label, columns)]
+    read = list[RunMotion | Measurement | Aside]()
+    for path, label in files.items():
+        other = parsed(path.name).other
+        read += [Aside(label, UNUSABLE[other])] if other else _read(path, label, columns)
     commands = [each for each in read if isinstance(each, RunMotion)]
-    found = [
-        _with_motion(each, commands) if isinstance(each, Measurement) else each
-        for each in read
-        if not isinstance(each, RunMotion)
-    ]
-    sorted_out = list(_without_second_sensors(list(_without_copies(found)), chips))
-    measurements = [each for each in sorted_out if isinstance(each, Measurement)]
-    aside = [each for each in sorted_out if isinstance(each, Aside)]
-    return Contents(list(_in_sessions(measurements)), aside)
+    found = [_with_motion(each, commands) for each in read if not isinstance(each, RunMotion)]
+    for command, path in pairs:
+        motion = RunMotion.read(command)
+        found += [_of_pair(each, motion) for each in _read(path, path.name, columns)]
+    found = list(_without_second_sensors(list(_without_copies(found)), chips))
+    measurements = [each for each in found if isinstance(each, Measurement)]
+    return list(_in_sessions(measurements)), [each for each in found if isinstance(each, Aside)]
 
 
 def files_in(paths: Sequence[Path]) -> dict[Path, str]:
@@ -196,8 +189,6 @@ def _read(
     path: Path, label: str, columns: Sequence[str] | None
 ) -> list[RunMotion | Measurement | Aside]:
     by_file = parsed(path.name)
-    if by_file.other:
-        return [Aside(label, UNUSABLE[by_file.other])]
     try:
         content = unpacked(path)
         if content[:100].lstrip().partition(b"\n")[0].strip().lower() == CSV_HEAD.encode():
@@ -214,18 +205,9 @@ def _read(
         except HframeError as error:
             found.append(Aside(which, reason_of(path, error)))
             continue
-        digest = _digest(table.values.tobytes())
+        digest = hashlib.sha256(table.values.tobytes()).hexdigest()[:16]
         found.append(Measurement(which, path, recording, name, digest))
     return found
-
-
-def digest_of(path: Path) -> str:
-    """Return a short hash of a file's content."""
-    return _digest(path.read_bytes())
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def reason_of(path: Path, error: Exception) -> str:
@@ -238,8 +220,16 @@ def reason_of(path: Path, error: Exception) -> str:
 # ---------------------------------------------------------------------- motions
 
 
-def _with_motion(one: Measurement, commands: Sequence[RunMotion]) -> Measurement | Aside:
+def _of_pair(one: RunMotion | Measurement | Aside, command: RunMotion) -> Measurement | Aside:
+    if isinstance(one, RunMotion):
+        return Aside(one.path.name, "a command, not a recording. Give the command first")
+    return replace(one, command=command) if isinstance(one, Measurement) else one
+
+
+def _with_motion(one: Measurement | Aside, commands: Sequence[RunMotion]) -> Measurement | Aside:
     """Return a recording with its command, if it is not one of a test of resonances."""
+    if isinstance(one, Aside):
+        return one
     name = one.name
     if name.other:
         return Aside(one.label, UNUSABLE[name.other])
@@ -264,9 +254,11 @@ def _of_command(one: Measurement, commands: Sequence[RunMotion]) -> Measurement 
     fitting = [command for command in possible if command.lasts_as_long_as(one.recording)]
     if not fitting:
         return _cut_off(one, named[0]) if named else None
-    longest = max(len(command.run) for command in fitting)
-    best = [command for command in fitting if len(command.run) == longest or not named]
-    best = [c for c in best if c.path.parent == one.path.parent] or best
+
+    def rank(command: RunMotion) -> tuple[int, bool]:
+        return len(command.run) if named else 0, command.path.parent == one.path.parent
+
+    best = [command for command in fitting if rank(command) == max(map(rank, fitting))]
     if not all(np.array_equal(c.motion, best[0].motion) for c in best):
         which = ", ".join(c.path.name for c in best[:4])
         return Aside(one.label, f"several commands may be its motion: {which}; {EXPLICIT}")

@@ -111,7 +111,6 @@ def read_command(path: Path) -> Array:
     return np.asarray(rows[:, 1:])
 
 
-COMMAND = ["t", "x", "y"]  # as measure writes it
 KLIPPER = ["#time", "accel_x", "accel_y", "accel_z"]
 REPRAP = ["sample", "x", "y", "z"]
 REPRAP_RATE = re.compile(rb"^\s*rate:?\s+(\d+(?:\.\d*)?)", re.IGNORECASE)
@@ -234,11 +233,6 @@ def _labelled(path: Path, content: bytes, names: list[str]) -> list[Table] | Non
 
 def _no_recording(path: Path, _: bytes, names: list[str]) -> list[Table] | None:
     """Raise IdentificationError for files that are often taken for recordings."""
-    if names == COMMAND:
-        raise IdentificationError(
-            f"{path} is the command of a motion, not a recording. Give the command first and the "
-            "recording after it"
-        )
     if any(name.lower().startswith("psd_") for name in names):
         raise IdentificationError(
             f"{path} is a spectrum that Klipper has computed, not a recording. Record again with "
