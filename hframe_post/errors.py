@@ -80,17 +80,12 @@ class IdentificationError(HframeError):
 
 
 class LimitError(HframeError):
-    """The command would leave the bed or outrun a motor.
-
-    clampable: whether less compensation would keep the limit.
-    """
+    """The command would leave the bed or outrun a motor."""
 
     def __init__(
-        self, quantity: str, value: float, bound: float, line: int | None, advice: str,
-        clampable: bool = False,
-    ) -> None:  # fmt: skip
+        self, quantity: str, value: float, bound: float, line: int | None, advice: str
+    ) -> None:
         self.quantity, self.value, self.bound, self.line = quantity, value, bound, line
-        self.clampable = clampable
         super().__init__(
             f"{_place(line)}{quantity} would be {value:.6g}, the printer's limit is {bound:.6g}; "
             + advice

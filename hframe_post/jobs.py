@@ -10,9 +10,10 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
@@ -54,11 +55,6 @@ class Job:
             "line": self.line, "summary": self.summary,
         }  # fmt: skip
         return {name: value for name, value in entries.items() if value not in ("", None, {})}
-
-    @property
-    def warnings(self) -> list[str]:
-        found: list[str] = self.summary.get("warnings", [])
-        return found
 
     def as_text(self) -> str:
         line = f"{self.state:8s}{self.source}"
@@ -160,67 +156,17 @@ def _cause(status: int, said: str) -> str:
 MOST_COMMENTS = 1 << 20  # bytes; previews may precede the first line of ours
 
 
-def with_targets(
-    sources: Iterable[Path], folder: Path
-) -> tuple[list[tuple[Path, Path]], list[Path]]:
-    """Return the files to convert, each with its target in ``folder``, and packed ones left out.
+def jobs_for(sources: Iterable[Path], folder: Path, first_line: bytes = b"") -> list[Job]:
+    """Return one job per file, with its target in ``folder``.
 
     Of a folder these are the files of G-code in it and its subfolders, whose structure is kept.
-    Raises HframeError for a folder without G-code, and OSError for one that cannot be read.
+    first_line: that of a file converted with the same settings, which is marked as skipped; empty:
+    skip none. Raises HframeError for a folder without G-code and where a target would be written
+    twice or replace a source, and OSError for a folder that cannot be read.
     """
-    found: list[tuple[Path, Path]] = []
-    packed = list[Path]()
-    for source in sources:
-        if not source.is_dir():
-            if _is_packed(source.name):
-                raise HframeError(f"{source} is packed: unpack it first, with gunzip")
-            found.append((source, folder / source.name))
-            continue
-        files = _gcode_in(source, folder, packed, _raise)
-        if not files:
-            only = f"only {packed[0].name}: unpack it first" if packed else ", ".join(NAMES)
-            raise HframeError(f"{source} holds no G-code ({only})")
-        found += [(path, folder / path.relative_to(source)) for path in files]
-    return list(dict.fromkeys(found)), packed
-
-
-def _is_packed(name: str) -> bool:
-    return name.lower().endswith(".gz") and is_gcode_name(name[: -len(".gz")])
-
-
-def _gcode_in(
-    folder: Path, without: Path, packed: list[Path], on_error: Callable[[OSError], object]
-) -> list[Path]:
-    """Return the files of G-code in a folder and its subfolders, without hidden ones.
-
-    without: a subfolder that is left out, too: the one of the output. packed: gets those that are
-    compressed.
-    """
-    found, left_out = [], without.resolve()
-    for place, folders, names in os.walk(folder, onerror=on_error):
-        folders[:] = sorted(
-            name
-            for name in folders
-            if not name.startswith(".") and Path(place, name).resolve() != left_out
-        )
-        shown = [name for name in sorted(names) if name[0] != "."]
-        found += [Path(place, name) for name in shown if is_gcode_name(name)]
-        packed += [Path(place, name) for name in shown if _is_packed(name)]
-    return found
-
-
-def _raise(error: OSError) -> None:
-    raise error
-
-
-def jobs_for(files: Sequence[tuple[Path, Path]], first_line: bytes) -> list[Job]:
-    """Return one job per file and target; those converted already are marked as skipped.
-
-    first_line: that of a file converted with the same settings; empty: skip none.
-    Raises HframeError where a target would be written twice or replace a source.
-    """
-    jobs, taken = [], dict[Path, Path]()
+    files = dict.fromkeys(chain.from_iterable(_with_targets(each, folder) for each in sources))
     inputs = {source.resolve(): source for source, _ in files}
+    jobs, taken = [], dict[Path, Path]()
     for source, target in files:
         place = target.resolve()
         if place in inputs:
@@ -241,6 +187,33 @@ def jobs_for(files: Sequence[tuple[Path, Path]], first_line: bytes) -> list[Job]
         )
         jobs.append(Job(source, target, "skipped" if done else "waiting"))
     return jobs
+
+
+def _with_targets(source: Path, folder: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield a file, or those of G-code in a folder, each with its target in ``folder``.
+
+    Hidden ones are left out, and those in ``folder``.
+    """
+    if not source.is_dir():
+        yield source, folder / source.name
+        return
+    found, left_out = False, folder.resolve()
+    for place, folders, names in os.walk(source, onerror=_raise):
+        folders[:] = sorted(
+            name
+            for name in folders
+            if not name.startswith(".") and Path(place, name).resolve() != left_out
+        )
+        for name in sorted(names):
+            if is_gcode_name(name) and not name.startswith("."):
+                found, path = True, Path(place, name)
+                yield path, folder / path.relative_to(source)
+    if not found:
+        raise HframeError(f"{source} holds no G-code ({', '.join(NAMES)})")
+
+
+def _raise(error: OSError) -> None:
+    raise error
 
 
 def _has(path: Path, first_line: bytes) -> bool:

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
-from time import monotonic
 from typing import Any
 
 import click
@@ -22,11 +21,10 @@ from hframe_post.cli.parameters import (
 )
 from hframe_post.conversion.options import Options, first_line
 from hframe_post.errors import HframeError
-from hframe_post.jobs import Converter, Job, State, jobs_for, with_targets
+from hframe_post.jobs import Converter, Job, State, jobs_for
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.process import Interruption
 from hframe_post.writers.outputs import Outputs
-from hframe_post.writers.print_time import duration
 
 CLEAR_LINE = "\r\x1b[K"
 
@@ -71,13 +69,14 @@ def batch(
     stamped = first_line(profile, options.resolved(profile))
     if options.strategy != "none" and not options.force:
         check_identified(profile)
-    todo, packed = _jobs(sources, folder, stamped if resume else b"")
+    try:
+        todo = jobs_for(sources, folder, stamped if resume else b"")
+    except HframeError as error:
+        raise click.UsageError(str(error)) from None
     folder.mkdir(parents=True, exist_ok=True)
     converter = Converter(jobs, printer, options)
     compensates = (options.strategy or profile.compensation.strategy) != "none"
     results = Results(todo, quiet, chosen_printer().why, profile.warnings() if compensates else [])
-    for path in packed:
-        results.say(f"WARNING {path} is packed, so it is not converted: unpack it with gunzip")
     interruption = Interruption()
     with Outputs(files_read(*(job.source for job in todo), printer)) as outputs:
         write_json = open_json(outputs, json_file)
@@ -92,42 +91,20 @@ def batch(
     context.exit(status)
 
 
-def _jobs(
-    sources: Sequence[Path], folder: Path, first_line: bytes
-) -> tuple[list[Job], Sequence[Path]]:
-    """Return what to convert, and the files among it that are packed."""
-    try:
-        files, packed = with_targets(sources, folder)
-        return jobs_for(files, first_line), packed
-    except HframeError as error:
-        raise click.UsageError(str(error)) from None
-
-
-FORESEEN = 0.05  # share of the bytes that must be done before what is left can be estimated
-
-
 class Results:
     """Results of the jobs so far.
 
-    why: what chose the profile. notices: warnings of the profile, which every file has: they are
-    printed once.
+    why: what chose the profile. notices: warnings of the profile, which every file has.
     """
 
     def __init__(self, jobs: Sequence[Job], quiet: bool, why: str, notices: Sequence[str]) -> None:
         self.quiet, self._why, self._jobs, self._notices = quiet, why, jobs, notices
-        self._shown = set[str]()  # warnings
         for text in notices:
             self.say(f"WARNING {text}")
 
     def say(self, text: str) -> None:
         if not self.quiet:
             say(text)
-
-    def show(self, job: Job, before: str) -> None:
-        """Print a result, and below it the warnings that no file before it had."""
-        new = [text for text in self._warnings(job) if text not in self._shown]
-        self._shown.update(new)
-        self.say(before + "\n".join([job.as_text(), *(f"        WARNING: {text}" for text in new)]))
 
     @property
     def status(self) -> int:
@@ -143,8 +120,9 @@ class Results:
         """Return what needs attention, each with its files, and the counts in the last line."""
         warned: dict[str, list[Path]] = {}
         for job in self._jobs:
-            for text in self._warnings(job):
-                warned.setdefault(text, []).append(job.source)
+            for text in job.summary.get("warnings", []):
+                if text not in self._notices:
+                    warned.setdefault(text, []).append(job.source)
         lines = [job.as_text() for job in self._jobs if job.state == "failed"]
         lines += [f"WARNING {_some(files)}: {text}" for text, files in warned.items()]
         counts = f"{self._count('done')} converted, {self._count('skipped')} skipped, "
@@ -155,9 +133,6 @@ class Results:
             counts += f", {stopped} not converted"
         advice = "; --resume tries only those again" if self.status else ""
         return "\n".join([*(lines if len(self._jobs) > 1 else []), counts + advice])
-
-    def _warnings(self, job: Job) -> list[str]:
-        return [text for text in job.warnings if text not in self._notices]
 
     def _count(self, state: State) -> int:
         return sum(job.state == state for job in self._jobs)
@@ -171,19 +146,15 @@ def _some(files: list[Path]) -> str:
 def _convert(jobs: list[Job], converter: Converter, results: Results) -> None:
     """Convert the jobs in place; print each result, below them a progress bar on a terminal."""
     sizes = {job.source: 0 if job.finished else job.source.stat().st_size for job in jobs}
-    terminal, began = sys.stderr.isatty(), monotonic()
+    terminal = sys.stderr.isatty()
 
     def count(_: Job | None) -> str:
-        done, of = sum(sizes[job.source] for job in jobs if job.finished), sum(sizes.values())
-        files = f"{sum(job.finished for job in jobs)} of {len(jobs)}"
-        if not FORESEEN * of < done < of:
-            return files
-        return f"{files}, {duration((of / done - 1.0) * (monotonic() - began))} left"
+        return f"{sum(job.finished for job in jobs)} of {len(jobs)}"
 
     with click.progressbar(
         length=sum(sizes.values()), file=sys.stderr, hidden=results.quiet or not terminal,
-        item_show_func=count, show_eta=False,
+        item_show_func=count,
     ) as bar:  # fmt: skip
         for job in converter.run(jobs):
-            results.show(job, CLEAR_LINE * terminal)
+            results.say(CLEAR_LINE * terminal + job.as_text())
             bar.update(sizes[job.source], job)

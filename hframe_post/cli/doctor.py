@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import platform
 import sys
-import tempfile
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib import metadata
@@ -55,7 +54,7 @@ def doctor(context: click.Context, requested: str | None, config: Path | None) -
       hframe-post doctor -p my.toml --printer-cfg printer.cfg
     """
     n, unchecked = 0, "printer.cfg" if config is None else ""
-    for label, text in chain(_installation(), _folders(), _profile(requested, config)):
+    for label, text in chain(_installation(), _profile(requested, config)):
         if label is UNCHECKED:
             unchecked = text
         else:
@@ -73,36 +72,15 @@ def _installation() -> Findings:
     )
     yield OK, text
     yield OK, f"installed in {Path(__file__).parents[1]}, runs with {sys.executable}"
-    found = {name: _version(name) for name in PACKAGES}
-    yield OK, ", ".join(f"{name} {version}" for name, version in found.items() if version)
-    for name, version in found.items():
-        if not version:
-            yield PROBLEM, f"the package {name} is missing: install hframe-post again"
-
-
-def _version(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return ""
-
-
-def _folders() -> Findings:
-    for place in (Path.cwd(), Path(tempfile.gettempdir())):
-        try:
-            with tempfile.TemporaryFile(dir=place):
-                yield OK, f"files can be written in {place}"
-        except OSError as error:
-            yield PROBLEM, f"files cannot be written in {place}: {error.strerror or error}"
+    yield OK, ", ".join(f"{name} {metadata.version(name)}" for name in PACKAGES)
 
 
 def _profile(requested: str | None, config: Path | None) -> Findings:
     """Check a profile and what goes with it."""
-    harm = NOTE if config is None else PROBLEM
     try:
         choice = choose(requested, os.environ)
     except HframeError as error:
-        yield harm, str(error)
+        yield NOTE if config is None else PROBLEM, str(error)
         return
     name = choice.profile
     try:
@@ -117,7 +95,6 @@ def _profile(requested: str | None, config: Path | None) -> Findings:
             )
             yield NOTE, text
         return
-    own = firmware(profile)
     yield OK, f"profile {name} ({choice.why}): {profile.description or 'no description'}"
     if profile.invented:
         text = (
@@ -125,11 +102,18 @@ def _profile(requested: str | None, config: Path | None) -> Findings:
             "or, without an accelerometer, 'hframe-post calibrate-print' (docs/start.md)"
         )
         yield NOTE, text
+    yield from _printer(profile, name, config)
+
+
+def _printer(profile: Printer, name: str, config: Path | None) -> Findings:
+    """Check whether a valid profile is that of the printer, and the default."""
+    own = firmware(profile)
     if config is None:
         yield UNCHECKED, own.configuration
     if name in shipped():
         command = f"run 'hframe-post setup {quoted(config or own.configuration)}'"
-        yield harm, f"{name} comes with hframe-post and is not your printer: {command}"
+        text = f"{name} comes with hframe-post and is not your printer: {command}"
+        yield NOTE if config is None else PROBLEM, text
         return
     yield from _age(Path(name), profile)
     yield from _default(name)

@@ -7,14 +7,13 @@ import os
 import re
 import sys
 from importlib import import_module
-from itertools import pairwise
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from hframe_post import process
-from hframe_post.errors import HframeError, LimitError, PrinterError
+from hframe_post.errors import HframeError, PrinterError
 from hframe_post.version import __version__
 
 if TYPE_CHECKING:
@@ -78,8 +77,6 @@ GONE = {  # former commands, options and values, and what replaced them
     "setup --no-moonraker": "'hframe-post connect moonraker --remove'",
 }
 UNBROKEN = "\N{NON-BREAKING HYPHEN}"
-_GIVEN = "hframe_post.given"  # the command line in the context's meta
-_NOT_PARSED = (click.NoSuchOption, click.BadOptionUsage, click.MissingParameter)
 
 
 class _Formatter(click.HelpFormatter):
@@ -132,7 +129,6 @@ class _Commands(click.Group):
 
     def parse_args(self, context: click.Context, args: list[str]) -> list[str]:
         """Treat an unknown command as an argument of ``convert``, unless it looks mistyped."""
-        context.meta[_GIVEN] = args
         if args and args[0] not in COMMANDS and args[0] not in ("-h", "--help", "--version"):
             if _looks_like_a_command(args[0]):
                 if args[0] in GONE:
@@ -154,26 +150,28 @@ class _Commands(click.Group):
         except (click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except Exception as error:
+            from hframe_post.cli.json_summary import write_failure  # imported by the command by now
             from hframe_post.printer.choice import CHOICE
 
             failure = _naming_the_file(error, context.meta.get(CHOICE))
-        if isinstance(failure, click.ClickException):
-            shown: click.ClickException = failure
-            if isinstance(failure, click.UsageError):
-                shown = click.UsageError(_misread(failure, context.meta[_GIVEN]), failure.ctx)
-        else:
-            text = _text(failure)
-            if isinstance(failure, LimitError) and failure.clampable and self._clamps(context):
-                text += ", or use --on-limit clamp"
-            shown = _Failure(text)
-        from hframe_post.cli.json_summary import write_failure  # imported by the command by now
+            shown = _shown(failure)
+            write_failure(context, shown.exit_code, shown.format_message(), failure)
+            raise shown from None
 
-        write_failure(context, shown.exit_code, shown.format_message(), failure)
-        raise shown from None
 
-    def _clamps(self, context: click.Context) -> bool:
-        command = self.get_command(context, context.invoked_subcommand or "")
-        return command is not None and any(each.name == "clamp" for each in command.params)
+def _shown(failure: Exception) -> click.ClickException:
+    """Return what the command line shows of a failure."""
+    if not isinstance(failure, click.ClickException):
+        return _Failure(_text(failure))
+    if not isinstance(failure, click.UsageError) or failure.ctx is None:
+        return failure
+    option = failure.option_name if isinstance(failure, click.NoSuchOption) else ""
+    if isinstance(failure, click.BadParameter) and failure.param is not None:
+        value = re.match(r"'([\w-]+)' is not", failure.message)
+        option = f"{failure.param.opts[-1]} {value[1]}" if value else ""
+    if advice := GONE.get(f"{failure.ctx.info_name} {option}"):
+        return click.UsageError(f"{option} is gone: {advice}", failure.ctx)
+    return failure
 
 
 def _naming_the_file(error: Exception, choice: Choice | None) -> Exception:
@@ -191,33 +189,6 @@ def _text(error: Exception) -> str:
     if isinstance(error, MemoryError):
         return "there is not enough memory; nothing was written"
     return _bug_report(error)  # our mistake, not the user's
-
-
-def _misread(failure: click.UsageError, args: list[str]) -> str:
-    """Return the message, and what to type if a file was read as options or an option as a file."""
-    from hframe_post.gcode.lines import is_gcode_name
-
-    option = failure.option_name if isinstance(failure, click.NoSuchOption) else ""
-    if isinstance(failure, click.BadParameter):
-        option = " ".join(_option_with_value(failure, args))
-    if gone := GONE.get(f"{failure.ctx.info_name if failure.ctx else ''} {option}"):
-        return f"{option} is gone: {gone}"
-    end = args.index("--") if "--" in args else len(args)
-    dashed = [word for word in args[:end] if word.startswith("-")]
-    for word in dashed if isinstance(failure, _NOT_PARSED) else ():
-        if is_gcode_name(word) or Path(word).is_file():
-            return f"{failure.format_message()} (for the file {word!r} type ./{word})"
-    for word in args[end + 1 :]:
-        if word.startswith("-") and not (is_gcode_name(word) or Path(word).exists()):
-            return f"{word!r} follows --: put options before it"
-    return failure.format_message()
-
-
-def _option_with_value(failure: click.BadParameter, args: list[str]) -> list[str]:
-    """Return an option and its value, as they were typed."""
-    names = failure.param.opts if failure.param else []
-    words = [part for word in args for part in word.split("=", 1)]
-    return next(([a, b] for a, b in pairwise(words) if a in names), [])
 
 
 def _looks_like_a_command(word: str) -> bool:

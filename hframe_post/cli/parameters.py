@@ -6,7 +6,6 @@ import math
 import os
 import re
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -30,6 +29,7 @@ COLOURS = (  # of the first words of lines
     (re.compile(r"^(WARNING|SLICER|LOOK AGAIN)", re.MULTILINE), "yellow"),
     (re.compile(r"^(result|print time|Next\b|ok\b)", re.MULTILINE), "green"),
 )
+LARGE_BYTES = 2_000_000  # of a file, from which on its conversion takes more than a second
 SPECIAL = re.compile(r"[^\w@%+=:,./\\~-]")  # what a shell would not take as it stands
 
 
@@ -205,36 +205,18 @@ def agrees(question: str) -> bool:
     return not sys.stdin.isatty() or click.confirm(question, default=True)
 
 
-STEPS = 200  # of a bar
-PATIENCE_S = 2.0  # s of work, after which a terminal shows a bar
-
-
 @contextmanager
 def progress_bar(source: Path | None, quiet: bool) -> Iterator[Callable[[int], object] | None]:
-    """Show on a terminal how much of a file was read, once that has taken two seconds.
+    """Show on a terminal how much of a file was read.
 
     Yields the function to call with each number of bytes read; None if nothing is shown.
     """
     size = source.stat().st_size if source is not None and source.is_file() else 0
-    if source is None or quiet or not size or not sys.stderr.isatty():
+    if source is None or quiet or size < LARGE_BYTES or not sys.stderr.isatty():
         yield None
         return
-    began, done, shown = time.monotonic(), 0, list[Any]()
-
-    def advance(length: int) -> None:
-        nonlocal done
-        done += length
-        if not shown and time.monotonic() - began > PATIENCE_S:
-            bar = click.progressbar(length=STEPS, label=source.name, file=sys.stderr)
-            shown.append(bar.__enter__())
-        for bar in shown:
-            bar.update(min(STEPS * done // size, STEPS) - bar.pos)
-
-    try:
-        yield advance
-    finally:
-        for bar in shown:
-            bar.render_finish()
+    with click.progressbar(length=size, label=source.name, file=sys.stderr) as bar:
+        yield bar.update
 
 
 def write_kernel(outputs: Outputs, profile: Path, printer: Printer) -> None:

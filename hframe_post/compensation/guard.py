@@ -193,7 +193,7 @@ def _check_travel(chunk: Samples, command: Array, travel: Travel) -> None:
         raise LimitError(
             f"{'xy'[axis]} (mm)", float(position[k]), bound, int(chunk.line[k]),
             f"the compensation adds {off:.3g} mm here: move the part inwards, or "
-            "widen [travel] in the profile if the bed allows it", clampable=True,
+            "widen [travel] in the profile if the bed allows it",
         )  # fmt: skip
 
 
@@ -210,5 +210,5 @@ def _check_motors(chunk: Samples, rates: Rates, motors: Motors, clamped: bool) -
                 f"belt {name} ({unit})", float(magnitude[k]), limit, int(chunk.line[k]),
                 "raise effort in [compensation], lower the print's speed or acceleration, or "
                 f"raise motors.belt_{name} if the motors can do it"
-                + ("; clamping was not enough" if clamped else ""), clampable=not clamped,
+                + ("; clamping was not enough" if clamped else ""),
             )  # fmt: skip

@@ -6,9 +6,8 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -18,8 +17,6 @@ from hframe_post.arrays import TS, E, lengths
 from hframe_post.compensation.advance import AdvanceSummary
 from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
-from hframe_post.firmware.dialect import object_label
-from hframe_post.gcode.state import ROUNDED_S
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.stream.types import (
     Dwell,
@@ -30,7 +27,6 @@ from hframe_post.stream.types import (
     Samples,
 )
 from hframe_post.writers.gcode import GcodeSummary
-from hframe_post.writers.print_time import duration, times_of
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
@@ -137,18 +133,10 @@ class Ledger:
 
 
 class FileNotes:
-    """Notes a file: its lines and its items.
+    """Notes a file: its lines and its items."""
 
-    label: see ``Dialect``.
-    """
-
-    def __init__(self, label: Callable[[bytes], bytes | None]) -> None:
-        self.read = FileTally()
-        self._label, self._path = label, PathTally()
-        # by form, EXCLUDE_OBJECT or M486: the object that is printed, and where it began
-        self._open = dict[bool, tuple[bytes, int]]()
-        self._times = dict[str, float]()  # s, that the file said last, except by M73
-        self.clocks = np.full(2, math.inf)  # s left, that M73 R and S said last
+    def __init__(self) -> None:
+        self.read, self._path = FileTally(), PathTally()
         self._waiting, self._count = list[Moves](), 0  # moves that are measured together
 
     @property
@@ -156,36 +144,6 @@ class FileNotes:
         """Return what is known of the path so far."""
         self._measure()
         return self._path
-
-    def look(self, number: int, line: bytes) -> None:
-        """Note a label that leaves an object open, and a time left that rises."""
-        label = None if line.lstrip()[:1] == b";" else self._label(line)  # hosts close comments'
-        if label is not None:
-            counted = object_label(line) is not None
-            if label and not counted:  # M486 ends the object before
-                self._check_closed(False)
-            self._open[counted] = (b"" if label == b"-1" else label), number
-        for clock, seconds in times_of(line).items():
-            of_progress = "RS".find(clock)
-            before = self._times.get(clock, math.inf)
-            before = before if of_progress < 0 else float(self.clocks[of_progress])
-            if clock not in ("all", "gone") and seconds > before + ROUNDED_S:
-                self.note(
-                    "time", f"the time left rises from {duration(before)} to {duration(seconds)} "
-                    f"at line {number}, as sliced. Was the file put together from several?"
-                )  # fmt: skip
-            if seconds and of_progress >= 0:  # start code may say 0 before the slicer does
-                self.clocks[of_progress] = seconds
-            elif seconds:
-                self._times[clock] = seconds
-
-    def _check_closed(self, counted: bool) -> None:
-        name, number = self._open.get(counted, (b"", 0))
-        if name:
-            self.note(
-                "object", f"line {number} begins an object that nothing ends, as sliced: who "
-                "excludes it may lose what follows, such as the end code"
-            )  # fmt: skip
 
     def note(self, kind: str, text: str) -> None:
         """Keep the first oddity of a kind."""
@@ -214,8 +172,6 @@ class FileNotes:
                 if item.cause:
                     self._add_uncompensated(item)
             yield item
-        for counted in self._open:
-            self._check_closed(counted)
 
     def _look_for_wipes(self, moves: Moves) -> None:
         fed = np.diff(moves.points[:, E])

@@ -88,7 +88,7 @@ class Chain:
         options = self.options
         own = ReadOptions.from_printer(self.sliced.printer, options.limits, options.extrusion)
         if notes is not None:
-            own = replace(own, note=notes.note, look=notes.look, clocks=notes.clocks)
+            own = replace(own, note=notes.note)
         return read(lines, own)
 
     def planned(self, lines: Iterable[bytes]) -> Iterator[Planned]:

@@ -35,7 +35,7 @@ class WholeFile:
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         lines, self.printer = with_motors(lines, printer, options.limits)
         self.chain = chain = Chain(self.printer, options)
-        self._notes = notes = FileNotes(chain.firmware.dialect.label)
+        self._notes = notes = FileNotes()
         self._sliced = SlicedFile(self.printer, chain.sliced)
         self._following, self._within = chain.following(), chain.within_motors()
         items = self._sliced.items(read_ahead(notes.items(chain.read(lines, notes))))

@@ -14,7 +14,7 @@ from hframe_post.gcode import commands
 from hframe_post.gcode.commands import Vocabulary
 from hframe_post.gcode.curves import MAX_COORDINATE_MM
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.state import ROUNDED_S, Extent, ReadOptions, State
+from hframe_post.gcode.state import Extent, ReadOptions, State
 from hframe_post.native.plain_lines import (
     APPLY,
     CHANGES,
@@ -78,7 +78,7 @@ class PlainLines:
             low[axis], high[axis] = max(low[axis], edge[0]), min(high[axis], edge[1])
         self._edges = *low.tolist(), *high.tolist()
         self._names = _names(options.vocabulary)
-        self._values, self._rules = np.empty(16), np.empty(24)
+        self._values, self._rules = np.empty(14), np.empty(23)
         self._rows = np.empty((MOVES_PER_ITEM, 8))
         self._marks, self._taken = np.empty((MARKS_AT_ONCE, 4), np.int64), np.zeros(6, np.int64)
 
@@ -88,10 +88,10 @@ class PlainLines:
         text, offset = source.upcoming()
         if not text:
             return NOTHING_TAKEN
-        clocks, values = self._options.clocks, self._values
+        values = self._values
         values[:] = (
             *state.position, *state.offset, state.feed, state.speed, state.acceleration,
-            state.travel_acceleration, state.corner, *clocks, items.passed,
+            state.travel_acceleration, state.corner, items.passed,
         )  # fmt: skip
         self._rules[:] = self._present_rules()
         count = plain_lines(
@@ -103,7 +103,6 @@ class PlainLines:
             return NOTHING_TAKEN
         source.skip(lines, size)
         start = state.position
-        clocks[:] = values[13:15]
         *_, e_offset, state.feed, _ = values[:10].tolist()
         state.acceleration, state.travel_acceleration, state.corner = values[10:13].tolist()
         if renamed:
@@ -141,7 +140,7 @@ class PlainLines:
             state.scale, state.factor, MIN_FEED_MM_S, MAX_COORDINATE_MM, MAX_FILAMENT_MM,
             *self._edges, not state.absolute_e, 0.99 * MAX_FILAMENT_PER_PATH, MIN_PATH_MM,
             MAX_MOVE_S, moves, m204, m205, velocity_limit, others.cruise_ratio, others.path,
-            MAX_MARK_BYTES, BYTES_PER_MARK, ROUNDED_S,
+            MAX_MARK_BYTES, BYTES_PER_MARK,
         )  # fmt: skip
 
 

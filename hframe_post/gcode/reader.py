@@ -106,8 +106,6 @@ class _Reader:
 
     def apply(self, line: Line) -> None:
         """Apply one line, whatever it is. Raises GcodeError, LimitError."""
-        if not line.text.startswith(b"G"):
-            self._options.look(*line)
         coded = command(line)
         if coded is None:
             self._apply_uncoded(line)

@@ -8,9 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-import numpy as np
-
-from hframe_post.arrays import Array, Z
+from hframe_post.arrays import Z
 from hframe_post.errors import LimitError
 from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.firmware.dialect import Dialect
@@ -29,7 +27,6 @@ DEFAULT_FEED_MM_S = 25.0  # mm/s, Klipper's feed rate before the first F
 MIN_FEED_FACTOR = 0.01
 MIN_VELOCITY_LIMIT = 0.1  # mm/s; below it a print would never end
 MIN_ACCELERATION_LIMIT = 1.0  # mm/s²
-ROUNDED_S = 60.0  # by which a time left may rise: M73 has whole minutes
 LIMITS_THAT_MAY_BE_ZERO = {"M205", "SQUARE_CORNER_VELOCITY", "MINIMUM_CRUISE_RATIO"}
 
 
@@ -43,9 +40,7 @@ class ReadOptions:
     travel: where the path may go; None: anywhere.
     retraction: what G10 and G11 do; None: only the firmware knows.
     start: the firmware's limits until the file sets others; None: it has none.
-    note: takes what is strange in the file, by its kind. look: is called with the number and text
-    of lines other than moves, unless they need no closer look. clocks (2,): the times left that
-    M73 R and S said last, s.
+    note: takes what is strange in the file, by its kind.
     """
 
     dialect: Dialect
@@ -56,8 +51,6 @@ class ReadOptions:
     retraction: Retraction | None = None
     start: FirmwareLimits | None = None
     note: Callable[[str, str], object] = lambda *_: None
-    look: Callable[[int, bytes], object] = lambda *_: None
-    clocks: Array = field(default_factory=lambda: np.full(2, math.inf))
 
     @classmethod
     def from_printer(

@@ -139,9 +139,8 @@ static int class_of(const char *name, int64_t length, const char *names)
     return UNKNOWN;
 }
 
-/* Return the end of the words of M73, whole numbers; NULL: there is anything else, or a time left
- * that rises by more than ``most`` s. clocks: the times R and S before, s. */
-static const char *progress(const char *c, double most, double *clocks, int64_t *kind)
+/* Return the end of the words of M73, whole numbers; NULL: there is anything else. */
+static const char *progress(const char *c, int64_t *kind)
 {
     int seen = 0;
     while (*c == ' ') {
@@ -149,20 +148,17 @@ static const char *progress(const char *c, double most, double *clocks, int64_t 
         if (*c == ' ' || *c == ';' || *c == '\n')
             continue;
         int clock = letter == 'S', digits = 0;
-        double value = 0.0;
         if (letter < 'A' || letter > 'Z')
             return NULL;
-        for (c++; *c >= '0' && *c <= '9'; c++, digits++)
-            value = 10.0 * value + (*c - '0');
+        for (c++; *c >= '0' && *c <= '9'; c++)
+            digits++;
         if (digits == 0 || digits > 9)
             return NULL;
         if (letter != 'R' && letter != 'S')
             continue;
-        if (seen & 1 << clock || 60.0 * value > clocks[clock] + most)
+        if (seen & 1 << clock)
             return NULL;
         seen |= 1 << clock;
-        if (value > 0.0)
-            clocks[clock] = 60.0 * value;
         *kind = CLOCK;
     }
     return *c == ';' || *c == '\n' || (*c == '\r' && c[1] == '\n') ? c : NULL;
@@ -177,8 +173,8 @@ struct lists {
 
 /* Return the line feed of a line that passes in mid-motion and that the reader need not know; NULL:
  * it is another one. */
-static const char *passing(const char *c, const char *last, const struct lists *lists, double most,
-                           double *clocks, int64_t *kind)
+static const char *passing(const char *c, const char *last, const struct lists *lists,
+                           int64_t *kind)
 {
     int others = 0;
     *kind = PLAIN;
@@ -196,7 +192,7 @@ static const char *passing(const char *c, const char *last, const struct lists *
     int ended = *c == '\n' || (*c == '\r' && c[1] == '\n');
     if (class == UNKNOWN || !(ended || (c > name && (*c == ' ' || *c == ';'))))
         return NULL;
-    if (class == TELLS && (c = progress(c, most, clocks, kind)) == NULL)
+    if (class == TELLS && (c = progress(c, kind)) == NULL)
         return NULL;
     if (class == CHANGES)
         *kind = SETS;
@@ -207,13 +203,13 @@ static const char *passing(const char *c, const char *last, const struct lists *
 
 struct state { /* mm and s; offset: of the place from what the file calls it */
     double at[COLUMNS], offset[COLUMNS], feed, speed, acceleration, travel_acceleration, corner,
-        clocks[2], passed;
+        passed;
 };
 
 struct rules { /* see plain_lines.py */
     double scale, factor, least_feed, farthest, most_filament, least[3], greatest[3], relative_e,
         most_per_path, least_path, longest, moves, m204, m205, velocity_limit, cruise_ratio, path_speed,
-        most_passed, per_line, rising;
+        most_passed, per_line;
 };
 enum { STATE = sizeof(struct state) / sizeof(double), RULES = sizeof(struct rules) / sizeof(double) };
 
@@ -379,7 +375,7 @@ static int64_t plain_lines(const char *text, int64_t size, int64_t offset, int64
         } else if ((next = limit(c, last, rules, state)) == NULL) {
             if (c[0] == 'G' && (next = renamed(c, last, rules, state)) != NULL)
                 end = next - 1, taken[3] = 1;
-            else if ((end = passing(c, last, &lists, rules->rising, state->clocks, &kind)) == NULL)
+            else if ((end = passing(c, last, &lists, &kind)) == NULL)
                 break;
             double all = state->passed + (double)(end - c) + rules->per_line;
             if (all > rules->most_passed)

@@ -47,15 +47,15 @@ def plain_lines(
     with a line feed.
 
     names: see ``name_table``. words: in lower case, between bars: of comments that concern the
-    reader, of those that concern later stages, and of messages that say a time. state (16,): x, y,
+    reader, of those that concern later stages, and of messages that say a time. state (14,): x, y,
     z, e, mm, the offset of each from what the file calls it, feed rate, speed, mm/s, acceleration
-    with and without extrusion, corner velocity, time left by M73 R and S, s, bytes that passed
-    since the last move; it changes. rules (24,): mm per unit of the file, factor on the speed,
+    with and without extrusion, corner velocity, bytes that passed since the last move; it
+    changes. rules (23,): mm per unit of the file, factor on the speed,
     least feed rate, greatest coordinate, greatest filament of a move, least x, y, z, greatest x, y,
     z, whether E is relative, greatest filament per mm of path, least path, greatest s of a move,
     whether moves are taken; what to do with M204, M205 and SET_VELOCITY_LIMIT; cruise ratio and
     path speed, which that must not change; most bytes that pass between moves, those counted for
-    each line in addition to its own, s by which a time left may rise.
+    each line in addition to its own.
 
     rows (m, 8): become source line, x, y, z, e at the end, speed, acceleration and corner velocity
     of each move; this is negative where x and y do not change; marks (k, 4): for each line that

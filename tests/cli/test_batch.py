@@ -51,7 +51,7 @@ def test_one_failure_stops_no_other_job(jobs: list[Path], tmp_path: Path) -> Non
     assert "\x1b" not in done.stderr.decode()
 
 
-def test_what_is_not_compensated_is_said_in_the_line_and_at_the_end(tmp_path: Path) -> None:
+def test_what_is_not_compensated_is_said_at_the_end(tmp_path: Path) -> None:
     for name, share in (("a", 3.29), ("b", 0.01)):
         lines = ("M83", "G1 X100 Y100 Z0.2 F6000", f"G1 X150 E{10 - share} F3000", "A_MACRO")
         (tmp_path / f"{name}.gcode").write_text("\n".join([*lines, f"G1 X160 E{share}\n"]))
@@ -59,9 +59,7 @@ def test_what_is_not_compensated_is_said_in_the_line_and_at_the_end(tmp_path: Pa
     assert done.returncode == 0
     warning = "32.9 % of the extrusion is not compensated, mostly after A_MACRO"
     shown = done.stderr.decode().splitlines()
-    own = next(k for k, line in enumerate(shown) if line.startswith(f"done    {tmp_path}/a.gcode"))
-    assert any(warning in line for line in shown[own + 1 : own + 3])
-    assert any(line.startswith(f"WARNING {tmp_path}/a.gcode: {warning}") for line in shown[-3:-1])
+    assert shown[-2].startswith(f"WARNING {tmp_path}/a.gcode: {warning}")
     assert shown[-1] == "2 converted, 0 skipped, 0 failed, 1 with warnings"
 
 

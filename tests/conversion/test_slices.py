@@ -77,33 +77,6 @@ def test_filament_that_a_lost_g92_takes_back_is_a_warning(paper: Printer) -> Non
     assert not any("takes back" in text for text in conversion.report().warnings())
 
 
-A, B, END = (b"EXCLUDE_OBJECT_%b\n" % end for end in (b"START NAME=A", b"START NAME=B", b"END"))
-NEITHER = ["nothing ends", "time left rises"]
-
-
-@pytest.mark.parametrize(
-    ("lines", "said"),
-    [
-        ([A, B, END], "line 3 begins an object that nothing ends"),
-        ([A, END, B], "line 5 begins an object that nothing ends"),
-        ([b"M486 S0\n", b"M486 S1\n"], "line 4 begins an object that nothing ends"),
-        ([b"M73 P0 R20\n", b"M73 P9 R3\n", b"M73 P5 R9\n"], "from 3m 00s to 9m 00s at line 5"),
-        ([b";REMAINING_TIME:99\n", b";REMAINING_TIME:300\n"], "from 1m 39s to 5m 00s at line 4"),
-        ([A, END, B, END, b"; printing object a\n", b";MESH:a.stl\n"], ""),
-        ([b"M486 S0\n", A, b"M486 S-1\n", END, b"M486 S0\n", b"M486 S1\n", b"M486 S-1\n"], ""),
-        ([b"M73 P0 R0\n", b"M73 P0 R20 S30\n", b"M73 P9 R18\n", b"M73 S29 R19\n"], ""),
-        ([b";TIME:900\n", b";TIME_ELAPSED:3\n", b";TIME_ELAPSED:800\n", b";TIME:999\n"], ""),
-    ],
-)
-def test_what_is_strange_is_a_warning(paper: Printer, lines: list[bytes], said: str) -> None:
-    begin = [b"G92 X100 Y100 Z1 E0\n", b"G1 X120 F6000\n"]
-    conversion = GcodeConversion([*begin, *lines, b"G1 X100\n"], paper, Options("racking"))
-    list(conversion)
-    found = [text for text in conversion.report().warnings() if any(n in text for n in NEITHER)]
-    assert len(found) == bool(said)
-    assert said in "".join(found)
-
-
 def test_a_print_from_an_unknown_place_is_told_to_begin_with_a_move(paper: Printer) -> None:
     lines = [b"M83\n", b"G0 Y10 F6000\n", *[b"G1 X100 E1\n", b"G1 X120 E1\n"] * 3]
     conversion = GcodeConversion(lines[:3], paper, Options("racking"))
