@@ -108,14 +108,6 @@ def sliced(count: int) -> list[bytes]:
     return [line.replace(b"G1 X0 Y220", b"G1 X0 Y190") for line in whole]
 
 
-def small_rectangle() -> list[bytes]:
-    """Return the paper's rectangle at a tenth of its size: it has a tenth of the samples."""
-    small = {b"X140": b"X20", b"X260": b"X32", b"Y100": b"Y10", b"Y120": b"Y12",
-             b"E4": b"E0.4", b"E0.7": b"E0.07"}  # fmt: skip
-    words = [[small.get(word, word) for word in line.split()] for line in sample("rectangle.gcode")]
-    return [b" ".join(line) + b"\n" for line in words]
-
-
 def assert_same_stream(now: bytes, then: bytes, place: float = 0.002, feed: float = 1e-3) -> None:
     """Assert equality but for the version; 2 µm and 0.1 % of the feed rate: C libraries round."""
     versions = (VERSION.sub(b"", each, count=1) for each in (now, then))

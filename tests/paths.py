@@ -38,3 +38,12 @@ def strokes() -> Array:
     x, y = (np.pad(each, (0, n - len(each)), mode="edge") for each in (x, y))
     back = np.column_stack([np.concatenate([x, x[::-1]]), np.concatenate([y, np.full(n, y[-1])])])
     return np.asarray(ORIGIN + back)
+
+
+def in_motion(xyze: Array) -> tuple[Flags, Flags]:
+    """Return at which samples the path xyze (n, 4) moves, and at which it extrudes too, (n,)."""
+    moves, extruding = np.zeros((2, len(xyze)), dtype=bool)
+    x, y, _, e = xyze.T
+    moves[1:] = (x[1:] != x[:-1]) | (y[1:] != y[:-1])
+    extruding[1:] = moves[1:] & (e[1:] > e[:-1])
+    return moves, extruding

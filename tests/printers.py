@@ -1,6 +1,6 @@
 """Configurations of printers, and profiles of them: new ones, and with a model as measured."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -10,7 +10,6 @@ import tomlkit
 
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import from_klipper, kinematics_in
-from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.printer import model_file
@@ -72,15 +71,6 @@ def with_plant(
     printer = load(source) if text is None else parse(text, "mine", source)
     found = model_file.measured(printer, plant, uncertainty, measured)
     return in_one(with_windows(found, windows), source, notes, text)
-
-
-def with_check(
-    source: str, moved: Mapping[str, ImpulseResponse], uncertainty: float, measured: date | None
-) -> str:
-    printer = load(source)
-    changed: dict[str, Any] = dict(moved)
-    plant, day = replace(printer.plant, **changed), measured or printer.measured
-    return in_one(replace(printer, plant=plant, uncertainty=uncertainty, measured=day), source)
 
 
 def with_verification(source: str, day: str, reduction: float) -> str:

@@ -18,7 +18,7 @@ from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
-from tests.native.oracles import in_motion
+from tests.paths import in_motion
 from tests.simulator import Axis, Chip, Machine, Mode
 
 BAND = (3.0, 100.0)

@@ -88,23 +88,6 @@ def test_a_filter_is_the_definition_wherever_cut(rest: float, late: int, lag: fl
     assert np.array_equal(run(np.split(u, np.arange(1, len(u)))), whole)
 
 
-@pytest.mark.parametrize("late", [0, 7])
-@pytest.mark.parametrize(
-    "G",
-    [
-        ImpulseResponse(np.ones(99), 0),
-        ImpulseResponse(np.ones(99), 0, lag=2.5),
-        ImpulseResponse(np.zeros(1), 0, lag=2.5),
-    ],
-)
-def test_a_settled_filter_stands_still(G: ImpulseResponse, late: int) -> None:
-    f = FiniteFilter(G, late)
-    f.state[:] = 12.5
-    standing = f.run(np.full(50, 12.5))
-    assert np.abs(standing - 12.5).max() < 1e-12  # mm
-    assert np.array_equal(standing, np.full(50, 12.5))  # gain 1 at rest, exactly
-
-
 # ---------------------------------------------------------------------- one axis
 
 

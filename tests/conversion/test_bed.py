@@ -20,7 +20,7 @@ from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from tests.native.oracles import in_motion
+from tests.paths import in_motion
 from tests.plants import Filter
 from tests.quantities import below
 

@@ -12,7 +12,17 @@ from hframe_post.gcode import batching
 from hframe_post.planner import sampling
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Extruder, Printer
-from tests.gcode_tools import converted, hops, layers, small_rectangle
+from tests.gcode_tools import converted, hops, layers, sample
+
+
+def small_rectangle() -> list[bytes]:
+    """Return the paper's rectangle at a tenth of its size: it has a tenth of the samples."""
+    small = {b"X140": b"X20", b"X260": b"X32", b"Y100": b"Y10", b"Y120": b"Y12",
+             b"E4": b"E0.4", b"E0.7": b"E0.07"}  # fmt: skip
+    lines = sample("rectangle.gcode")
+    words = [[small.get(word, word) for word in line.split()] for line in lines]
+    return [b" ".join(line) + b"\n" for line in words]
+
 
 CUBE = layers("cube.gcode", 1)
 ADVANCES = [b"SET_PRESSURE_ADVANCE ADVANCE=0.09 SMOOTH_TIME=0.02\n", b"M900 K0.09\n"]

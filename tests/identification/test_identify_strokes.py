@@ -9,30 +9,13 @@ from click.testing import CliRunner
 
 from hframe_post.arrays import TS
 from hframe_post.cli.main import main
-from hframe_post.identification.estimation.measured import stroke_responses
-from hframe_post.identification.identify import MeasurementSettings
 from hframe_post.identification.recordings.formats import command_csv
 from hframe_post.identification.recordings.strokes import runs
 from hframe_post.printer.profile import load
 from tests.quantities import below
-from tests.random_printers import BAND, drawn, identified, judged, printer, struck
+from tests.random_printers import drawn, identified, judged, printer, struck
 from tests.recordings import write_klipper
 from tests.simulator import Axis, Chip, Machine, Mode
-
-
-def test_the_responses_are_those_of_the_printer_with_its_delay() -> None:
-    machine, chip, _ = drawn(4)
-    exact = machine.exact()
-    (run,) = struck(machine, chip, 4, 30.0)
-    groups = stroke_responses([run], MeasurementSettings(BAND, racks=False))
-    for axis, (name, G) in enumerate({"Gxx": exact.Gxx, "Gyy": exact.Gyy}.items()):
-        found = groups[name].runs[0]
-        omega = 2.0 * np.pi * TS * found.response.hz
-        held = G.response(omega) * chip.gains[axis]
-        weight = np.sqrt(found.response.power)
-        off = float(np.linalg.norm(weight * (found.response.H - held)))
-        below(off / float(np.linalg.norm(weight * held)), 0.04, "relative error, 3 to 100 Hz")
-
 
 STEP = 0.0206  # mm of belt
 LINEAR, MOVING = (2, 6), (19,)

@@ -23,7 +23,6 @@ from tests.recordings import write_klipper
 from tests.simulator import RATE, Axis, Chip, Machine, Mode
 
 PRINTER = replace(load("paper"), kinematics=load("example-corexy").kinematics)
-SLINGER = load("example-cartesian")
 MACHINE = Machine(
     Axis((Mode(32.0, 0.05, 0.8), Mode(70.0, 0.05, 0.2)), delay=0.0013),
     Axis((Mode(41.0, 0.08),), delay=0.0021),
@@ -140,19 +139,6 @@ def test_gaps_are_bridged(tmp_path: Path) -> None:
     assert "are missing" in gathered.used[0].as_text()
     (found,) = gathered.runs
     off = error(found.on_command_clock(), true_acceleration(run))
-    below(float(off.max()), 4.0, "error of the acceleration, %")
-
-
-def test_one_axis_of_a_bed_slinger(tmp_path: Path) -> None:
-    axis, folder = 1, Folder(tmp_path)
-    run = runs(SLINGER, [(150.0, 150.0)], 9.0)[axis]
-    machine = replace(MACHINE, kinematics="cartesian")
-    folder.add(run, mounted(FAST.record(machine, run.command, axis), mounting(axis)))
-    (found,) = gather([tmp_path], None, SLINGER.travel).runs
-    assert found.axes == (axis,)
-    off = error(
-        found.on_command_clock()[:, [axis, axis]], true_acceleration(run, machine)[:, [axis]]
-    )
     below(float(off.max()), 4.0, "error of the acceleration, %")
 
 

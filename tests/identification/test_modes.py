@@ -3,12 +3,28 @@
 import numpy as np
 import pytest
 
-from hframe_post.arrays import TS, Complex
+from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.estimation.fit import Fit, described, shares
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.estimation.kernel import Mode
 from hframe_post.model.impulse_response import ImpulseResponse
-from tests.identification.modal_tools import HZ, TWO, continuous
+from tests import simulator
+from tests.simulator import Axis, Machine
+
+HZ = np.arange(3.0, 100.01, 0.25)
+TWO = Machine(
+    Axis((simulator.Mode(30.0, 0.05, 0.8), simulator.Mode(70.0, 0.04, 0.2)), delay=0.0013),
+    Axis((simulator.Mode(38.0, 0.1),)),
+    racking=2e-8,
+)
+
+
+def continuous(axis: Axis, hz: Array) -> Complex:
+    s = 2j * np.pi * hz
+    G = axis.response()
+    played = np.polyval(G.num, s) / np.polyval(G.den, s)
+    return np.asarray(played * np.exp(-s * axis.delay) * np.sinc(hz * TS) ** 2)
+
 
 MODES = [
     Mode(2.0 * np.pi * TS * hz, zeta) for hz, zeta in ((30.0, 0.05), (70.0, 0.04), (50.0, 0.06))

@@ -56,14 +56,6 @@ def test_command_takes_any_length_and_is_that_of_whole_windows(n: int) -> None:
     assert abs(nozzle[-1] - x_d[-1]) < 0.01  # it arrives, from where the axis stood
 
 
-@pytest.mark.parametrize("n", [0, 1, 439, 441, 440 + 219])
-def test_run_refuses_what_is_no_whole_number_of_windows(n: int) -> None:
-    solver = Lpfbs(PLANT.Gxx, Window(5, 88, 44, 96.0))
-    with pytest.raises(ValueError, match="440 plus any multiple of 220"):
-        solver.run(np.zeros(n), solver.rest)
-    assert len(solver.run(np.zeros(440 + 220), solver.rest)[0]) == 440
-
-
 @pytest.mark.paper
 def test_eq_30_minimises_error_and_effort_in_its_window() -> None:
     """No other control points of the first window do better from rest."""

@@ -16,33 +16,27 @@ from hframe_post.native.planning import greatest_speeds
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.printer.settings import Limits
-from hframe_post.stream.marks import Mark, Marks
+from hframe_post.stream.marks import Mark
 from hframe_post.stream.types import (
     FileLimits,
-    Handling,
-    Item,
     MoveAtRest,
     Moves,
-    Passthrough,
     Plan,
 )
-from tests.native.oracles import reachable_speed
 from tests.planner.planning import (
     INF,
     LIMITS,
-    STATE,
     bits,
     caps,
-    carried,
     cut,
     gentle_spiral,
     jerks,
     line,
-    move_limits,
     moves,
     one,
     plans,
     random_moves,
+    reachable_speed,
     seeds,
 )
 
@@ -145,47 +139,7 @@ def test_plan_can_be_driven(seed: int, n: int, jerk: float, deceleration: float)
     assert (v[:-1] <= back).all()
 
 
-@settings(max_examples=50, deadline=None)
-@given(seeds, st.integers(1, 60))
-def test_limits_are_constant_along_a_run(seed: int, n: int) -> None:
-    whole = random_moves(seed, n)
-    planned = one(whole)
-    steps = np.diff(whole.points, axis=0)
-    for run, (a, b) in enumerate(zip(planned.ends[:-1], planned.ends[1:], strict=True)):
-        for k in range(a, b):
-            cruise, acceleration = move_limits(
-                steps[k], float(whole.speed[k]), float(whole.acceleration[k])
-            )
-            assert cruise == pytest.approx(planned.cruise[run])
-            assert acceleration == pytest.approx(planned.acceleration[run])
-
-
 # ---------------------------------------------------------------------- other items
-
-
-def test_pass_through_line_becomes_a_mark_at_its_place() -> None:
-    first, second = cut(moves(line((5, 0, 0, 0), (5, 0, 0, 0))), 1)
-    items = list(plan([first, carried(b"A"), second, carried(b"B")], LIMITS))
-    (planned,) = items
-    assert isinstance(planned, Plan)
-    assert planned.marks == Marks.from_lines([Mark(1, b"A"), Mark(2, b"B")])
-
-
-@pytest.mark.parametrize(
-    "item",
-    [
-        MoveAtRest(3, (5, 0, 0, 0), (5, 0, 0, -1), 30.0),
-        Passthrough(3, b"M400", Handling.REST, STATE),
-        Passthrough(3, b"G28", Handling.RELEASE, STATE),
-    ],
-)
-def test_what_happens_at_rest_follows_a_stop(item: Item) -> None:
-    first, second = cut(moves(line((5, 0, 0, 0), (5, 0, 0, 0))), 1)
-    before, between, after = plan([first, item, second], LIMITS)
-    assert between == item
-    assert isinstance(before, Plan)
-    assert isinstance(after, Plan)
-    assert before.speed[-1] == after.speed[0] == after.speed[-1] == 0.0
 
 
 # ---------------------------------------------------------------------- cutting

@@ -33,7 +33,6 @@ from hframe_post.stream.types import (
     StopRules,
 )
 from tests.mark_tools import each
-from tests.native.oracles import integrate
 from tests.planner.planning import (
     LIMITS,
     STATE,
@@ -41,6 +40,7 @@ from tests.planner.planning import (
     caps,
     carried,
     cut,
+    integrate,
     jerks,
     line,
     moves,
@@ -139,13 +139,6 @@ def test_no_vertex_far_along_is_passed_faster_than_its_junction_allows() -> None
     item = random_moves(3, 4000)
     excess = passing_speeds(item, LIMITS) - caps(item) * (1 + 1e-3) - 0.05
     assert excess.max() <= 0.0, f"vertex {int(np.argmax(excess))}: {excess.max():.3g} mm/s over"
-
-
-def test_line_of_each_sample_is_that_of_its_move() -> None:
-    blocks = sampled([moves(line((10, 0, 0, 1), (0, 10, 0, 1)))])
-    xyze, lines = whole(blocks)[0], np.concatenate([b.line for b in blocks])
-    np.testing.assert_array_equal(lines[xyze[:, 1] > 0.001], 2)
-    np.testing.assert_array_equal(lines[xyze[:, 0] < 9.999], 1)
 
 
 # ---------------------------------------------------------------------- marks
@@ -404,13 +397,6 @@ def test_samples_do_not_depend_on_how_moves_are_cut() -> None:
     for size in (1, 7, 100):
         assert bits(plans(recut(items, size))) == bits(plans(items))
         assert stream_bits(sampled(recut(items, size))) == expected
-
-
-@pytest.mark.parametrize("size", [7, 100, 10_000])
-def test_samples_do_not_depend_on_the_size_of_chunks(size: int) -> None:
-    items = mixed()
-    expected = stream_bits(sampled(items))
-    assert stream_bits(sampled(items, size=size)) == expected
 
 
 def test_chunks_are_contiguous_finite_and_read_only() -> None:

@@ -13,7 +13,7 @@ from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer.profile import load, parse
 from tests.modes import deviation_of_mode
-from tests.printers import with_check, with_plant, with_verification
+from tests.printers import with_plant
 
 PAPER = load("paper")
 WINDOWS = PAPER.compensation.windows
@@ -60,26 +60,6 @@ def test_responses_read_back(tmp_path: Path) -> None:
     mine.write_text(text)
     again = with_plant(str(mine), found, WINDOWS, ["measured"], 0.02, measured=date(2026, 7, 1))
     assert again == text  # what was read is written with the same digits
-
-
-def test_a_verified_profile_and_its_digest_know_the_response(tmp_path: Path) -> None:
-    mine = tmp_path / "mine.toml"
-    plant = replace(PAPER.plant, Gxx=measured(), Gyy=measured(), Gxtheta=None)
-    mine.write_text(with_plant("example-corexy", plant, WINDOWS, []))
-    mine.write_text(with_verification(str(mine), "2026-07-01", 0.9))
-    verified = load(str(mine))
-    assert verified.verified is not None
-
-    text = mine.read_text()
-    other = parse(text.replace("0.4000", "0.4001", 1), "mine")
-    assert other.verified is None
-    assert other.digest != verified.digest
-    assert np.array_equal(deviation(other.plant.Gyy), deviation(verified.plant.Gyy))
-
-    checked = parse(with_check(str(mine), {"Gyy": measured(scale=0.9)}, 0.03, None), "mine")
-    assert checked.verified is not None
-    assert deviation(checked.plant.Gyy) == pytest.approx(0.9 * EARLY, abs=1e-4)
-    assert np.array_equal(deviation(checked.plant.Gxx), deviation(verified.plant.Gxx))
 
 
 @pytest.mark.parametrize(
