@@ -6,7 +6,8 @@ there at once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from hframe_post.cli.parameters import files_read, position, printer_option, quo
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.printer.settings import CHIP_NAME
 from hframe_post.writers.outputs import Outputs
-from hframe_post.writers.print_time import write_output
+from hframe_post.writers.print_time import Output, write_output
 
 if TYPE_CHECKING:
     from hframe_post.identification.recordings.runs import PlannedRun
@@ -82,76 +83,98 @@ def measure(
             raise click.UsageError(f"--{option} is for --for {only}")
     profile = load(printer)
     if purpose == "identify" and not profile.firmware.kind.records:
-        text = _sweep(output, printer, profile, places)
+        files, summary = _sweeps(output, profile, places)
     else:
-        text = _motion(output, printer, profile, purpose, places, chips, times)
+        files, summary = _recorded(output, printer, profile, purpose, places, chips, times)
+    _write(output, printer, files)
     if not quiet:
-        say(text)
+        say(summary)
 
 
-def _motion(
+def _sweeps(
+    target: Path, profile: Printer, places: tuple[tuple[float, float], ...]
+) -> tuple[list[_File], str]:
+    """Return sweeps that another program records, a file for each, and what to do with them."""
+    from hframe_post.identification.recordings.runs import positions
+    from hframe_post.identification.recordings.written_sweep import runs, summary
+
+    files = [
+        _File(target.with_name(f"{target.stem}.{run.name}.gcode"), [run],
+              (f"{line}\n".encode() for line in lines))
+        for axis in (X, Y)
+        for run, lines in runs(profile, axis, list(places) or positions(profile, axis), HEIGHT)
+    ]  # fmt: skip
+    done = [run for file in files for run in file.runs]
+    return files, summary(target.stem, done, profile.kinematics.type == "cartesian")
+
+
+def _recorded(
     target: Path, printer: str, profile: Printer, purpose: str,
     places: tuple[tuple[float, float], ...], chips: tuple[str, ...], times: int,
-) -> str:  # fmt: skip
-    """Write runs that Klipper records, each with its command; return the summary."""
+) -> tuple[list[_File], str]:  # fmt: skip
+    """Return the file of the runs that Klipper records, two where its sensor must be moved between
+    the axes, and what to do with it."""
     from hframe_post.identification import check
     from hframe_post.identification.recordings import strokes
     from hframe_post.identification.recordings.folder import STROKES
-    from hframe_post.identification.recordings.runs import moves_sensor
+    from hframe_post.identification.recordings.runs import gcode, moves_sensor
 
-    if purpose != "identify":
+    if purpose == "identify":
+        planned, recorded = strokes.runs(profile, places), STROKES
+        summary = strokes.summary(profile, times * planned)
+    else:
         check_identified(profile)
-    planned = strokes.runs(profile, places) if purpose == "identify" else check.runs(profile)
-    jobs: dict[Path, list[PlannedRun]] = {}
+        planned, recorded = check.runs(profile), purpose
+        summary = "\n".join(f"{run.name}: {run.seconds:.1f} s" for run in planned)
+    jobs = {target: planned}
     if moves_sensor(profile, planned, chips):
-        for run in planned:
-            jobs.setdefault(_of_axis(target, "xy"[run.axis]), []).append(run)
-    repeated = {file: times * runs for file, runs in (jobs or {target: planned}).items()}
-    _write_motion(target, printer, profile, planned, chips, repeated)
-    if purpose != "identify":
-        seconds = [f"{run.name}: {run.seconds:.1f} s" for run in planned]
-        steps = _next_steps("check", target, printer, planned, list(jobs), purpose)
-        return "\n".join([*seconds, steps])
-    steps = _next_steps("identify", target, printer, planned, list(jobs), STROKES)
-    return f"{strokes.summary(profile, times * planned)}\n{steps}"
+        of_axis = {axis: [run for run in planned if run.axis == axis] for axis in (X, Y)}
+        jobs = {
+            target.with_name(f"{target.stem}-{'xy'[axis]}.gcode"): runs
+            for axis, runs in of_axis.items()
+        }
+    files = [
+        _File(path, runs, gcode(profile, times * runs, chips, HEIGHT))
+        for path, runs in jobs.items()
+    ]
+    return files, f"{summary}\n{_next_steps(purpose, target, printer, files, recorded)}"
 
 
-def _of_axis(target: Path, axis: str) -> Path:
-    """Return the file of one axis, where the sensor is moved between the axes."""
-    return target.with_name(f"{target.stem}-{axis}.gcode")
+@dataclass(frozen=True, slots=True)
+class _File:
+    """A file of G-code to print, and the runs in it, each of which has a file of its command."""
+
+    path: Path
+    runs: list[PlannedRun]
+    lines: Iterable[Output]
 
 
-def _write_motion(
-    target: Path, printer: str, profile: Printer, planned: list[PlannedRun], chips: tuple[str, ...],
-    jobs: Mapping[Path, list[PlannedRun]],
-) -> None:  # fmt: skip
+def _write(target: Path, printer: str, files: Sequence[_File]) -> None:
     from hframe_post.identification.recordings.formats import command_csv
-    from hframe_post.identification.recordings.runs import gcode
 
     with Outputs(files_read(printer)) as outputs:
-        motions = [(outputs.open(path), runs) for path, runs in jobs.items()]
+        motions = [(outputs.open(file.path), file) for file in files]
         commands = [
-            outputs.open(target.with_name(f"{target.stem}.{run.name}.csv")) for run in planned
+            (outputs.open(target.with_name(f"{target.stem}.{run.name}.csv")), run)
+            for file in files
+            for run in file.runs
         ]
-        for motion, runs in motions:
-            lines = gcode(profile, runs, chips, HEIGHT)
-            write_output(motion, lines, lambda: (0.0, 0.0))
-        for file, run in zip(commands, planned, strict=True):
-            file.writelines(command_csv(run.command))
+        for motion, file in motions:
+            write_output(motion, file.lines, lambda: (0.0, 0.0))
+        for command, run in commands:
+            command.writelines(command_csv(run.command))
 
 
 def _next_steps(
-    command: str, target: Path, printer: str, planned: list[PlannedRun], jobs: Sequence[Path],
-    recorded: str,
-) -> str:  # fmt: skip
-    """Return what to do with a file of runs: print it, fetch what was recorded, and read that.
+    command: str, target: Path, printer: str, files: Sequence[_File], recorded: str
+) -> str:
+    """Return what to do with files of runs: print them, fetch what was recorded, and read that.
 
-    command: that reads. jobs: the two files of a printer whose sensor is moved to the bed between
-    them. recorded: how the runs' names begin.
+    command: that reads. recorded: how the runs' names begin.
     """
     print_it = f"print {target.name}, and"
-    if jobs:
-        on_head, on_bed = (path.name for path in jobs)
+    if len(files) > 1:
+        on_head, on_bed = (file.path.name for file in files)
         print_it = (
             f"print {on_head} with the sensor on the head,\n"
             f"move the sensor to the bed, print {on_bed}, and"
@@ -159,7 +182,7 @@ def _next_steps(
     folder = target.parent
     inside = "" if folder == Path() else quoted(f"{folder}/")  # quotes stop a shell from matching *
     # the commands and the recordings; what a folder of their own holds, identify sorts out
-    both = [f"{inside}*{run.name}*.csv" for run in planned]
+    both = [f"{inside}*{run.name}*.csv" for file in files for run in file.runs]
     if command == "identify" and inside:
         both = [quoted(folder)]
     profile = Path(printer if Path(printer).is_file() else "printer.toml")
@@ -173,25 +196,3 @@ def _next_steps(
             f"  hframe-post {command}{chosen} {' '.join(both)} -o {quoted(profile)}",
         ]
     )
-
-
-def _sweep(
-    target: Path, printer: str, profile: Printer, places: tuple[tuple[float, float], ...]
-) -> str:
-    """Write a sweep for Marlin: a file for each run, TARGET.RUN.gcode, with its command."""
-    from hframe_post.identification.recordings.formats import command_csv
-    from hframe_post.identification.recordings.runs import positions
-    from hframe_post.identification.recordings.written_sweep import runs, summary
-
-    planned = [
-        run
-        for axis in (X, Y)
-        for run in runs(profile, axis, list(places) or positions(profile, axis), HEIGHT)
-    ]
-    with Outputs(files_read(printer)) as outputs:
-        for run, lines in planned:
-            named = target.with_name(f"{target.stem}.{run.name}")
-            outputs.open(Path(f"{named}.gcode")).write("\n".join([*lines, ""]).encode())
-            outputs.open(Path(f"{named}.csv")).writelines(command_csv(run.command))
-    done = [run for run, _ in planned]
-    return summary(target.stem, done, profile.kinematics.type == "cartesian")

@@ -6,7 +6,7 @@ runs → frequency responses → responses, sensor gains and x_c → what is ref
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -33,9 +33,8 @@ from hframe_post.identification.places import (
     DAY_TO_DAY,
     MOST,
     SAME_PLACE,
-    ModeShift,
     at_the_middle,
-    find_mode_shift,
+    changes,
     find_racking,
 )
 from hframe_post.model.impulse_response import ImpulseResponse
@@ -62,8 +61,8 @@ class Identified:
     measured, fits: by name, Gxx, Gyy and, if measured, Gxtheta. x_c: mm, None if no
     runs tell it. warnings: about recordings; those about a model are in ``fits``. racks: whether
     the kinematics can rack. racking_below_noise: racking was looked for and is less than its
-    noise. mode_shift: how Gxx changes along x. repetitions: by name, of axes that were recorded
-    more than once at one place, the share of the response that each recording has of its own.
+    noise. repetitions: by name, of axes that were recorded more than once at one place, the share
+    of the response that each recording has of its own.
     """
 
     measured: dict[str, Measured]
@@ -72,7 +71,6 @@ class Identified:
     warnings: list[str]
     racks: bool
     racking_below_noise: bool
-    mode_shift: ModeShift | None
     repetitions: dict[str, float]
 
     @property
@@ -123,10 +121,20 @@ class Identified:
         return None
 
     @property
+    def changes(self) -> str:
+        """Return by how much x varies between positions, if one model cannot describe all."""
+        x = self.measured.get("Gxx")
+        if x is None or "Gxx" in self.repetitions or not changes(x):
+            return ""
+        return (
+            f"Gxx varies by {100 * x.spread:.0f} % between the gantry's positions; one model "
+            "cannot describe all of them"
+        )
+
+    @property
     def _cause(self) -> str:
-        if self.mode_shift is not None:
-            return f"{self.mode_shift.message}, too far for a single model"
-        return "check that nothing is loose and that all files are of one printer"
+        general = "check that nothing is loose and that all files are of one printer"
+        return self.changes or general
 
     def plant(self, x_c: float) -> Plant:
         """Return the plant; ``x_c`` (mm) is used if it was not identified.
@@ -154,36 +162,23 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
     """
     measured = _measured(runs, settings)
     fits = _fit_all(measured)
-    moving = _moving(measured, fits)
-    fits |= _at_the_middle(moving, measured)
+    fits |= {
+        name: fit_known_start(at_the_middle(one.places))
+        for name, one in measured.items()
+        if one.known_start and changes(one)
+    }
     repeated = {name: _repetition(one) for name, one in measured.items()}
     repetitions = {name: one for name, one in repeated.items() if one is not None}
     racking, sought = None, False
     if "Gxx" in measured:
-        racking, sought = find_racking(measured["Gxx"], fits, settings, "Gxx" in moving)
+        racking, sought = find_racking(measured["Gxx"], fits, settings)
     x_c = None
     if racking is not None:
         measured["Gxtheta"], fits["Gxtheta"], x_c = racking.measured, racking.fit, racking.x_c
     warnings = _late_start(runs)
     return Identified(
-        measured, fits, x_c, warnings, settings.racks, sought and racking is None,
-        moving.get("Gxx"), repetitions,
-    )  # fmt: skip
-
-
-def _moving(measured: Mapping[str, Measured], fits: Mapping[str, Fit]) -> dict[str, ModeShift]:
-    """Return how the modes of each axis shift along x, of those that do."""
-    shifts = {
-        name: find_mode_shift(fits[name].G, fits[name].resonance_hz, one.places)
-        for name, one in measured.items()
-    }
-    return {name: shift for name, shift in shifts.items() if shift is not None}
-
-
-def _at_the_middle(shifts: Iterable[str], measured: Mapping[str, Measured]) -> dict[str, Fit]:
-    """Return the fits of the middle place for axes that shift, if starts are known."""
-    known = [name for name in shifts if measured[name].known_start]
-    return {name: fit_known_start(at_the_middle(measured[name].places)) for name in known}
+        measured, fits, x_c, warnings, settings.racks, sought and racking is None, repetitions
+    )
 
 
 def _measured(runs: Sequence[Run], settings: MeasurementSettings) -> dict[str, Measured]:

@@ -75,16 +75,9 @@ class IdentificationReport:
                     f"{100 * share:.0f} % of what {axis} does is not linear in its command: look "
                     "for friction, play and loose parts" + self._uncompensated(share)
                 )
-        along_x = identified.measured["Gxx"].spread if "Gxx" in identified.measured else 0.0
-        if identified.mode_shift is not None:
-            messages.append(
-                f"{identified.mode_shift.message}. The profile's one model is that of the middle"
-            )
-        elif along_x > verdict.PLACES and "Gxx" not in identified.repetitions:
-            messages.append(
-                f"Gxx varies by {100 * along_x:.0f} % between the gantry's positions; one model "
-                "cannot describe all of them" + self._uncompensated(along_x)
-            )
+        if identified.changes:
+            spread = identified.measured["Gxx"].spread
+            messages.append(identified.changes + self._uncompensated(spread))
         racks = identified.racks and "Gxx" in identified.fits
         if racks and not (identified.racking_below_noise or "Gxtheta" in identified.fits):
             messages.append(
