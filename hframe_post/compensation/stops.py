@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Z, moved
+from hframe_post.arrays import Array, E, Z
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.stop_solver import stop_model
 from hframe_post.model.strategies import Compensator, strategy
@@ -163,17 +163,9 @@ class _Stretch:
             yield replace(chunk, commands={**chunk.commands, **commands})
 
 
-def _longer(known: Array, following: Array, origin: Array) -> Array:
-    """Return places (n, 2) from the origin with those that follow them on the bed, (m, 2)."""
-    longer = np.empty((len(known) + len(following), 2))
-    longer[: len(known)] = known
-    moved(following.T, -origin, longer[len(known) :])
-    return longer
-
-
 @dataclass
 class _Track:
-    """One strategy's command (n, 2) in the window, from the origin, and the model of its stops."""
+    """One strategy's command (n, 2) in the window, and the model of its stops."""
 
     model: StopModel
     command: Array
@@ -190,12 +182,8 @@ class _Window:
         self._remembered = BEFORE + max((each.memory for each in models.values()), default=0)
         self.after = AFTER + max((each.ahead for each in models.values()), default=0)
         self._first = chunk.first - self._remembered
-        self._origin, self._e = chunk.xyze[0, :Z], chunk.xyze[:1, E]
-        self._path = np.zeros((self._remembered, 2))
-        self._extruding = np.zeros(self._remembered, dtype=bool)
-        self._tracks = {
-            name: _Track(model, np.zeros((self._remembered, 2))) for name, model in models.items()
-        }
+        self._xyze = np.repeat(chunk.xyze[:1], self._remembered, axis=0)
+        self._tracks = {name: _Track(model, self._xyze[:, :Z]) for name, model in models.items()}
 
     @property
     def names(self) -> Set[str]:
@@ -203,25 +191,19 @@ class _Window:
 
     @property
     def end(self) -> int:
-        return self._first + len(self._path)
+        return self._first + len(self._xyze)
 
     def _rows(self, a: int, b: int) -> slice:
         """Return where samples a … b − 1 are in the arrays, as far as these reach."""
         return slice(max(a - self._first, 0), max(b - self._first, 0))
 
     def append(self, xyze: Array, commands: dict[str, Array]) -> None:
-        before = len(self._path)
-        self._path = _longer(self._path, xyze[:, :Z], self._origin)
-        x, y = self._path[before - 1 :].T
-        e = np.concatenate([self._e, xyze[:, E]])
-        moving = (x[1:] != x[:-1]) | (y[1:] != y[:-1])
-        self._extruding = np.concatenate([self._extruding, moving & (e[1:] > e[:-1])])
-        self._e = e[-1:].copy()
+        self._xyze = np.concatenate([self._xyze, xyze])
         for name, track in self._tracks.items():
-            track.command = _longer(track.command, commands[name], self._origin)
+            track.command = np.concatenate([track.command, commands[name]])
 
     def append_rest(self, n: int) -> None:
-        last = np.tile([*(self._path[-1] + self._origin), 0.0, self._e[0]], (n, 1))
+        last = np.repeat(self._xyze[-1:], n, axis=0)
         self.append(last, dict.fromkeys(self._tracks, last[:, :Z]))
 
     def forget(self, end: int) -> None:
@@ -231,24 +213,20 @@ class _Window:
             return
         for track in self._tracks.values():
             track.command = track.command[n:]
-        self._path, self._extruding = self._path[n:], self._extruding[n:]
-        self._first += n
+        self._xyze, self._first = self._xyze[n:], self._first + n
 
     def commands(self, a: int, b: int) -> dict[str, Array]:
         return {
-            name: frozen(moved(track.command[self._rows(a, b)].T, self._origin))
+            name: frozen(track.command[self._rows(a, b)].copy())
             for name, track in self._tracks.items()
         }
 
     def put_on_path(self, a: int, b: int) -> None:
         for track in self._tracks.values():
-            track.command[self._rows(a, b)] = self._path[self._rows(a, b)]
+            track.command[self._rows(a, b)] = self._xyze[self._rows(a, b), :Z]
 
     def solve(self, stops: Sequence[Stop]) -> None:
         """Let the commands dwell at stops, in the order of time."""
         for track in self._tracks.values():
             if stops:
-                solve_stops(
-                    self._path, self._extruding, track.command, self._origin, stops, self._first,
-                    track.model,
-                )  # fmt: skip
+                solve_stops(self._xyze, track.command, stops, self._first, track.model)

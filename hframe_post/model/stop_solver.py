@@ -62,14 +62,14 @@ def stop_model(
     splines, reach = _graded_splines()
     # a tenth of the effort elsewhere, since a stop is short and asks for more
     efforts, edges = (max(0.1 * e, 1e-3) for e in effort), np.transpose(bed).ravel()
-    bounds = np.array([*efforts, *belts.ravel(), *edges, USABLE * acceleration * TS**2])
+    x_c = plant.racking.x_c if plant.racking else 0.0
+    bounds = np.array([*efforts, *belts.ravel(), *edges, USABLE * acceleration * TS**2, x_c])
     taps, ahead = [G.taps(plant.ahead) for G in plant.responses], plant.ahead
     filters = np.zeros((len(taps), 2 + max(map(len, taps))))
     for G, row, of_filter in zip(plant.responses, filters, taps, strict=True):
         row[:2], row[len(row) - len(of_filter) :] = (G.rest, G.lag), of_filter[::-1]
     outputs = np.ascontiguousarray([_outputs(row, splines, ahead) for row in filters])
-    x_c = plant.racking.x_c if plant.racking else 0.0
-    return StopModel(splines, reach, filters, ahead, outputs, bounds, x_c)
+    return StopModel(splines, reach, filters, ahead, outputs, bounds)
 
 
 def _outputs(response: Array, splines: Array, ahead: int) -> Array:

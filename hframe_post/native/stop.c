@@ -137,23 +137,28 @@ static void lay_out(const struct printer *of, struct layout *new, struct problem
     find_bands(q);
 }
 
+static int extrudes(const place *path, int64_t at)
+{
+    const double *now = path[at], *before = path[at - 1];
+    return now[E] > before[E] && (now[X] != before[X] || now[Y] != before[Y]);
+}
+
 /* The judged rows, with their weights. */
-static void weigh_rows(const struct stop *stop, const struct layout *layout, const uint8_t *extrudes,
-                       struct problem *q)
+static void weigh_rows(const struct stop *stop, const struct layout *layout, struct problem *q)
 {
     for (int64_t i = 0; i < q->r; i++) {
         int64_t at = stop->a - SIDE + layout->at[i];
         int dwells = i >= q->dwell[0] && i < q->dwell[1];
         int left_out = at < stop->a - stop->before || at >= stop->ends || (at >= stop->b && !stop->after);
         q->index[i] = at;
-        q->extruding[i] = !dwells && !left_out && extrudes[at];
+        q->extruding[i] = !dwells && !left_out && extrudes(q->path, at);
         q->weight[i] = layout->counted[i] * (q->extruding[i] ? 1.0 : left_out ? 0.0 : TRAVELLING);
         if (dwells)
             q->weight[i] = DWELLING;
-        q->lever[i] = q->path[at][X] + q->bounds->lever;
+        q->lever[i] = q->path[at][X] - q->bounds->x_c;
     }
     for (int64_t i = 0; i < SOON && stop->b > stop->a; i++)
-        if (extrudes[stop->b + i])
+        if (extrudes(q->path, stop->b + i))
             q->weight[q->dwell[1] - 1] = ARRIVING;
 }
 
@@ -236,8 +241,8 @@ static int is_inside(const struct stop *stop, const struct printer *of, int64_t 
     return stop->a >= before && stop->b >= stop->a && stop->b <= n - after;
 }
 
-static void solve(const struct printer *of, const struct stop *stop, const uint8_t *extrudes,
-                  vector *command, double *held, struct search *search, struct room *room)
+static void solve(const struct printer *of, const struct stop *stop, vector *command, double *held,
+                  struct search *search, struct room *room)
 {
     struct layout *layout = &room->layout;
     struct problem *q = &room->problem;
@@ -252,16 +257,16 @@ static void solve(const struct printer *of, const struct stop *stop, const uint8
         layout->n = n, layout->from = from, layout->to = to;
         lay_out(of, layout, q);
     }
-    weigh_rows(stop, layout, extrudes, q);
+    weigh_rows(stop, layout, q);
     place_nozzle(of, stop, (const vector *)command, held, q);
     cut_out(stop, (const vector *)command, q);
     find_best(q, search, room->p);
     put_back(stop, room->p, q, command);
 }
 
-/* Write the command (n, 2) around stops into that of their stretch. Return how many are solved: all,
- * unless one is not inside it. */
-static int64_t solve_stops(const double *path, const uint8_t *extrudes, double *command, int64_t n,
+/* Write the command (n, 2) around stops into that of their stretch, whose path is xyze (n, 4). Return
+ * how many are solved: all, unless one is not inside it. */
+static int64_t solve_stops(const double *xyze, double *command, int64_t n,
                            const struct stop *stops, int64_t count, const struct bounds *bounds,
                            const double *filters, int64_t axes, int64_t taps, int64_t ahead,
                            const double *splines, const double *reach, int64_t k,
@@ -273,19 +278,19 @@ static int64_t solve_stops(const double *path, const uint8_t *extrudes, double *
     struct search *search = malloc(size_of_search());
     if (room && search) {
         room->layout.n = -1;
-        room->problem.path = (const vector *)path;
+        room->problem.path = (const place *)xyze;
         room->problem.bounds = bounds;
         room->problem.racks = axes > 2;
         for (; solved < count && is_inside(stops + solved, &of, n); solved++)
-            solve(&of, stops + solved, extrudes, (vector *)command, (double *)(room + 1), search, room);
+            solve(&of, stops + solved, (vector *)command, (double *)(room + 1), search, room);
     }
     free(search), free(room);
     return solved;
 }
 
-LOOP(solve_stops, FLOATS(0, 2 * COUNT(3)), BYTES(1, COUNT(3)), OUT_FLOATS(2, 2 * COUNT(3)), COUNT(3),
-     (const struct stop *)INTEGERS(4, COUNT(5) * (int64_t)(sizeof(struct stop) / sizeof(int64_t))), COUNT(5),
-     (const struct bounds *)FLOATS(6, sizeof(struct bounds) / sizeof(double)),
-     FLOATS(7, WITHIN(8, 2, 3) * (2 + FEW(9))), WITHIN(8, 2, 3), FEW(9), FEW(10),
-     FLOATS(11, SIDE * FEW(13)), FLOATS(12, FEW(13)), WITHIN(13, 1, MOST_SPLINES / 2),
-     FLOATS(14, WITHIN(8, 2, 3) * FEW(15) * (2 * FEW(13) + 1)), WITHIN(15, 2 * SIDE + RINGING, MOST_FEW))
+LOOP(solve_stops, FLOATS(0, COLUMNS * COUNT(2)), OUT_FLOATS(1, 2 * COUNT(2)), COUNT(2),
+     (const struct stop *)INTEGERS(3, COUNT(4) * (int64_t)(sizeof(struct stop) / sizeof(int64_t))), COUNT(4),
+     (const struct bounds *)FLOATS(5, sizeof(struct bounds) / sizeof(double)),
+     FLOATS(6, WITHIN(7, 2, 3) * (2 + FEW(8))), WITHIN(7, 2, 3), FEW(8), FEW(9),
+     FLOATS(10, SIDE * FEW(12)), FLOATS(11, FEW(12)), WITHIN(12, 1, MOST_SPLINES / 2),
+     FLOATS(13, WITHIN(7, 2, 3) * FEW(14) * (2 * FEW(12) + 1)), WITHIN(14, 2 * SIDE + RINGING, MOST_FEW))

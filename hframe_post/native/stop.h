@@ -21,18 +21,18 @@ enum {
     WIDTH = 2 * SPLINES
 };
 
-typedef double vector[2];
+typedef double vector[2], place[COLUMNS];
 
 struct bounds { /* of one printer */
     vector effort;
     double belts[2][2];
-    vector low, high;    /* of the bed, from the path's origin */
+    vector low, high;    /* of the bed */
     double acceleration; /* of the belts, mm per sample2 */
-    double lever;        /* of racking, at the path's origin */
+    double x_c;          /* where the lever arm of racking is 0 */
 };
 
 struct problem {
-    const vector *path;
+    const place *path;
     const struct bounds *bounds;
     int racks;
     int64_t r, k, q;         /* judged samples, which are the rows; splines; samples of the command */

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hframe_post.arrays import Array, Flags
+from hframe_post.arrays import Array
 from hframe_post.native import kernels
 
 # as in stop.h, in samples: on either side of a dwell, where its command may change; after these,
@@ -41,9 +41,9 @@ class StopModel:
     gain at rest, lag, and taps by acceleration, the oldest first; ahead: samples of the command
     that a response waits for. outputs (2 or 3, t, 2k + 1): what each filter makes, from SIDE
     samples before a dwell on, of the k splines before it, of a step there and of the k splines
-    after it, if it takes no time; later it is at rest. bounds (11,): effort of x and y; from x, y
+    after it, if it takes no time; later it is at rest. bounds (12,): effort of x and y; from x, y
     to the belts, by rows; the least and then the greatest place on the bed, mm; the belts' limit,
-    mm/sample². x_c: mm, where the lever arm of racking is 0.
+    mm/sample²; x where the lever arm of racking is 0, mm.
     """
 
     splines: Array
@@ -52,7 +52,6 @@ class StopModel:
     ahead: int
     outputs: Array
     bounds: Array
-    x_c: float
 
     @property
     def memory(self) -> int:
@@ -61,22 +60,19 @@ class StopModel:
 
 
 def solve_stops(
-    path: Array, extruding: Flags, command: Array, origin: Array, stops: Sequence[Stop], first: int,
-    model: StopModel,
+    xyze: Array, command: Array, stops: Sequence[Stop], first: int, model: StopModel
 ) -> None:  # fmt: skip
     """Write the command around stops, one after the other, into that of their stretch.
 
-    path, command (n, 2), mm from the origin (2,), and extruding (n,): samples ``first`` and so on.
-    They must reach beyond each stop by SIDE, and there by as much as the plant remembers and by
-    NEAREST; after it by RINGING and ``ahead``, too.
+    xyze (n, 4), command (n, 2): samples ``first`` and so on. They must reach beyond each
+    stop by SIDE, and there by as much as the plant remembers and by NEAREST; after it by RINGING
+    and ``ahead``, too.
     """
     table = np.array(stops, np.int64)
     table[:, :3] -= first  # a, b, ends
-    bounds = np.append(model.bounds, origin[0] - model.x_c)
-    bounds[6:10] -= np.tile(origin, 2)
     axes, width = model.filters.shape
     solved = kernels.solve_stops(
-        path, extruding, command, len(path), table, len(table), bounds, model.filters, axes,
+        xyze, command, len(xyze), table, len(table), model.bounds, model.filters, axes,
         width - 2, model.ahead, model.splines, model.reach, len(model.reach), model.outputs,
         model.outputs.shape[1],
     )  # fmt: skip

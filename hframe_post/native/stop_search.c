@@ -140,10 +140,10 @@ INSIDE struct weight weigh(const struct problem *q, const struct search *room, i
                            vector gradient)
 {
     const double *t = room->t[row], *foot = room->foot[row], *nozzle = q->known[row];
-    const double *place = q->path[q->index[row]];
+    const double *own = q->path[q->index[row]];
     double across2 = room->weight[row], along2 = across2 * (dwells(q, row) ? 1.0 : ALONG);
     double across = across2 * (t[X] * (nozzle[Y] - foot[Y]) - t[Y] * (nozzle[X] - foot[X]));
-    double along = along2 * (t[X] * (nozzle[X] - place[X]) + t[Y] * (nozzle[Y] - place[Y]));
+    double along = along2 * (t[X] * (nozzle[X] - own[X]) + t[Y] * (nozzle[Y] - own[Y]));
     gradient[X] = along * t[X] - across * t[Y];
     gradient[Y] = along * t[Y] + across * t[X];
     return (struct weight){
@@ -425,7 +425,7 @@ INSIDE void cut_path(const struct problem *q, struct pieces *pieces)
         if (dwells(q, row))
             continue;
         for (next = next < from ? from : next; next < from + PIECES; next++, n++) {
-            const vector *path = q->path + next;
+            const place *path = q->path + next;
             pieces->x[n] = path[0][0], pieces->dx[n] = path[1][0] - path[0][0];
             pieces->y[n] = path[0][1], pieces->dy[n] = path[1][1] - path[0][1];
             double length2 = pieces->dx[n] * pieces->dx[n] + pieces->dy[n] * pieces->dy[n];
@@ -439,7 +439,7 @@ INSIDE void begin(const struct problem *q, struct search *room)
 {
     static const vector ahead = {1.0, 0.0};
     for (int64_t row = 0; row < q->r; row++) {
-        const vector *path = q->path + q->index[row], *next = path + !dwells(q, row);
+        const place *path = q->path + q->index[row], *next = path + !dwells(q, row);
         unit(next[0][0] - path[0][0], next[0][1] - path[0][1], ahead, room->direction[row]);
         room->weight[row] = q->weight[row];
         for (int axis = 0; axis < 2; axis++) {
