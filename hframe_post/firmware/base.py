@@ -245,5 +245,5 @@ def unlimited(limits: Limits, deviation: float = math.inf) -> Limits:
     """
     return replace(
         limits, velocity=math.inf, acceleration=math.inf, square_corner_velocity=math.inf,
-        junction_deviation=deviation, jerk=1e12, deceleration=math.inf,
+        junction_deviation=deviation, jerk=1e12,
     )  # fmt: skip

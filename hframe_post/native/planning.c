@@ -185,7 +185,7 @@ static double reachable(double v0, double length, double a, double jerk)
 }
 
 struct run {
-    double length, acceleration, braking;
+    double length, acceleration;
 };
 
 /* Lower speed (r + 1) along the chain of runs to what can be reached from its start, or its end. new
@@ -202,8 +202,7 @@ static void lower(double *speed, const struct run *runs, int64_t r, double jerk,
             int64_t k = from_end ? r - i : i, run = from_end ? k - 1 : k;
             if (!new[k])
                 continue;
-            double a = from_end ? runs[run].braking : runs[run].acceleration;
-            double top = reachable(speed[k], runs[run].length, a, jerk);
+            double top = reachable(speed[k], runs[run].length, runs[run].acceleration, jerk);
             new[k] = 0;
             if (top < speed[k + step])
                 speed[k + step] = top, new[k + step] = 1, count++;
@@ -212,14 +211,13 @@ static void lower(double *speed, const struct run *runs, int64_t r, double jerk,
 }
 
 /* Find the squares of speed v2 (n + 1) at which braking and accelerating fit, at constant acceleration.
- * caps2: of the caps; reach2 and stop2: what v2 could gain and lose since the start. */
-static void fit_squares(const double *caps2, const double *reach2, const double *stop2, int64_t n,
-                        double *v2)
+ * caps2: of the caps; reach2: what v2 could gain or lose since the start. */
+static void fit_squares(const double *caps2, const double *reach2, int64_t n, double *v2)
 {
     double least = INFINITY;
     for (int64_t k = n; k >= 0; k--) {
-        least = lesser(least, caps2[k] + stop2[k]);
-        v2[k] = lesser(least - stop2[k], caps2[k]);
+        least = lesser(least, caps2[k] + reach2[k]);
+        v2[k] = lesser(least - reach2[k], caps2[k]);
     }
     least = INFINITY;
     for (int64_t k = 0; k <= n; k++) {
@@ -231,22 +229,20 @@ static void fit_squares(const double *caps2, const double *reach2, const double 
 
 /* As find_runs, for moves in which the machine does not rest. */
 static int64_t runs_between_rests(const struct limited *moves, const double *caps, int64_t n, double jerk,
-                                 double deceleration, double last, double feasible,
-                                 int64_t plateau, double *room, double *s, int64_t *ends, double *speed)
+                                 double last, double feasible, int64_t plateau, double *room, double *s,
+                                 int64_t *ends, double *speed)
 {
-    double *caps2 = room, *reach2 = caps2 + n + 1, *stop2 = reach2 + n + 1, *v2 = stop2 + n + 1;
+    double *caps2 = room, *reach2 = caps2 + n + 1, *v2 = reach2 + n + 1;
     struct run *runs = (struct run *)(v2 + n + 1);
     int64_t r = 0;
-    s[0] = reach2[0] = stop2[0] = 0.0;
+    s[0] = reach2[0] = 0.0;
     for (int64_t k = 0; k < n; k++) {
         s[k + 1] = s[k] + moves[k].length;
-        double a = moves[k].acceleration, b = lesser(a, deceleration);
-        reach2[k + 1] = reach2[k] + 2.0 * (feasible * a) * moves[k].length;
-        stop2[k + 1] = stop2[k] + 2.0 * (feasible * b) * moves[k].length;
+        reach2[k + 1] = reach2[k] + 2.0 * (feasible * moves[k].acceleration) * moves[k].length;
         caps2[k] = caps[k] * caps[k];
     }
     caps2[n] = last * last;
-    fit_squares(caps2, reach2, stop2, n, v2);
+    fit_squares(caps2, reach2, n, v2);
     double rounding = 1e-15 * reach2[n];
     for (int64_t k = 0; k <= n; k++) {
         if (k > 0 && k < n) {
@@ -260,10 +256,8 @@ static int64_t runs_between_rests(const struct limited *moves, const double *cap
         }
         if (r > 0)
             runs[r - 1].length = s[k] - s[ends[r - 1]];
-        if (k < n) {
-            double a = moves[k].acceleration;
-            runs[r].acceleration = feasible * a, runs[r].braking = feasible * lesser(a, deceleration);
-        }
+        if (k < n)
+            runs[r].acceleration = feasible * moves[k].acceleration;
         speed[r] = sqrt(v2[k]), ends[r++] = k;
     }
     uint8_t *new = (uint8_t *)(runs + n + 1);
@@ -275,10 +269,10 @@ static int64_t runs_between_rests(const struct limited *moves, const double *cap
 
 /* Find the vertices that end runs, and the speeds there; return the number of runs. s, ends and speed
  * (n + 1); s: path length at the vertices, from 0 on again after a move at which the machine rests: that
- * is a run by itself. room (8, n + 1). */
+ * is a run by itself. room (6, n + 1). */
 static int64_t find_runs(const struct limited *moves, const double *caps, int64_t n, double jerk,
-                         double deceleration, double last, double feasible, int64_t plateau,
-                         double *room, double *s, int64_t *ends, double *speed)
+                         double last, double feasible, int64_t plateau, double *room, double *s,
+                         int64_t *ends, double *speed)
 {
     int64_t r = 0;
     for (int64_t from = 0, to = 0; from <= n; from = ++to) {
@@ -289,8 +283,8 @@ static int64_t find_runs(const struct limited *moves, const double *caps, int64_
             continue;
         }
         int64_t first = r;
-        r += 1 + runs_between_rests(moves + from, caps + from, to - from, jerk, deceleration,
-                                    to < n ? 0.0 : last, feasible, plateau, room, s + from, ends + r, speed + r);
+        r += 1 + runs_between_rests(moves + from, caps + from, to - from, jerk, to < n ? 0.0 : last,
+                                    feasible, plateau, room, s + from, ends + r, speed + r);
         for (int64_t i = first; i < r; i++)
             ends[i] += from;
     }
@@ -298,8 +292,8 @@ static int64_t find_runs(const struct limited *moves, const double *caps, int64_
 }
 
 LOOP(find_runs, (const struct limited *)FLOATS(0, OF_MOVE * COUNT(2)), FLOATS(1, COUNT(2) + 1), COUNT(2),
-     REAL(3), REAL(4), REAL(5), REAL(6), WITHIN(7, 1, MOST_ITEMS), OUT_FLOATS(8, 8 * (COUNT(2) + 1)),
-     OUT_FLOATS(9, COUNT(2) + 1), OUT_INTEGERS(10, COUNT(2) + 1), OUT_FLOATS(11, COUNT(2) + 1))
+     REAL(3), REAL(4), REAL(5), WITHIN(6, 1, MOST_ITEMS), OUT_FLOATS(7, 6 * (COUNT(2) + 1)),
+     OUT_FLOATS(8, COUNT(2) + 1), OUT_INTEGERS(9, COUNT(2) + 1), OUT_FLOATS(10, COUNT(2) + 1))
 
 struct planned { /* a run, without a limit on jerk */
     double length, begun2, ended2, acceleration; /* speeds squared */
@@ -399,7 +393,7 @@ LOOP(smoothed_runs, FLOATS(0, COUNT(1)), COUNT(1), INDICES(2, COUNT(6) + 1, 0, C
 enum { PHASES = 7 }; /* of a run; t, j (r, 7) are their durations and jerks */
 
 struct wanted { /* a run: from speed v0 to v1 over a length */
-    double v0, v1, length, cruise, up, down;
+    double v0, v1, length, cruise, most;
 };
 
 /* Fill t and j with one change of speed along the whole length; return its acceleration. */
@@ -429,35 +423,34 @@ static double change_speed(double slower, double faster, double acceleration, do
 /* Fill t with up to a peak, along, and down. Return whether the length is enough. */
 static int peaked(struct wanted run, double peak, double jerk, double *t)
 {
-    double left = run.length - change_speed(run.v0, peak, run.up, jerk, t)
-        - change_speed(run.v1, peak, run.down, jerk, t + 4);
+    double left = run.length - change_speed(run.v0, peak, run.most, jerk, t)
+        - change_speed(run.v1, peak, run.most, jerk, t + 4);
     t[3] = greater(left, 0.0) / peak;
     return left >= 0.0;
 }
 
-/* Return the peak where both accelerations are reached without a cruise; NAN if they are not. */
+/* Return the peak where the acceleration is reached both ways without a cruise; NAN if it is not. */
 static double peak_of(struct wanted run, double jerk)
 {
-    double a = run.up, b = run.down, square = (1.0 / a + 1.0 / b) / 2.0, half = (a + b) / (4.0 * jerk);
-    double rest = (run.v0 * (a / jerk - run.v0 / a) + run.v1 * (b / jerk - run.v1 / b)) / 2.0 - run.length;
+    double a = run.most, square = 1.0 / a, half = a / (2.0 * jerk);
+    double rest = (run.v0 * (a / jerk - run.v0 / a) + run.v1 * (a / jerk - run.v1 / a)) / 2.0 - run.length;
     double peak = (sqrt(greater(half * half - square * rest, 0.0)) - half) / square;
-    int reached = peak - run.v0 >= a * (a / jerk) && peak - run.v1 >= b * (b / jerk);
-    return reached ? peak : NAN;
+    return peak - greater(run.v0, run.v1) >= a * (a / jerk) ? peak : NAN;
 }
 
 /* Fill the phases of r runs whose fastest profile has a closed form: at one speed, one change of speed, up
- * to cruise and down, or up and down with both accelerations reached. Note the others, which are one change
+ * to cruise and down, or up and down with the acceleration reached. Note the others, which are one change
  * of speed until they are solved; return how many. ``almost``: share of a limit that counts as all of it. */
 static int64_t profiles(const double *v0, const double *v1, const double *length, const double *cruise,
-                        const double *most, int64_t r, double braking, double jerk, double almost,
-                        double *t, double *j, int64_t *others)
+                        const double *most, int64_t r, double jerk, double almost, double *t,
+                        double *j, int64_t *others)
 {
     int64_t count = 0;
     for (int64_t i = 0; i < r; i++, t += PHASES, j += PHASES) {
-        struct wanted run = {v0[i], v1[i], length[i], cruise[i], most[i], lesser(most[i], braking)};
+        struct wanted run = {v0[i], v1[i], length[i], cruise[i], most[i]};
         double taken = ramp(run, jerk, t, j), found[PHASES];
         int even = run.v0 == run.v1 && run.v0 >= almost * run.cruise;
-        if (even || taken >= almost * (run.v1 < run.v0 ? run.down : run.up))
+        if (even || taken >= almost * run.most)
             continue;
         if (!peaked(run, run.cruise, jerk, found)) {
             double peak = peak_of(run, jerk);
@@ -475,8 +468,8 @@ static int64_t profiles(const double *v0, const double *v1, const double *length
 }
 
 LOOP(profiles, FLOATS(0, COUNT(5)), FLOATS(1, COUNT(5)), FLOATS(2, COUNT(5)), FLOATS(3, COUNT(5)),
-     FLOATS(4, COUNT(5)), COUNT(5), REAL(6), REAL(7), REAL(8), OUT_FLOATS(9, PHASES * COUNT(5)),
-     OUT_FLOATS(10, PHASES * COUNT(5)), OUT_INTEGERS(11, COUNT(5)))
+     FLOATS(4, COUNT(5)), COUNT(5), REAL(6), REAL(7), OUT_FLOATS(8, PHASES * COUNT(5)),
+     OUT_FLOATS(9, PHASES * COUNT(5)), OUT_INTEGERS(10, COUNT(5)))
 
 /* Acceleration, speed, path length from the start, and time from the start, when a phase begins. */
 struct phase {

@@ -102,7 +102,7 @@ def greatest_speeds(
     return caps
 
 
-def find_runs(moves: Array, caps: Array, jerk: float, deceleration: float, last: float) -> Runs:
+def find_runs(moves: Array, caps: Array, jerk: float, last: float) -> Runs:
     """Return the path length at each vertex, which vertices end runs, and the speeds there.
 
     caps (n + 1,): greatest speeds at the vertices; last: speed at the last vertex, mm/s. A move at
@@ -110,8 +110,8 @@ def find_runs(moves: Array, caps: Array, jerk: float, deceleration: float, last:
     """
     n = len(moves)
     (s, speed), ends = np.empty((2, n + 1)), np.empty(n + 1, np.int64)
-    constants = FEASIBLE * jerk, deceleration, last, FEASIBLE, PLATEAU
-    r = kernels.find_runs(moves, caps, n, *constants, np.empty(8 * (n + 1)), s, ends, speed)
+    constants = FEASIBLE * jerk, last, FEASIBLE, PLATEAU
+    r = kernels.find_runs(moves, caps, n, *constants, np.empty(6 * (n + 1)), s, ends, speed)
     return s, ends[: r + 1], speed[: r + 1]
 
 
@@ -148,17 +148,16 @@ def samples_until(seconds: float) -> int:
 
 
 def profiles(
-    v0: Array, v1: Array, length: Array, cruise: Array, most: Array, braking: float, jerk: float
+    v0: Array, v1: Array, length: Array, cruise: Array, most: Array, jerk: float
 ) -> tuple[Array, Array, Integers]:
     """Return durations and jerks of the fastest runs, (r, 7), and which have no closed form.
 
-    All (r,): speeds at both ends, length, greatest speed and acceleration; braking: the greatest in
-    any run. Those without a closed form are filled with one change of speed along all of the
-    length, with the least acceleration.
+    All (r,): speeds at both ends, length, greatest speed and acceleration. Those without a closed
+    form are filled with one change of speed along all of the length, with the least acceleration.
     """
     (t, j), r = np.empty((2, len(v0), 7)), len(v0)
     others = np.empty(r, np.int64)
-    limits = v0, v1, length, cruise, most, r, braking, jerk, ALMOST
+    limits = v0, v1, length, cruise, most, r, jerk, ALMOST
     return t, j, others[: kernels.profiles(*limits, t, j, others)]
 
 

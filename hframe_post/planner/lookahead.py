@@ -296,7 +296,7 @@ class Lookahead:
 
     def _runs(self, moves: Limited, caps: Array, last: float) -> Runs:
         limits = self._limits
-        return find_runs(moves.limits, caps, limits.jerk, limits.deceleration, last)
+        return find_runs(moves.limits, caps, limits.jerk, last)
 
     def _take(self, moves: Limited, s: Array, ends: Integers, speed: Array) -> Plan:
         """Return a plan of the moves up to the last of ``ends``, where the queue begins then."""

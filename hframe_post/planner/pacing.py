@@ -36,14 +36,10 @@ class Pace:
         """Return the limits of a profile at this pace."""
         if self.factor == 1.0:
             return limits
-        accelerations = {
-            name: self._at(getattr(limits, name), self.acceleration)
-            for name in ("acceleration", "deceleration")
-        }
         return replace(
             limits, jerk=self.factor * limits.jerk,
             square_corner_velocity=self._at(limits.square_corner_velocity, self.corner),
-            **accelerations,
+            acceleration=self._at(limits.acceleration, self.acceleration),
         )  # fmt: skip
 
     def items(self, items: Iterable[Item]) -> Iterator[Item]:

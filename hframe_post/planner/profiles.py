@@ -39,29 +39,26 @@ class _Runs(NamedTuple):
     length: Array
     cruise: Array
     acceleration: Array
-    braking: Array
 
     @classmethod
-    def from_plans(cls, plans: Sequence[Plan], deceleration: float) -> _Runs:
+    def from_plans(cls, plans: Sequence[Plan]) -> _Runs:
         def joined(parts: Iterable[Array]) -> Array:
             return np.concatenate(list(parts))
 
-        most = joined(plan.acceleration for plan in plans)
         return cls(
             joined(plan.speed[:-1] for plan in plans),
             joined(plan.speed[1:] for plan in plans),
             joined(np.diff(plan.s[plan.ends]) for plan in plans),
             joined(plan.cruise for plan in plans),
-            most,
-            np.minimum(most, deceleration),
+            joined(plan.acceleration for plan in plans),
         )
 
     def trapezoids(self) -> Profile:
         """Return profiles without a limit on jerk: full acceleration, cruise, full braking."""
-        v0, v1, length, cruise, a, b = self
-        reached = (2.0 * length + v0 * v0 / a + v1 * v1 / b) / (1.0 / a + 1.0 / b)
+        v0, v1, length, cruise, a = self
+        reached = (2.0 * length + v0 * v0 / a + v1 * v1 / a) / (1.0 / a + 1.0 / a)
         top = np.minimum(cruise, np.sqrt(reached))
-        up, down = np.maximum(top - v0, 0.0) / a, np.maximum(top - v1, 0.0) / b
+        up, down = np.maximum(top - v0, 0.0) / a, np.maximum(top - v1, 0.0) / a
         ramped = (top + v0) / 2.0 * up + (top + v1) / 2.0 * down
         step_up, step_down = np.minimum(STEP_S, up / 2.0), np.minimum(STEP_S, down / 2.0)
         cruised = np.maximum(length - ramped, 0.0) / np.maximum(top, 1e-12)
@@ -69,7 +66,7 @@ class _Runs(NamedTuple):
             step_up, up - step_up, step_up, cruised, step_down, down - step_down, step_down,
         ], axis=1)  # fmt: skip
         j = np.zeros_like(t)
-        for phase, way in ((0, a), (2, -a), (4, -b), (6, b)):
+        for phase, way in ((0, a), (2, -a), (4, -a), (6, a)):
             j[:, phase] = way / np.maximum(t[:, phase], 1e-30)
         return t, j
 
@@ -80,8 +77,8 @@ class _Runs(NamedTuple):
 class Profiler:
     """Profiles of runs: in closed form where there is one, else from Ruckig."""
 
-    def __init__(self, jerk: float, deceleration: float = math.inf) -> None:
-        self._jerk, self._deceleration = jerk, deceleration
+    def __init__(self, jerk: float) -> None:
+        self._jerk = jerk
         self._ruckig, self._input, self._trajectory = Ruckig(1), InputParameter(1), Trajectory(1)
         self._input.current_position = [0.0]
         self._input.current_acceleration = [0.0]
@@ -91,13 +88,13 @@ class Profiler:
         """Return the profile of each plan. Raises HframeError where none fits."""
         if not plans:
             return []
-        runs = _Runs.from_plans(plans, self._deceleration)
+        runs = _Runs.from_plans(plans)
         ends = np.cumsum([len(plan.cruise) for plan in plans]).tolist()
         cuts = [slice(*cut) for cut in pairwise([0, *ends])]
         if self._jerk >= NO_JERK_LIMIT:
             t, j = runs.trapezoids()
             return [(t[cut], j[cut]) for cut in cuts]
-        t, j, others = profiles(*runs[:-1], self._deceleration, self._jerk)
+        t, j, others = profiles(*runs, self._jerk)
         ramp_t, ramp_j = t[others], j[others]
         self._search(runs, others, t, j)
         wrong = runs.missed_by(t, j)
@@ -114,7 +111,7 @@ class Profiler:
     def _search(self, runs: _Runs, chosen: Integers, t: Array, j: Array) -> None:
         """Replace the ramps t, j (r, 7) of the chosen runs by Ruckig's profiles."""
         ramp = (1.0 - 1e-9) * t.sum(axis=1)
-        problems = np.stack([*runs[:-1], -runs.braking], axis=1)
+        problems = np.stack(runs, axis=1)
         for unit in UNITS:
             if not len(chosen):
                 break
@@ -126,13 +123,13 @@ class Profiler:
             chosen = chosen[slow | runs.missed_by(t, j)[chosen]]
 
     def _solve(
-        self, v0: float, v1: float, length: float, cruise: float, most: float, least: float
+        self, v0: float, v1: float, length: float, cruise: float, most: float
     ) -> tuple[list[float], list[float]]:
         problem = self._input
         problem.current_velocity, problem.target_velocity = [v0], [v1]
         problem.target_position = [length]
         problem.max_velocity = [cruise]
-        problem.max_acceleration, problem.min_acceleration = [most], [least]
+        problem.max_acceleration, problem.min_acceleration = [most], [-most]
         try:
             self._ruckig.calculate(problem, self._trajectory)
         except RuckigError:

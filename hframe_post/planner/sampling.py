@@ -104,7 +104,7 @@ class _Sampler:
 
     def __init__(self, limits: Limits, rules: StopRules, size: int, skip_slow: bool) -> None:
         self._limits, self._rules, self._skip_slow = limits, rules, skip_slow
-        self._profiler = Profiler(limits.jerk, limits.deceleration)
+        self._profiler = Profiler(limits.jerk)
         self._profiles: deque[Profile] = deque()  # of the next plans
         self.output = Output(size)
         self._stopping = Stopping(rules)

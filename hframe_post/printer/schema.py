@@ -147,6 +147,7 @@ ONE_PLACE = "one response holds all along x: keep lead, lag and deviation, delet
 OLD_KEYS = {
     **{f"sweep.{key}": STROKES for key in ("start_hz", "stroke", "sway", "quiet")},
     **dict.fromkeys(("limits.min_layer_time", "limits.min_print_speed"), FEED_RATES),
+    "limits.deceleration": "prints brake as hard as they accelerate: limits.acceleration has both",
     "speed.speed_up": FEED_RATES,
     "speed.filament_acceleration": "limits.extruder_acceleration holds for any print",
     "speed.model_error": "max_error is compared with the range of the measured model",

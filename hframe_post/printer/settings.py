@@ -63,8 +63,8 @@ class Limits:
 
     velocity, acceleration, square_corner_velocity and junction_deviation bind what a file asks only
     where they differ from the firmware's own, in its table (`Firmware.caps`).
-    deceleration limits braking more than acceleration does. flow (mm³/s) limits what
-    ``calibrate-print`` prints. filament_density (g/cm³) makes a moving bed heavier.
+    flow (mm³/s) limits what ``calibrate-print`` prints. filament_density (g/cm³) makes a moving bed
+    heavier.
     outer_walls: share of the file's acceleration there; 0: RACKING_WALLS if the printer racks.
     Raises ArgumentError if reaching full speed would take more than MAX_RAMP_S.
     """
@@ -78,7 +78,6 @@ class Limits:
     extruder_acceleration: float = within(0.1, 1e6)
     extruder_corner_velocity: float = within(1e-3, 1e4, default=1.0)
     jerk: float = within(1.0, 1e12, default=JERK)
-    deceleration: float = within(1.0, 1e6, default=math.inf)
     junction_deviation: float = within(1e-6, 1e3, default=math.inf)
     flow: float = within(0.1, 1e3, default=15.0)
     filament_diameter: float = within(0.5, 5.0, default=1.75)
@@ -97,7 +96,6 @@ class Limits:
     def __post_init__(self) -> None:
         ramps = {
             "acceleration": self.velocity / self.acceleration + self.acceleration / self.jerk,
-            "deceleration": self.velocity / min(self.deceleration, self.acceleration),
             "z_acceleration": self.z_velocity / self.z_acceleration,
             "extruder_acceleration": self.extruder_velocity / self.extruder_acceleration,
         }

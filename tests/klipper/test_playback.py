@@ -179,7 +179,7 @@ def test_klipper_keeps_the_limit_of_the_belts_over_5_ms(
 ) -> None:
     """Lines meet at small steps of speed, which no motor can follow within a millisecond."""
     printer, effort = profile.load(name), (1.0, 2.0) if name == "paper" else None
-    limits = replace(printer.limits, acceleration=acceleration, deceleration=acceleration)
+    limits = replace(printer.limits, acceleration=acceleration)
     compensation = replace(printer.compensation, effort=effort or printer.compensation.effort)
     motors = replace(printer.motors, belt_acceleration=limit)
     printer = replace(printer, limits=limits, compensation=compensation, motors=motors)

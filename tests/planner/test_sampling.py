@@ -107,12 +107,11 @@ def test_straight_path_keeps_its_limits(seed: int, speed: float, acceleration: f
     assert np.abs(np.diff(s, 3)).max() / TS**3 <= jerk * (1 + 1e-3)
 
 
-@pytest.mark.parametrize("braking", [400.0, 1000.0])
-def test_straight_move_takes_the_time_of_its_jerk_limited_profile(braking: float) -> None:
-    """100 mm at 100 mm/s: half of v/a + a/j for each change of speed, more than without any."""
-    limits = replace(LIMITS, acceleration=1000.0, jerk=2e4, deceleration=braking)
+def test_straight_move_takes_the_time_of_its_jerk_limited_profile() -> None:
+    """100 mm at 100 mm/s: v/a + a/j more than without a change of speed."""
+    limits = replace(LIMITS, acceleration=1000.0, jerk=2e4)
     xyze, _ = whole(sampled([moves(line((100, 0, 0, 4)))], limits))
-    exact = 100.0 / 100.0 + sum(100.0 / a + a / 2e4 for a in (1000.0, braking)) / 2.0
+    exact = 100.0 / 100.0 + 100.0 / 1000.0 + 1000.0 / 2e4
     assert len(xyze) - FIRST == math.ceil(exact / TS - 1e-3)
 
 
@@ -436,8 +435,8 @@ def shortest(v0: Array, v1: Array, a: Array, jerk: float) -> Array:
     return np.asarray(time * (v0 + v1) / 2.0)
 
 
-def assert_profiles_fit(planned: Plan, jerk: float, deceleration: float = math.inf) -> None:
-    [(t, j)] = Profiler(jerk, deceleration).profiles([planned])
+def assert_profiles_fit(planned: Plan, jerk: float) -> None:
+    [(t, j)] = Profiler(jerk).profiles([planned])
     a, v, steps = integrate(t, j, planned.speed[:-1])
     length = np.diff(planned.s[planned.ends])
     assert (t >= 0.0).all()
@@ -451,9 +450,7 @@ def assert_profiles_fit(planned: Plan, jerk: float, deceleration: float = math.i
     assert np.diff(path.reshape(len(path), -1), axis=1).min() >= -BACK
     top = planned.cruise * (1 + 1e-5) + 1e-3
     assert (inside.max(axis=(1, 2)) <= top).all()
-    assert (a.max(axis=1) <= planned.acceleration * (1 + 1e-4)).all()
-    braking = np.minimum(planned.acceleration, deceleration)
-    assert (a.min(axis=1) >= -braking * (1 + 1e-4)).all()
+    assert (np.abs(a).max(axis=1) <= planned.acceleration * (1 + 1e-4)).all()
     assert np.abs(j).max() <= jerk * (1 + 1e-9)
 
 
@@ -472,29 +469,27 @@ def test_every_run_between_rests_takes_the_least_time(jerk: float) -> None:
 
 
 @settings(max_examples=50, deadline=None)
-@given(seeds, st.integers(1, 100), jerks, st.floats(1e2, 1e5))
-def test_profiles_are_within_limits(seed: int, n: int, jerk: float, deceleration: float) -> None:
-    limits = replace(LIMITS, jerk=jerk, deceleration=deceleration)
-    assert_profiles_fit(one(random_moves(seed, n), limits), jerk, deceleration)
+@given(seeds, st.integers(1, 100), jerks)
+def test_profiles_are_within_limits(seed: int, n: int, jerk: float) -> None:
+    assert_profiles_fit(one(random_moves(seed, n), replace(LIMITS, jerk=jerk)), jerk)
 
 
 def test_closed_forms_take_as_long_as_ruckigs_profiles() -> None:
     """To 0.1 %, the share of a limit that counts as all of it; Ruckig finds no profile for some."""
-    rng, n, jerk, most = np.random.default_rng(1), 2000, 2e7, 8e3
+    rng, n, jerk = np.random.default_rng(1), 2000, 2e7
     v0, v1 = rng.uniform(0.0, 300.0, (2, n)) * (rng.random((2, n)) < 0.7)
     cruise = np.maximum(v0, v1) * (1.0 + rng.random(n) ** 3) + 1e-3
-    up = 10.0 ** rng.uniform(2.5, 4.5, n)
-    down = np.minimum(up, most)
-    length = shortest(v0, v1, np.where(v1 < v0, down, up), jerk)
+    most = 10.0 ** rng.uniform(2.5, 4.5, n)
+    length = shortest(v0, v1, most, jerk)
     length = length * (1.0 + 10.0 ** rng.uniform(-5.0, 2.0, n)) + 1e-3 * rng.random(n)
-    t, _, others = profiles(v0, v1, length, cruise, up, most, jerk)
+    t, _, others = profiles(v0, v1, length, cruise, most, jerk)
     solver, problem, trajectory = Ruckig(1), InputParameter(1), Trajectory(1)
     problem.current_position = problem.current_acceleration = problem.target_acceleration = [0.0]
     problem.max_jerk, compared = [jerk], 0
     for k in np.setdiff1d(np.arange(n), others).tolist():
         problem.current_velocity, problem.target_velocity = [v0[k]], [v1[k]]
         problem.target_position, problem.max_velocity = [length[k]], [cruise[k]]
-        problem.max_acceleration, problem.min_acceleration = [up[k]], [-down[k]]
+        problem.max_acceleration, problem.min_acceleration = [most[k]], [-most[k]]
         try:
             solver.calculate(problem, trajectory)
         except RuckigError:
