@@ -23,6 +23,8 @@ static uint8_t *written(uint8_t *c, int64_t value, int64_t decimals)
     return c;
 }
 
+enum { MOVES, STANDS, BEGINS, JUMPS }; /* kinds of lines, as in digits.py */
+
 /* Copy the lines that come before line i of motion; return the end of the text. */
 static uint8_t *inserted(uint8_t *c, const uint8_t *text, const int64_t *between, int64_t m,
                          const char *lines, int64_t i, int64_t *done, int64_t *begun)
@@ -39,8 +41,8 @@ static uint8_t *inserted(uint8_t *c, const uint8_t *text, const int64_t *between
 
 /* Write n lines of G1, and others between them: see motion_lines in Python. longest (5): the least
  * numbers that are too long. room: bytes for the text. Returns the length of the text, or -1. */
-static int64_t motion_lines(const int64_t *at, const int64_t *feeds, int64_t n, int64_t feed,
-                            const int64_t *decimals, const int64_t *longest,
+static int64_t motion_lines(const int64_t *at, const int64_t *feeds, const uint8_t *kinds, int64_t n,
+                            int64_t feed, const int64_t *decimals, const int64_t *longest,
                             const int64_t *between, int64_t m, const char *lines,
                             int64_t size_of_lines, int64_t room, uint8_t *text, int64_t *begun)
 {
@@ -57,9 +59,12 @@ static int64_t motion_lines(const int64_t *at, const int64_t *feeds, int64_t n, 
         c = inserted(c, text, between, m, lines, i, &done, begun);
         const int64_t *to = at + COLUMNS;
         int64_t values[] = {to[X], to[Y], to[Z], to[E] - at[E], feeds[i]};
-        int both = i == 0 && feed == 0;
+        if (kinds[i] == JUMPS)
+            continue;
+        int both = kinds[i] == BEGINS;
         int shown[] = {to[X] != at[X] || both, to[Y] != at[Y] || both, to[Z] != at[Z],
-                       to[E] != at[E], feeds[i] != (i ? feeds[i - 1] : feed)};
+                       to[E] != at[E], feeds[i] != feed || kinds[i] != MOVES};
+        feed = feeds[i];
         *c++ = 'G', *c++ = '1';
         for (int k = 0; k < WORDS; k++) {
             if (values[k] <= -longest[k] || values[k] >= longest[k])
@@ -74,10 +79,10 @@ static int64_t motion_lines(const int64_t *at, const int64_t *feeds, int64_t n, 
     return inserted(c, text, between, m, lines, INT64_MAX, &done, begun) - text;
 }
 
-LOOP(motion_lines, INTEGERS(0, COLUMNS * (COUNT(2) + 1)), INTEGERS(1, COUNT(2)), COUNT(2), WHOLE(3),
-     INDICES(4, WORDS, 0, MOST_DIGITS), INDICES(5, WORDS, 0, ((int64_t)1 << 32) + 1),
-     INDICES(6, 3 * COUNT(7), 0, MOST_ITEMS), COUNT(7), TEXT(8), WITHIN(9, 0, ITEMS(8)), COUNT(10),
-     OUT_BYTES(11, COUNT(10)), OUT_INTEGERS(12, COUNT(7)))
+LOOP(motion_lines, INTEGERS(0, COLUMNS * (COUNT(3) + 1)), INTEGERS(1, COUNT(3)), BYTES(2, COUNT(3)),
+     COUNT(3), WHOLE(4), INDICES(5, WORDS, 0, MOST_DIGITS),
+     INDICES(6, WORDS, 0, ((int64_t)1 << 32) + 1), INDICES(7, 3 * COUNT(8), 0, MOST_ITEMS), COUNT(8),
+     TEXT(9), WITHIN(10, 0, ITEMS(9)), COUNT(11), OUT_BYTES(12, COUNT(11)), OUT_INTEGERS(13, COUNT(8)))
 
 /* ------------------------------------------------------------------------ times left */
 

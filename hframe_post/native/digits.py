@@ -17,11 +17,12 @@ WHOLE_DIGITS = 5  # before the point; a printer has no use for more
 TOO_LONG = "a coordinate, filament length or feed rate is too long to be written"
 LINE = 80  # bytes of a line of motion, at most: five words of up to 10 digits
 GROUP = 4  # digits looked up at once
+MOVES, STANDS, BEGINS, JUMPS = range(4)  # kinds of lines of motion
 
 
 def motion_lines(
-    at: Integers, feeds: Integers, feed: int, decimals: tuple[int, ...], between: Integers,
-    lines: bytes,
+    at: Integers, feeds: Integers, kinds: Bytes, feed: int, decimals: tuple[int, ...],
+    between: Integers, lines: bytes,
 ) -> tuple[bytes, Integers]:  # fmt: skip
     """Return n lines of G1 from place to place, with others between them.
 
@@ -29,15 +30,17 @@ def motion_lines(
     in ``lines``. Returns the text, and where in it each of the others begins, (m,).
 
     at (n + 1, 4): x, y, z, e; feeds (n,): F; both in units of 10^−decimals (5,). feed: F before
-    the first line. A word is written where it changes, and x and y after a feed of 0; E is a
-    difference. No exponent, no negative zero, no trailing zeros. Raises HframeError for numbers
+    the first line. A word is written where it changes; E is a difference. kinds (n,): MOVES, or F
+    is written in any case (STANDS), as are x and y (BEGINS), or there is no line (JUMPS). No
+    exponent, no negative zero, no trailing zeros. Raises HframeError for numbers
     with more than WHOLE_DIGITS before the point, or from 2³² units on.
     """
     n, m = len(feeds), len(between)
     text = np.empty(n * LINE + int((between[:, 2] - between[:, 1]).sum()), np.uint8)
     begun, numbers = np.empty(m, np.int64), (_row(decimals), _longest(decimals))
     others = np.ascontiguousarray(between), m, lines, len(lines)
-    size = kernels.motion_lines(at, feeds, n, feed, *numbers, *others, len(text), text, begun)
+    rows = at, feeds, kinds, n, feed
+    size = kernels.motion_lines(*rows, *numbers, *others, len(text), text, begun)
     if size < 0:
         raise HframeError(TOO_LONG)
     return text[:size].tobytes(), begun

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from hframe_post.arrays import TS, Integers
-from hframe_post.stream.marks import CLOCK, END, INDEX, KIND, OTHERS, SETS, START, Marks
+from hframe_post.stream.marks import CLOCK, END, KIND, OTHERS, SETS, START, Marks
 from hframe_post.writers.print_time import Deferred, Output, says_time
 
 ROW, BEGIN, STOP, SAMPLE, TIME = range(5)  # columns of a table
@@ -33,48 +33,50 @@ class Between:
 
         rows (k,), or one for all: the lines of motion. modes_after: None: nothing does.
         """
-        kinds = marks.table[:, KIND]
+        begin, end, kinds = marks.table[0, START], marks.table[-1, END] + 1, marks.table[:, KIND]
         table = np.empty((len(marks), 5), np.int64)
-        table[:, ROW], table[:, BEGIN] = rows, marks.table[:, START]
-        table[:, STOP], table[:, SAMPLE] = marks.table[:, END] + 1, marks.table[:, INDEX]
-        table[:, TIME] = kinds == CLOCK
-        text, added = marks.text, list[tuple[int, bytes]]()
+        table[:, ROW], table[:, SAMPLE], table[:, TIME] = rows, marks.at, kinds == CLOCK
+        table[:, BEGIN : STOP + 1] = marks.table[:, START : END + 1]
+        table[:, BEGIN : STOP + 1] += (-begin, 1 - begin)
+        text, parts, done = marks.text[begin:end], list[tuple[int, Between | bytes]](), 0
         for k in np.flatnonzero(kinds >= SETS).tolist():
             line = text[table[k, BEGIN] : table[k, STOP] - 1]
             table[k, TIME] = kinds[k] == OTHERS and says_time(line)
             if modes_after is not None and line[:1] != b";" and (modes := modes_after(line)):
-                added.append((k, modes))
-        if not added:
-            return cls(table, text)
-        after = [k + 1 for k, _ in added]
-        sizes = [len(modes) for _, modes in added]
-        table = np.insert(table, after, table[[k for k, _ in added]], axis=0)
-        new = np.array(after) + np.arange(len(after))
-        table[new, STOP] = len(text) + np.cumsum(sizes)
-        table[new, BEGIN] = table[new, STOP] - sizes
-        table[new, TIME] = False
-        return cls(table, text + b"".join(modes for _, modes in added))
+                parts += [(0, cls(table[done : k + 1], text)), (int(table[k, ROW]), modes)]
+                done = k + 1
+        return cls.joined([*parts, (0, cls(table[done:], text))]) if parts else cls(table, text)
 
-    def with_lines(self, lines: Sequence[tuple[int, bytes]], first: bool = False) -> Between:
-        """Return also other lines, each with its row; first: before those of the same row."""
-        if not lines:
-            return self
-        rows, texts = zip(*lines, strict=True)
-        stop = len(self.text) + np.cumsum([len(text) for text in texts])
-        table = np.zeros((len(lines), 5), np.int64)
-        table[:, ROW], table[:, STOP] = rows, stop
-        table[:, BEGIN] = stop - [len(text) for text in texts]
-        both = [table, self.table] if first else [self.table, table]
-        joined = np.concatenate(both)
-        order = joined[:, ROW].argsort(kind="stable")
-        return Between(joined[order], self.text + b"".join(texts))
+    @classmethod
+    def joined(cls, parts: Iterable[tuple[int, Between | bytes]]) -> Between:
+        """Return all lines, those of one row in this order, with their rows raised by a number."""
+        tables, rows, texts, size = list[Integers](), list[tuple[int, ...]](), list[bytes](), 0
+        for row, part in parts:
+            if isinstance(part, bytes):
+                rows.append((row, size, size + len(part), 0, 0))
+                text = part
+            else:
+                if rows:
+                    tables.append(np.array(rows))
+                    rows = []
+                tables.append(np.add(part.table, (row, size, size, 0, 0)))
+                text = part.text
+            texts.append(text)
+            size += len(text)
+        if rows:
+            tables.append(np.array(rows))
+        if not tables:
+            return NOTHING_BETWEEN
+        table = np.concatenate(tables)
+        return cls(table[table[:, ROW].argsort(kind="stable")], b"".join(texts))
 
-    def output(self) -> Output:
-        """Return the lines alone."""
-        starts, stops = self.table[:, BEGIN].tolist(), self.table[:, STOP].tolist()
-        text = b"".join([self.text[a:b] for a, b in zip(starts, stops, strict=True)])
-        sizes = self.table[:, STOP] - self.table[:, BEGIN]
-        return self.deferred(text, np.cumsum(sizes) - sizes)
+    def __bool__(self) -> bool:
+        return len(self.table) > 0
+
+    @property
+    def places(self) -> Integers:
+        """Return the rows, and where lines begin and end in the text, (m, 3)."""
+        return self.table[:, : STOP + 1]
 
     def deferred(self, text: bytes, begun: Integers) -> Output:
         """Return a text in which the lines begin at these places, (m,)."""
@@ -86,8 +88,3 @@ class Between:
 
 
 NOTHING_BETWEEN = Between(np.zeros((0, 5), np.int64), b"")
-
-
-def text_of(lines: Iterable[bytes]) -> bytes:
-    """Return lines as a text."""
-    return b"".join(line + b"\n" for line in lines)

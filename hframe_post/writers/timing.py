@@ -1,10 +1,9 @@
-"""Second pass: the feed rates and dwells that keep the machine in time."""
+"""The feed rates and dwells that keep the machine in time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -13,14 +12,7 @@ from hframe_post.arrays import TS, Array, E, Flags, Integers, lengths
 from hframe_post.firmware.motion import MotionRules, NextTo, Stroke, Way
 from hframe_post.writers.carried import Between
 from hframe_post.writers.decimation import Units
-from hframe_post.writers.machine import (
-    LimitChange,
-    Motion,
-    MotionEnd,
-    OutputCommand,
-    PlacedMove,
-    Text,
-)
+from hframe_post.writers.page import Asked, Page, PlacedMove
 
 CATCH_UP = 0.01  # share of its time by which a segment is sped up or delayed, in a long motion
 REVERSED = -0.999  # cosine between ways from which every firmware stops between them
@@ -28,42 +20,42 @@ EARLY = 0.3  # share of its time by which a segment is shorter for one after it 
 LEAST = 0.1  # share of its time that a segment is asked to take at least, to make up for others
 
 
-class TimedMotion(NamedTuple):
-    """Segments with F (k,): places at (k + 1, 4), and other lines."""
+class Motion(NamedTuple):
+    """Segments (k,) in which something moves.
+
+    at (k + 1, 4): places, in output units; T (k,): seconds that each is to last; dwell (k,):
+    samples of dwell before each; due (k,): the sample at which each ends; between: other lines.
+    stops: whether the machine rests after the last; after: greatest speed, mm/s, at its end.
+    """
 
     at: Integers
-    feeds: Integers
+    T: Array
+    dwell: Integers
+    due: Integers
     between: Between
-
-
-class TimedMove(NamedTuple):
-    """A retraction or a lift, and how it is asked for."""
-
-    move: PlacedMove
-    stroke: Stroke
+    stops: bool = False
+    after: float = math.inf
 
 
 @dataclass(slots=True)
 class _Lift:
-    """A lift that waits for the speed of the next motion, and the lines between both.
+    """A lift that waits for the speed of the next motion.
 
-    way: of the lift; seconds: that it should last; entry: speed, mm/s, from which it begins;
-    stroke: into the greatest speed.
+    asked: its row; way: of the lift; seconds: that it should last; entry: speed, mm/s, from which
+    it begins; stroke: into the greatest speed.
     """
+
+    asked: Asked | None
 
     move: PlacedMove
     way: Way
     seconds: float
     entry: float
     stroke: Stroke
-    lines: list[Text] = field(default_factory=list)
-
-
-TimedCommand = Text | TimedMotion | TimedMove | LimitChange
 
 
 class Timing:
-    """Feed rates and dwells of one machine.
+    """Feed rates and dwells of one machine, whose lines go to a page.
 
     steady: segments over which time is kept inside a motion, too; 0: over a batch. It takes an F
     with many digits. ``lag``: seconds by which the machine is late, as far as rounding tells; the
@@ -71,6 +63,7 @@ class Timing:
     """
 
     def __init__(self, rules: MotionRules, units: Units, steady: int = 0) -> None:
+        self.page = Page(units)
         self._rules, self._units, self._steady = rules, units, steady or rules.steady
         self._per_feed = units.per_feed
         self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it rests
@@ -80,28 +73,19 @@ class Timing:
         self._ending: tuple[Array, Array, bool, float] | None = None
         self._lift: _Lift | None = None
 
-    def timed(self, commands: Iterable[OutputCommand]) -> Iterator[TimedCommand]:
-        """Yield the commands with their feed rates."""
-        for command in commands:
-            match command:
-                case Text():
-                    if self._lift is None:
-                        yield command
-                    else:
-                        self._lift.lines.append(command)
-                case Motion():
-                    yield from self._motion(command)
-                case PlacedMove():
-                    yield from self._placed_move(command)
-                case MotionEnd():
-                    yield from self._leave(0.0)
-                    yield from self._stop(command.samples)
-                case LimitChange():
-                    yield command
-                    self.lost += self.lag
-                    self.lag, self._fresh = 0.0, True  # lateness does not matter any more
+    @property
+    def waits(self) -> bool:
+        """Return whether a line of the page depends on what follows."""
+        return self._lift is not None
 
-    def _motion(self, motion: Motion) -> Iterator[TimedCommand]:
+    def change_limits(self, lines: bytes) -> None:
+        """Write lines that change feed rate and limits: lateness does not matter any more."""
+        self.page.add_limits(lines)
+        self.lost += self.lag
+        self.lag, self._fresh = 0.0, True
+
+    def motion(self, motion: Motion) -> None:
+        """Write segments."""
         at, dwells = motion.at / self._units.per_mm, motion.dwell.nonzero()[0].tolist()
         rest = np.zeros(len(at), bool)
         if dwells:
@@ -115,10 +99,9 @@ class Timing:
         feeds = self.feeds(at, motion.T, rest, motion.after)
         if self._lift is not None:
             v = float(feeds[0] / self._per_feed)
-            yield from self._leave(self._rules.entry(at[:2], v, before))
-        lines = [(row, self._dwell(int(motion.dwell[row]))) for row in dwells]
-        between = motion.between.with_lines([(row, line) for row, line in lines if line])
-        yield TimedMotion(motion.at, feeds, between)
+            self._leave(self._rules.entry(at[:2], v, before))
+        waits = [(row, self._dwell(int(motion.dwell[row]))) for row in dwells]
+        self.page.add_motion(motion.at, feeds, motion.due, motion.between, waits)
 
     def _first_entry(self, at: Array, T: float, before: float) -> float:
         """Return the speed, mm/s, at which a first segment that is to last T begins.
@@ -209,37 +192,39 @@ class Timing:
         entry = self._before if alone else float(v[0])
         self._ending = at[-2:], v[-1:], bool(alone and rest[0]), entry
 
-    def _placed_move(self, move: PlacedMove) -> Iterator[TimedCommand]:
+    def stroke(self, move: PlacedMove) -> None:
+        """Write a retraction or a lift."""
         dwell, next_to = move.dwell, NextTo.LIFT if move.lifts else NextTo.RETRACTION
         way, previous = self._way(move), self._lift.way if self._lift else None
         into, out = self._rules.corners(way, move.speed, (dwell.entry, dwell.leaving), previous)
         self._before = min(self._before, into)
-        yield from self._leave(self._before)
-        if self._before == 0.0 and (line := self._dwell(0, next_to)):
-            yield Text(line)
+        self._leave(self._before)
+        if self._before == 0.0:
+            self.page.add_lines(self._dwell(0, next_to) or b"")
         planned, entry = dwell.samples * TS, self._before
         seconds = planned - self.lag
         stroke = self._rules.stroke(way, move.speed, dwell.exact, seconds, entry, out)
         self.lag += stroke.seconds - planned
         self._before, self._ending = stroke.left, None
+        asked = self.page.add_stroke(move)
         if out:
-            self._lift = _Lift(move, way, seconds, entry, stroke)
+            self._lift = _Lift(asked, move, way, seconds, entry, stroke)
             return
-        yield TimedMove(move, stroke)
-        if line := self._dwell(0, next_to):
-            yield Text(line)
+        if asked is not None:
+            self.page.ask(asked, stroke)
+        self.page.add_lines(self._dwell(0, next_to) or b"")
 
     def _way(self, move: PlacedMove) -> Way:
         return Way(self._units.mm(move.start), self._units.mm(move.end), move.acceleration)
 
-    def _leave(self, speed: float) -> Iterator[TimedCommand]:
-        """Yield the lift that waits for the speed, mm/s, of the next motion, if there is one."""
+    def _leave(self, speed: float) -> None:
+        """Let the lift that waits for the next motion pass into it at a speed, mm/s."""
         if self._lift is None:
             return
         self._pass_into(speed)
         lift, self._lift = self._lift, None
-        yield TimedMove(lift.move, lift.stroke)
-        yield from lift.lines
+        if lift.asked is not None:
+            self.page.ask(lift.asked, lift.stroke)
 
     def _pass_into(self, speed: float) -> None:
         """Plan the lift that waits for motion once more, to leave at its speed, mm/s."""
@@ -252,11 +237,11 @@ class Timing:
             )
             self.lag += lift.stroke.seconds - seconds
 
-    def _stop(self, samples: int) -> Iterator[Text]:
-        """Yield the line for a dwell of this many samples more, if they are not 0."""
+    def stop(self, samples: int = 0) -> None:
+        """Come to rest, and dwell for this many samples more."""
+        self._leave(0.0)
         line = self._dwell(samples) if samples else None
-        if line:
-            yield Text(line)
+        self.page.add_lines(line or b"")
         if line != b"":  # else the firmware leaves the dwell out
             self._before = 0.0
 

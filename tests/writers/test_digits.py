@@ -24,7 +24,8 @@ def extruded(values: list[int], decimals: int) -> bytes:
     at = np.zeros((len(values) + 1, 4), dtype=np.int64)
     at[1:, 3] = np.cumsum(values)
     feeds = np.zeros(len(values), np.int64)
-    return digits.motion_lines(at, feeds, 0, (3, 3, 3, decimals, 1), NOTHING, b"")[0]
+    kinds = np.zeros(len(values), np.uint8)
+    return digits.motion_lines(at, feeds, kinds, 0, (3, 3, 3, decimals, 1), NOTHING, b"")[0]
 
 
 @st.composite
@@ -47,18 +48,28 @@ def test_words_equal_numbers_formatted_by_python(column: tuple[list[int], int]) 
 places = st.lists(st.integers(-2, 2), min_size=5, max_size=5)
 
 
-@given(st.lists(places, min_size=2, max_size=20), st.sampled_from([-1, 0, 2]))
-def test_a_word_is_written_where_it_changes(rows: list[list[int]], feed: int) -> None:
+kinds = st.sampled_from([digits.MOVES, digits.MOVES, digits.STANDS, digits.BEGINS, digits.JUMPS])
+
+
+@given(st.lists(places, min_size=2, max_size=20), st.sampled_from([-1, 0, 2]), st.data())
+def test_a_word_is_written_where_it_changes(
+    rows: list[list[int]], feed: int, data: st.DataObject
+) -> None:
     table, decimals = np.array(rows, dtype=np.int64), (3, 2, 1, 0, 5)
     between = np.array([(k, 0, 1) for k in range(len(rows))])  # a line feed before each, and behind
-    of = table[:, :4].copy(), table[1:, 4].copy(), feed, decimals
+    kind = [0, *data.draw(st.lists(kinds, min_size=len(rows) - 1, max_size=len(rows) - 1))]
+    of = table[:, :4].copy(), table[1:, 4].copy(), np.array(kind[1:], np.uint8), feed, decimals
     written, begun = digits.motion_lines(*of, between, b"\n")
     assert begun[0] == 0
-    feeds, begin = [feed, *table[1:, 4].tolist()], 1
+    begin = 1
     for k, end in enumerate(begun[1:].tolist(), start=1):
+        if kind[k] == digits.JUMPS:
+            assert end == begin
+            begin = end + 1
+            continue
         changed = table[k] != table[k - 1]
-        changed[:2] |= k == 1 and feed == 0
-        changed[4] = feeds[k] != feeds[k - 1]
+        changed[:2] |= kind[k] == digits.BEGINS
+        changed[4], feed = rows[k][4] != feed or kind[k] != digits.MOVES, rows[k][4]
         values = [*rows[k][:3], rows[k][3] - rows[k - 1][3], rows[k][4]]
         words = zip("XYZEF", values, decimals, changed, strict=True)
         line = "".join(formatted(f" {letter}", v, d) for letter, v, d, shown in words if shown)

@@ -29,8 +29,10 @@ from hframe_post.stream.types import (
     Samples,
     frozen,
 )
-from hframe_post.writers.filament_ledger import Ledger
+from hframe_post.writers.carried import NOTHING_BETWEEN
+from hframe_post.writers.decimation import Units
 from hframe_post.writers.gcode import GcodeWriter
+from hframe_post.writers.page import Page
 from hframe_post.writers.print_time import Deferred
 from tests.gcode_tools import follow
 from tests.mark_tools import mark
@@ -205,11 +207,14 @@ def test_standstill_in_motion_becomes_time_of_the_next_segment_or_a_dwell(klippe
 @given(st.lists(st.integers(0, 5000), min_size=1, unique=True), st.integers(1, 20))
 def test_busiest_second_is_that_with_the_most_lines(due: list[int], at_once: int) -> None:
     """However many lines are counted at once, from the first millisecond of it to the last."""
-    due, ledger = sorted(due), Ledger()
+    due, page = sorted(due), Page(Units())
     for first in range(0, len(due), at_once):
-        ledger.moved(due[first : first + at_once], 0)
+        samples = np.array(due[first : first + at_once])
+        at = np.zeros((len(samples) + 1, 4), np.int64)
+        page.add_motion(at, np.ones(len(samples), np.int64), samples, NOTHING_BETWEEN, [])
+        page.text()
     lines = Counter(sample // 1000 for sample in due)
-    assert ledger.busiest == max(lines.values()), "lines in a second"
+    assert page.busiest == max(lines.values()), "lines in a second"
 
 
 SPELLINGS = {
