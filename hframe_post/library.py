@@ -143,7 +143,7 @@ def convert(
     """
     if options.firmware is not None:
         printer = profile.played_by(printer, options.firmware)
-    given, output = Input(source), None if target in (None, "-") else Path(str(target))
+    given, output = Input(source, progress), None if target in (None, "-") else Path(str(target))
     options = files.with_format(options.resolved(printer), printer, output, given.path)
     if given.once:
         _check_read_once(page, options)
@@ -152,12 +152,12 @@ def convert(
         if outputs is None:
             outputs = opened.enter_context(Outputs([given.path] if given.path else []))
         if given.path is not None:
-            _watch(given.path, outputs)
+            outputs.watch(given.path)
         page_file = outputs.open(Path(page)) if page is not None else None
         if page is not None:
             options = _pictured(options, given, printer, printer.plant)
         written = files.Target(outputs, output, given.path) if target is not None else None
-        report = _converted(given, written, printer, options, progress)
+        report = _converted(given, written, printer, options)
         if page_file is not None:
             name = title or (given.path.name if given.path else "print")
             release_memory()
@@ -205,19 +205,13 @@ def simulate(
         Doubts.from_plant(actual.plant, actual.uncertainty),
     )
     options = replace(options, strategy="racking", predict=tuple(STRATEGIES))
-    given = Input(source)
+    given = Input(source, progress)
     if given.once:
-        given = Input(list(given.lines(progress)))
-
-    def lines() -> Iterable[bytes]:
-        nonlocal progress
-        shown, progress = progress, None
-        return given.lines(shown)
-
+        given = Input(list(given.lines()))
     if page is not None:
         options = _pictured(options, given, printer, actual.plant)
     with ExitStack() as opened:
-        report = simulation.simulate(lines, printer, options, study)
+        report = simulation.simulate(given.lines, printer, options, study)
         if page is not None:
             file = (outputs or opened.enter_context(Outputs([]))).open(Path(page))
             _write_page(file, report, given, title, list(notes))
@@ -228,15 +222,12 @@ def simulate(
 
 
 def _converted(
-    given: Input, target: files.Target | None, printer: Printer, options: Options,
-    progress: Callable[[int], object] | None,
-) -> Report:  # fmt: skip
+    given: Input, target: files.Target | None, printer: Printer, options: Options
+) -> Report:
     """Convert as the file asks, or as fast as the greatest error allows; return the report."""
-    shown = [progress]  # once, if there are several trials
 
     def converted(options: Options) -> Report:
-        lines = given.lines(shown.pop() if shown else None)
-        return files.convert(lines, target, printer, options)
+        return files.convert(given.lines(), target, printer, options)
 
     if options.speed is None:
         return converted(options)
@@ -262,13 +253,6 @@ def _check_read_once(page: str | Path | None, options: Options) -> None:
             "--max-error (or speed.max_error of the profile) reads the file several times: name a "
             "file (in Python, also a list of lines), or use --max-error off"
         )
-
-
-def _watch(source: Path, outputs: Outputs) -> None:
-    """Let no output appear if the source is changed from now on."""
-    if not source.is_fifo():  # which can be opened only once
-        with source.open("rb") as file:
-            outputs.watch(file, source)
 
 
 def _pictured(options: Options, source: Input, printer: Printer, plant: Plant) -> Options:

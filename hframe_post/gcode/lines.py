@@ -61,17 +61,18 @@ Source = str | Path | IO[bytes] | Iterable[bytes]
 class Input:
     """G-code to read: a file, by its path or open, or lines.
 
-    path: None if it is not known. once: whether it can be read only once.
+    path: None if it is not known. once: whether it can be read only once. progress: called with the
+    bytes of each text, the first time that all is read.
     """
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: Source, progress: Callable[[int], object] | None = None) -> None:
         self.path = Path(source) if isinstance(source, str | Path) else None
         self.once = isinstance(source, Iterator | IOBase)
-        self._source = source
+        self._source, self._progress = source, progress
 
-    def lines(self, progress: Callable[[int], object] | None = None) -> Iterable[bytes]:
-        """Return the lines, often many in a text. progress: called with the bytes of each text."""
-        lines = self._opened()
+    def lines(self) -> Iterable[bytes]:
+        """Return the lines, often many in a text."""
+        lines, progress, self._progress = self._opened(), self._progress, None
         return lines if progress is None else _reported(lines, progress)
 
     def again(self) -> Iterable[bytes]:

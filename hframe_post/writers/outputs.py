@@ -78,10 +78,10 @@ class Outputs:
         self._replacing.append((target, file, name))
         return file
 
-    def watch(self, source: IO[bytes], path: Path) -> None:
-        """Let no file appear if this source is changed before the end."""
+    def watch(self, path: Path) -> None:
+        """Let no file appear if this source is changed from now on."""
         if path.is_file():
-            self._sources.append((path, _stamp(os.fstat(source.fileno()))))
+            self._sources.append((path, _stamp(os.stat(path))))
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         try:

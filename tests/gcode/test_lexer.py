@@ -86,9 +86,10 @@ TEXT = b"".join(LINES)  # a file gives many lines in a text
 def test_a_file_and_a_list_can_be_read_again(tmp_path: Path) -> None:
     path = tmp_path / "in.gcode"
     path.write_bytes(TEXT)
-    for source in (Input(path), Input(str(path)), Input(LINES)):
+    for form in (path, str(path), LINES):
         counted = list[int]()
-        assert b"".join(source.lines(counted.append)) == b"".join(source.again()) == TEXT
+        source = Input(form, counted.append)
+        assert b"".join(source.lines()) == b"".join(source.lines()) == TEXT
         assert sum(counted) == 11
         assert not source.once
 
