@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from examples.paper import results, tables
-from examples.paper.commands import basis, knots, windowed
+from examples.paper.commands import windowed
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import compensate
 from hframe_post.model.lpfbs import Window
@@ -64,20 +64,6 @@ def test_fig_5_axes_follow_slow_commands_and_ring(plant: Plant) -> None:
 
 
 # ---------------------------------------------------------------------- Sec. III
-
-
-def test_eq_7_knots_are_clamped_and_uniform() -> None:
-    g = knots(9, 5)
-    np.testing.assert_allclose(g, [0, 0, 0, 0, 0, 0, 0.2, 0.4, 0.6, 0.8, 1, 1, 1, 1, 1, 1])
-
-
-def test_eq_5_a_basis_sums_to_one_and_begins_at_its_first_control_point() -> None:
-    N = basis(12, 100)
-    assert N.shape == (101, 13)
-    np.testing.assert_allclose(N.sum(axis=1), 1.0)
-    np.testing.assert_allclose(N[[0, -1]], np.eye(13)[[0, -1]])
-    with pytest.raises(ValueError, match="do not fit"):
-        basis(101, 100)
 
 
 # ---------------------------------------------------------------------- Appendix B, C

@@ -1,6 +1,5 @@
 """Files of steps and of samples: what they say, and that steps drive the plant as predicted."""
 
-import gzip
 import tracemalloc
 import zipfile
 from collections.abc import Callable, Iterator
@@ -14,7 +13,6 @@ from hframe_post.arrays import Array
 from hframe_post.prediction.predict import judge, predict
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from hframe_post.writers.outputs import compressing
 from hframe_post.writers.tables import (
     COLUMNS,
     End,
@@ -47,17 +45,6 @@ def test_inline_events_stand_after_the_steps_of_their_tick() -> None:
         b"#event,0,carried,a,b", b"5,A,0", b"5,B,0", b"#event,5,rest,G4 P1", b"6,A,0", b"#end,6,3",
     ]  # fmt: skip
     assert (writer.rows, writer.lines) == (3, len(lines) - len(notes))
-
-
-def test_packing_is_the_same_every_time_and_for_others_to_unpack(tmp_path: Path) -> None:
-    good = b"".join(RECTANGLE) * 10
-    files = [tmp_path / f"{name}.gz" for name in "ab"]
-    for path in files:
-        with path.open("wb") as file, compressing(file, ".gz") as packed:
-            packed.write(good[:1000])
-            packed.write(good[1000:])
-    assert files[0].read_bytes() == files[1].read_bytes()
-    assert gzip.decompress((tmp_path / "a.gz").read_bytes()) == good
 
 
 def at_milliseconds(path: Path, printer: Printer, samples: int) -> Array:
