@@ -9,7 +9,7 @@ import click
 import numpy as np
 
 from hframe_post.cli.measure import FILE
-from hframe_post.cli.model_output import ModelOutput
+from hframe_post.cli.model_output import Findings, Rows, publish
 from hframe_post.cli.parameters import (
     ask,
     files_read,
@@ -152,12 +152,14 @@ def _read(form: Path, output: Path, printer: str, profile: Printer) -> None:
         say(f"rows         {', '.join(f'{name} {hz:.1f} Hz' for name, hz in rows.items())}")
     for doubt in sheet.doubts(modes, profile.kinematics.bed_moves):
         say(f"LOOK AGAIN   {doubt}")
-    off = min(off, MOST_UNCERTAINTY)
-    _write(output, printer, profile, plant, off, [f"Read from {form.name}", *shown])
     if profile.kinematics.racks:
         say("note         a print does not show racking: the profile cancels ringing only")
+    off = min(off, MOST_UNCERTAINTY)
     by = max(FINEST, 50.0 * off)
-    say(f"Next: hframe-post calibrate-print -p {quoted(output)} --compare {by:.0f}% -o three.gcode")
+    _publish(
+        output, printer, profile, plant, off, [f"Read from {form.name}", *shown],
+        f"hframe-post calibrate-print -p {quoted(output)} --compare {by:.0f}% -o three.gcode",
+    )  # fmt: skip
 
 
 def _compare(
@@ -185,8 +187,8 @@ def _picked(pick: tuple[float, float], output: Path, printer: str, profile: Prin
     plant = _shifted(profile.plant, x, y)
     note = f"Frequencies changed by {100.0 * x:+g} % in x and {100.0 * y:+g} % in y, by eye"
     off = profile.uncertainty or 0.05  # as far as printers usually are off their models
-    _write(output, printer, profile, plant, off, [note])
-    say("Next: compare once more, with half the share, and pick again. Then convert a print")
+    again = "compare once more, with half the share, and pick again. Then convert a print"
+    _publish(output, printer, profile, plant, off, [note], again)
 
 
 def _shifted(plant: Plant, x: float, y: float) -> Plant:
@@ -196,18 +198,21 @@ def _shifted(plant: Plant, x: float, y: float) -> Plant:
     return perturbed(plant, np.array([[1.0 + x, 1.0, 1.0], [1.0 + y, 1.0, 1.0], np.ones(3)]))
 
 
-def _write(
-    output: Path, printer: str, profile: Printer, plant: Plant, off: float, notes: list[str]
-) -> None:
+def _publish(
+    output: Path, printer: str, profile: Printer, plant: Plant, off: float, notes: list[str],
+    advice: str,
+) -> None:  # fmt: skip
     """Write the profile with a plant, and with windows for printers that differ by a share."""
-    from hframe_post.identification.recommend import recommend
 
-    found = recommend(plant, profile, off)
-    if found is None:
-        raise HframeError(NO_WINDOW)
-    model = with_windows(measured(profile, plant, round(off, 3), None), found.windows)
-    with Outputs(files_read(printer)) as outputs:
-        ModelOutput(outputs, output, printer).write(model, notes)
-    for label, row in [("read", "; ".join(notes)), ("uncertainty", f"±{100.0 * off:.0f} %"),
-                       *found.rows()]:  # fmt: skip
-        say(f"{label:13s}{row}")
+    def find() -> Findings:
+        from hframe_post.identification.recommend import recommend
+
+        found = recommend(plant, profile, off)
+        if found is None:
+            raise HframeError(NO_WINDOW)
+        model = with_windows(measured(profile, plant, round(off, 3), None), found.windows)
+        rows = [("read", "; ".join(notes)), ("uncertainty", f"±{100.0 * off:.0f} %")]
+        report = Rows([*rows, *found.rows()], found.as_json())
+        return Findings(report, model, notes=notes, advice=advice)
+
+    publish(find, files_read(printer), printer, output)

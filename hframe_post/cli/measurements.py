@@ -15,7 +15,7 @@ from hframe_post.cli.json_summary import json_option
 from hframe_post.cli.measure import FILE
 from hframe_post.cli.model_output import (
     Findings,
-    ModelOutput,
+    Rows,
     profile_option,
     publish,
     recordings_argument,
@@ -35,7 +35,6 @@ from hframe_post.printer.choice import choose
 from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.profile import check_identified, load, parse
 from hframe_post.printer.settings import Verified
-from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:  # these import SciPy, as do the imports in functions: that takes a second
     from hframe_post.identification.gather import Gathered
@@ -200,7 +199,7 @@ def check(
     profile = load(printer)
     check_identified(profile)
     if not recordings:
-        _aged(printer, profile, output)
+        publish(lambda: _aged(printer, profile), files_read(printer), printer, output, json_file)
         return
     from hframe_post.identification.recordings.folder import files_in
 
@@ -256,7 +255,8 @@ def _gathered(recordings: tuple[Path, ...], profile: Printer) -> Gathered:
     return found
 
 
-def _aged(printer: str, profile: Printer, output: Path | None) -> None:
+def _aged(printer: str, profile: Printer) -> Findings:
+    """Return the uncertainty of the model today, by its age."""
     if profile.measured is None:
         raise PrinterError(
             'the profile does not say when it was measured. Write the day, such as "2026-01-31"',
@@ -265,9 +265,9 @@ def _aged(printer: str, profile: Printer, output: Path | None) -> None:
     today: date = datetime.now(UTC).date()
     now, before = profile.uncertainty_on(today), profile.uncertainty or 0.0
     days = (today - profile.measured).days
-    click.echo(f"measured     {profile.measured}, {days} days ago")
-    click.echo(f"uncertainty  ±{100 * now:.1f} % ({100 * before:.1f} % in the profile)")
-    if output is not None:
-        with Outputs(files_read(printer)) as outputs:
-            file = ModelOutput(outputs, output, printer)
-            file.write(replace(profile, uncertainty=round(now, 4)))
+    rows = [
+        ("measured", f"{profile.measured}, {days} days ago"),
+        ("uncertainty", f"±{100 * now:.1f} % ({100 * before:.1f} % in the profile)"),
+    ]
+    values = {"measured": profile.measured.isoformat(), "uncertainty": round(now, 4)}
+    return Findings(Rows(rows, values), replace(profile, uncertainty=round(now, 4)))

@@ -36,13 +36,27 @@ class Shown(Protocol):
     def as_json(self) -> dict[str, Any]: ...
 
 
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Findings as labelled rows; values: the same for a JSON summary."""
+
+    rows: list[tuple[str, str]]
+    values: dict[str, Any]
+
+    def as_text(self) -> str:
+        return "\n".join(f"{label:13s}{text}" for label, text in self.rows)
+
+    def as_json(self) -> dict[str, Any]:
+        return self.values
+
+
 @dataclass(slots=True)
 class Findings:
-    """What recordings show.
+    """What recordings or a print show.
 
     printer: the profile to write; None if there is a fault, which the command ends with. aside:
     what was not used, and why. page: the report for a browser. notes: for the model's file, None to
-    keep its present ones.
+    keep its present ones. advice: what to do next with the profile.
     """
 
     report: Shown
@@ -51,11 +65,12 @@ class Findings:
     aside: Sequence[str] = ()
     page: Callable[[], bytes] | None = None
     notes: Sequence[str] | None = None
+    advice: str = ""
 
 
 def publish(
     find: Callable[[], Findings], reads: Sequence[Path], source: str, output: Path | None,
-    json_file: Path | None, report_file: Path | None = None, text: str | None = None,
+    json_file: Path | None = None, report_file: Path | None = None, text: str | None = None,
 ) -> None:  # fmt: skip
     """Write what ``find`` returns: reports first, the profile last and only without a fault.
 
@@ -85,7 +100,7 @@ def publish(
             return
         assert file is not None
         file.write(found.printer, found.notes)
-    say(f"Next: hframe-post PART.GCODE -o OUT.GCODE -p {quoted(output)}")
+    say(f"Next: {found.advice or f'hframe-post PART.GCODE -o OUT.GCODE -p {quoted(output)}'}")
 
 
 def kept(source: str) -> str:

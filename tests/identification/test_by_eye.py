@@ -67,13 +67,12 @@ def test_readings_that_disagree_are_uncertain() -> None:
     assert found.uncertainty > 0.1
 
 
-def test_an_unusual_printer_is_shown_for_a_look() -> None:
-    rows = {hz: [read(hz, 0.05, band, A) for band in bands(ender())] for hz in (30.0, 50.0, 85.0)}
-    for x, y, doubt in ((85.0, 30.0, "85 Hz in x: usual is 25 to 75"), (30.0, 50.0, "exchange")):
-        sheet = Filled({"x": rows[x], "y": rows[y]}, A)
-        assert any(doubt in found for found in sheet.doubts(sheet.modes(), bed_moves=True))
-    sheet = Filled({"x": rows[50.0], "y": rows[30.0]}, A)
-    assert not sheet.doubts(sheet.modes(), bed_moves=True)
+def test_a_bed_that_rings_faster_than_the_head_is_shown_for_a_look() -> None:
+    slow, fast = ([read(hz, 0.05, band, A) for band in bands(ender())] for hz in (30.0, 50.0))
+    for x, y, doubted in ((slow, fast, True), (fast, slow, False)):
+        sheet = Filled({"x": x, "y": y}, A)
+        found = sheet.doubts(sheet.modes(), bed_moves=True)
+        assert any("exchange" in doubt for doubt in found) == bool(found) == doubted
 
 
 def test_modes_answer_straight_lines_exactly() -> None:
@@ -115,7 +114,6 @@ def test_a_form_is_read_as_it_was_written() -> None:
         ("[9.5mm, 4, 5]", "A row reads like x1 = "),
         ("[0, 4, 5]", "x1 has a distance without waves"),
         ("[9.5, 0, 5]", "x1 has a distance without waves"),
-        ("[9.5, 4, 2]", "x1: 4 waves were measured, but only 2 seen"),
     ):  # fmt: skip
         with pytest.raises(HframeError, match=re.escape(message)):
             filled(empty.replace("x1 = [0, 0, 0]", f"x1 = {row}"), "a.toml")

@@ -10,6 +10,7 @@ import shlex
 import sys
 import tempfile
 import time
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -32,10 +33,11 @@ class HframePost:
         gcodes = Path(files.get_directory("gcodes"))
         (gcodes / FOLDER).mkdir(exist_ok=True)
         files.add_reserved_path(NAME, gcodes / FOLDER, False)
-        self._words = Settings(
+        settings = Settings(
             str(gcodes), server.get_app_args()["unix_socket_path"],
             shlex.split(config.get("command")), config.get("recordings", tempfile.gettempdir()),
-        ).as_json()  # fmt: skip
+        )  # fmt: skip
+        self._words = json.dumps(asdict(settings))
         if gone := [name for name in GONE if config.get(name, None) is not None]:
             server.add_warning(
                 f"[{NAME}]: {', '.join(gone)} can be deleted: uploads are not converted any more. "

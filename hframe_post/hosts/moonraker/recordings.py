@@ -20,7 +20,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +28,10 @@ NAME = "hframe_post"
 FOLDER = ".hframe_post"  # in the folder of G-code, from which Klipper prints
 ENDPOINT = "/server/hframe_post/report"
 MEMORY_BYTES = 1_000_000_000  # of data of a process; 370 MB are the most that any has needed
-WRITING = {  # the words of a command before the file of G-code
-    "calibration": ("measure", "-q", "--times", "2", "-o"),
-    "check": ("measure", "-q", "--for", "check", "-o"),
+WRITING = {  # the file of G-code, and the words of the command that writes it
+    "calibration": ("measure.gcode", "--times", "2"),
+    "check": ("check.gcode", "--for", "check"),
 }
-JOBS = {"calibration": "measure", "check": "check"}  # how the files of G-code are called
 MEASURING_S = 15.0 * 60.0  # s that such a command may take on a slow host
 ENDS_RECORDING = re.compile(r"^ACCELEROMETER_MEASURE CHIP=\S+ NAME=(\S+)$", re.MULTILINE)
 WRITING_S = 120.0  # s for Klipper to write its recordings, which it does in the background
@@ -56,9 +55,9 @@ def prepare(settings: Settings, kind: str, axis: str = "") -> int:
             shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(exist_ok=True)
         if kind == "calibration" or not _is_written(folder, profile):
-            command, *words = WRITING[kind]
-            target = str(folder / f"{JOBS[kind]}.gcode")
-            _run([*program, command, "-p", str(profile), *words, target], MEASURING_S)
+            job, *words = WRITING[kind]
+            target = ("-p", str(profile), "-q", "-o", str(folder / job))
+            _run([*program, "measure", *words, *target], MEASURING_S)
     except (FailureError, OSError) as error:
         settings.report(f"nothing is measured: {_cause(error)}", failed=True)
         return 1
@@ -85,49 +84,33 @@ def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
                 settings.report(f"recorded. {OTHER_PLACE[axis]}")
                 return 1
         settings.report("recorded. The model is computed, which may take some minutes")
-        inputs = [path for path in sorted(folder.glob("*.csv")) if _is_wanted(folder, path)]
+        known = _computed(folder, program, profile)
+        lines = [*(_identified if kind == "calibration" else _checked)(known)]
     except (FailureError, OSError, ValueError) as error:
-        return _refused(settings, kind, error)
-    return _updated(settings, kind, program, profile, inputs)
-
-
-def _refused(settings: Settings, kind: str, error: Exception) -> int:
-    reason = f"the model was not changed: {_cause(error)}"
-    settings.report(reason, failed=True)
-    return 1
-
-
-def _updated(
-    settings: Settings, kind: str, program: list[str], profile: Path, inputs: Sequence[Path]
-) -> int:
-    """Update the profile from recordings and say what came out."""
-    summary = settings.folder / kind / "summary.json"
-    page = profile.with_suffix(".html")
-    words = {"calibration": ["identify", "--report", str(page)], "check": ["check"]}[kind]
-    result = ("-p", str(profile), "--json", str(summary), "-o", str(profile))
-    try:
-        _run([*program, *words, *result, *map(str, inputs)], MEASURING_S)
-        known = json.loads(summary.read_text("utf-8"))
-    except (FailureError, OSError, ValueError) as error:
-        return _refused(settings, kind, error)
-    result_lines = {"calibration": _identified, "check": _checked}[kind](known)
-    plots = f", plots into {page.name} next to it" if kind == "calibration" else ""
-    lines = [*result_lines, f"the model is written into {profile}{plots}"]
+        settings.report(f"the model was not changed: {_cause(error)}", failed=True)
+        return 1
+    plots = f", plots into {profile.stem}.html next to it" if kind == "calibration" else ""
+    lines.append(f"the model is written into {profile}{plots}")
     if profile.with_suffix(".kernel").is_file():
         lines.append("with [hframe_live] in printer.cfg, restart Klipper: it takes this model")
     settings.report("\n".join(lines))  # at once: some consoles show the newest message first
     return 0
 
 
+def _computed(folder: Path, program: list[str], profile: Path) -> Any:
+    """Update the profile from the recordings in a kind's folder; return the command's summary."""
+    summary, page = folder / "summary.json", str(profile.with_suffix(".html"))
+    words = ["identify", "--report", page] if folder.name == "calibration" else ["check"]
+    result = ("-p", str(profile), "--json", str(summary), "-o", str(profile))
+    inputs = (str(path) for path in sorted(folder.glob("*.csv")) if _is_wanted(folder, path))
+    _run([*program, *words, *result, *inputs], MEASURING_S)
+    return json.loads(summary.read_text("utf-8"))
+
+
 def _is_written(folder: Path, profile: Path) -> bool:
     """Return whether the G-code in a folder is of the present profile."""
     times = [path.stat().st_mtime for path in folder.glob("*.gcode")]
     return bool(times) and min(times) > profile.stat().st_mtime
-
-
-def _commands(folder: Path) -> dict[str, Path]:
-    """Return the commands of a folder by the name of their run, such as measure-x-at-110."""
-    return {path.stem.partition(".")[2]: path for path in folder.glob("*.*.csv")}
 
 
 def _recordings(folder: Path, run: str) -> list[Path]:
@@ -168,13 +151,16 @@ def _fetch(settings: Settings, job: Path, began: float) -> None:
 
 def _missing(folder: Path) -> Iterator[str]:
     """Yield X or Y for each command of one axis that has no recording."""
-    for run in sorted(_commands(folder)):
-        if not _recordings(folder, run):
-            yield run.split("-")[1].upper()
+    for command in sorted(folder.glob("*.*.csv")):
+        if not _is_wanted(folder, command):
+            yield command.stem.split("-")[1].upper()
 
 
 def _is_wanted(folder: Path, path: Path) -> bool:
-    """Return whether a file is a recording, or a command that was recorded."""
+    """Return whether a file is a recording, or the command of a run that was recorded.
+
+    A command has the name of its run, such as measure.measure-x-at-110.csv.
+    """
     run = path.stem.partition(".")[2]
     return not run or bool(_recordings(folder, run))
 
@@ -230,13 +216,6 @@ class Settings:
     socket: str
     command: list[str]
     recordings: str
-
-    @classmethod
-    def from_json(cls, text: str) -> Settings:
-        return cls(**json.loads(text))
-
-    def as_json(self) -> str:
-        return json.dumps(asdict(self))
 
     @property
     def folder(self) -> Path:
@@ -301,10 +280,6 @@ def _cause(error: Exception) -> str:
     return str(error)
 
 
-# ----------------------------------------------------------------------
-# The process.
-
-
 def _stand_back() -> None:
     """Give precedence to Klipper, which may be printing. Holds for all that is started, too."""
     import resource  # which Windows has not, where setup reads this file
@@ -321,4 +296,4 @@ if __name__ == "__main__":
     _stand_back()
     duty, own, *words = sys.argv[1:]
     run = prepare if duty == "prepare" else conclude
-    sys.exit(run(Settings.from_json(own), *words))
+    sys.exit(run(Settings(**json.loads(own)), *words))
