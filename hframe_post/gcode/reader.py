@@ -46,7 +46,8 @@ from hframe_post.gcode.commands import (
 from hframe_post.gcode.curves import MAX_COORDINATE_MM, curve
 from hframe_post.gcode.extrusion import FirmwareRetraction, is_absolute
 from hframe_post.gcode.lines import Lines
-from hframe_post.gcode.state import Extent, Objects, ReadOptions, State
+from hframe_post.gcode.objects import Objects
+from hframe_post.gcode.state import Extent, ReadOptions, State
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.stream.types import Handling, Item, Passthrough, Position
 

@@ -332,6 +332,16 @@ def test_retractions_begin_as_the_users_do(
     assert text[retraction + 2] == ours
 
 
+def test_a_prime_is_as_fast_as_a_retraction_may_be_and_no_faster(marlin: Printer) -> None:
+    """Marlin has the same M203 E and M204 R both ways, and no limit of what a hot end melts."""
+    lines = [b"M83\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X120 E1\n", b"G1 E-3 F9000\n", b"G1 X140\n",
+             b"G1 E3 F9000\n", b"G1 X120 E1 F6000\n"]  # fmt: skip
+    text = converted(lines, marlin)[0]
+    ways = dict(re.findall(rb"^G1 E(-?3) F([\d.]+)$", text, re.MULTILINE))
+    fastest = 60.0 * marlin.limits.extruder_velocity
+    assert {way: float(feed) <= fastest for way, feed in ways.items()} == {b"-3": True, b"3": True}
+
+
 def test_linear_advance_of_the_file_does_not_enter_the_stream(marlin: Printer) -> None:
     lines = [b"G1 X100 Y100 Z1 F6000\n", b"G1 X110\n", b"M900 K0.08\n", b"G1 X120\n"]
     text = converted(lines, marlin)[0].splitlines()

@@ -22,7 +22,8 @@ from hframe_post.conversion.options import Options
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import KlipperSource
-from hframe_post.firmware.marlin.m503 import MarlinSettings, from_marlin
+from hframe_post.firmware.marlin.m503 import MarlinSettings
+from hframe_post.firmware.marlin.marlin_source import from_marlin
 from hframe_post.printer.new_profile import Known, profile_text
 from hframe_post.printer.profile import load, parse, shipped
 from tests.conftest import SAMPLES

@@ -6,13 +6,8 @@ from pathlib import Path
 import pytest
 
 from hframe_post.errors import HframeError
-from hframe_post.firmware.marlin.m503 import (
-    MarlinSettings,
-    MarlinSource,
-    from_marlin,
-    is_of_marlin,
-    text_in,
-)
+from hframe_post.firmware.marlin.m503 import MarlinSettings, is_of_marlin, text_in
+from hframe_post.firmware.marlin.marlin_source import MarlinSource, from_marlin
 from hframe_post.printer.new_profile import Known, profile_text
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer

@@ -117,7 +117,8 @@ class Marlin(Firmware):
 
     @classmethod
     def source(cls, files: Sequence[Path]) -> Source | None:
-        from hframe_post.firmware.marlin.m503 import MarlinSource, is_of_marlin, text_in
+        from hframe_post.firmware.marlin.m503 import is_of_marlin, text_in
+        from hframe_post.firmware.marlin.marlin_source import MarlinSource
 
         return MarlinSource(files) if is_of_marlin(text_in(files[0])) else None
 
