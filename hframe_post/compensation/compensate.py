@@ -52,52 +52,31 @@ class _States:
     def __init__(self, states: dict[str, StrategyState]) -> None:
         self._states = states
         self._waiting: deque[Samples] = deque()
-        self._ready = {name: _Rows() for name in states}
+        self._ready = {name: np.zeros((0, 2)) for name in states}
 
     def feed(self, chunk: Samples) -> Iterator[Samples]:
         self._waiting.append(chunk)
         for name, state in self._states.items():
-            self._ready[name].add(state.feed(chunk.xyze[:, :Z]))
+            self._add(name, state.feed(chunk.xyze[:, :Z]))
         yield from self._released()
 
     def finish(self) -> Iterator[Samples]:
         for name, state in self._states.items():
-            self._ready[name].add(state.finish())
+            self._add(name, state.finish())
         yield from self._released()
+
+    def _add(self, name: str, command: Array) -> None:
+        self._ready[name] = np.concatenate([self._ready[name], command])
 
     def _released(self) -> Iterator[Samples]:
         """Yield the chunks that have all their commands."""
-        ready = self._ready
         while self._waiting:
-            n = len(self._waiting[0])
-            if any(rows.count < n for rows in ready.values()):
+            n, ready = len(self._waiting[0]), self._ready
+            if any(len(rows) < n for rows in ready.values()):
                 return
-            commands = {name: frozen(rows.take(n)) for name, rows in ready.items()}
+            commands = {name: frozen(rows[:n]) for name, rows in ready.items()}
+            self._ready = {name: rows[n:] for name, rows in ready.items()}
             yield replace(self._waiting.popleft(), commands=commands)
-
-
-class _Rows:
-    """A queue of commands (n, 2), taken in other numbers than they are added."""
-
-    def __init__(self) -> None:
-        self._pieces = deque[Array]()
-        self.count = 0
-
-    def add(self, rows: Array) -> None:
-        if len(rows):
-            self._pieces.append(rows)
-            self.count += len(rows)
-
-    def take(self, n: int) -> Array:
-        """Return the first n rows, copied only where they were added in several pieces."""
-        taken, self.count = [np.zeros((0, 2))], self.count - n
-        while n:
-            piece = self._pieces.popleft()
-            if len(piece) > n:
-                self._pieces.appendleft(piece[n:])
-            taken.append(piece[:n])
-            n -= len(taken[-1])
-        return np.concatenate(taken) if len(taken) > 2 else taken[-1]
 
 
 def settling_samples(compensator: Compensator, limits: Limits, travel: Travel) -> int:

@@ -176,25 +176,22 @@ def _check_finite(chunk: Samples, command: Array) -> None:
 
 
 def _check_travel(chunk: Samples, command: Array, travel: Travel) -> None:
-    z = chunk.xyze[:, Z]
-    low, high = travel.z
-    if z.min() < low - SLACK or z.max() > high + SLACK:
-        k = int(np.argmax((z < low - SLACK) | (z > high + SLACK)))
-        bound = low if z[k] < low else high
-        advice = "change travel.z in the profile if the printer allows it"
-        raise LimitError("z (mm)", float(z[k]), bound, int(chunk.line[k]), advice)
-    for axis, (low, high) in enumerate((travel.x, travel.y)):
-        position = command[:, axis]
-        if position.min() >= low - SLACK and position.max() <= high + SLACK:
+    """Raise LimitError for the sample that is farthest outside the travel, z first."""
+    (x, y), z = command.T, chunk.xyze[:, Z]
+    for axis, place, (low, high) in (("z", z, travel.z), ("x", x, travel.x), ("y", y, travel.y)):
+        outside = np.maximum(low - place, place - high)
+        k = int(outside.argmax())
+        if outside[k] <= SLACK:
             continue
-        below = position.min() < low - SLACK
-        k, bound = (int(position.argmin()), low) if below else (int(position.argmax()), high)
-        off = abs(position[k] - chunk.xyze[k, axis])
-        raise LimitError(
-            f"{'xy'[axis]} (mm)", float(position[k]), bound, int(chunk.line[k]),
-            f"the compensation adds {off:.3g} mm here: move the part inwards, or "
-            "widen [travel] in the profile if the bed allows it",
-        )  # fmt: skip
+        advice = "change travel.z in the profile if the printer allows it"
+        if axis != "z":
+            off = abs(place[k] - chunk.xyze[k, "xy".index(axis)])
+            advice = (
+                f"the compensation adds {off:.3g} mm here: move the part inwards, or "
+                "widen [travel] in the profile if the bed allows it"
+            )
+        bound = low if place[k] < low else high
+        raise LimitError(f"{axis} (mm)", float(place[k]), bound, int(chunk.line[k]), advice)
 
 
 def _check_motors(chunk: Samples, rates: Rates, motors: Motors, clamped: bool) -> None:

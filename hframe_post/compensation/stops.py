@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -163,14 +163,6 @@ class _Stretch:
             yield replace(chunk, commands={**chunk.commands, **commands})
 
 
-@dataclass
-class _Track:
-    """One strategy's command (n, 2) in the window, and the model of its stops."""
-
-    model: StopModel
-    command: Array
-
-
 class _Window:
     """The samples of a stretch that are still needed, counted as in the stream.
 
@@ -179,15 +171,16 @@ class _Window:
     """
 
     def __init__(self, chunk: Samples, models: dict[str, StopModel]) -> None:
+        self._models = models
         self._remembered = BEFORE + max((each.memory for each in models.values()), default=0)
         self.after = AFTER + max((each.ahead for each in models.values()), default=0)
         self._first = chunk.first - self._remembered
         self._xyze = np.repeat(chunk.xyze[:1], self._remembered, axis=0)
-        self._tracks = {name: _Track(model, self._xyze[:, :Z]) for name, model in models.items()}
+        self._commands = dict.fromkeys(models, self._xyze[:, :Z])
 
     @property
     def names(self) -> Set[str]:
-        return self._tracks.keys()
+        return self._models.keys()
 
     @property
     def end(self) -> int:
@@ -199,34 +192,31 @@ class _Window:
 
     def append(self, xyze: Array, commands: dict[str, Array]) -> None:
         self._xyze = np.concatenate([self._xyze, xyze])
-        for name, track in self._tracks.items():
-            track.command = np.concatenate([track.command, commands[name]])
+        for name, known in self._commands.items():
+            self._commands[name] = np.concatenate([known, commands[name]])
 
     def append_rest(self, n: int) -> None:
         last = np.repeat(self._xyze[-1:], n, axis=0)
-        self.append(last, dict.fromkeys(self._tracks, last[:, :Z]))
+        self.append(last, dict.fromkeys(self._models, last[:, :Z]))
 
     def forget(self, end: int) -> None:
         """Drop the samples that nothing depends on once all before ``end`` is final."""
         n = end - self._first - self._remembered
-        if n <= 0:
-            return
-        for track in self._tracks.values():
-            track.command = track.command[n:]
-        self._xyze, self._first = self._xyze[n:], self._first + n
+        if n > 0:
+            self._xyze, self._first = self._xyze[n:], self._first + n
+            self._commands = {name: command[n:] for name, command in self._commands.items()}
 
     def commands(self, a: int, b: int) -> dict[str, Array]:
-        return {
-            name: frozen(track.command[self._rows(a, b)].copy())
-            for name, track in self._tracks.items()
-        }
+        rows = self._rows(a, b)
+        return {name: frozen(command[rows].copy()) for name, command in self._commands.items()}
 
     def put_on_path(self, a: int, b: int) -> None:
-        for track in self._tracks.values():
-            track.command[self._rows(a, b)] = self._xyze[self._rows(a, b), :Z]
+        rows = self._rows(a, b)
+        for command in self._commands.values():
+            command[rows] = self._xyze[rows, :Z]
 
     def solve(self, stops: Sequence[Stop]) -> None:
         """Let the commands dwell at stops, in the order of time."""
-        for track in self._tracks.values():
+        for name, model in self._models.items():
             if stops:
-                solve_stops(self._xyze, track.command, stops, self._first, track.model)
+                solve_stops(self._xyze, self._commands[name], stops, self._first, model)
