@@ -1,6 +1,7 @@
 """Write docs/results.md: errors and times of the sample prints, on the machine that runs it.
 
-make results; with PREVIOUS=/path/to/another/bin/hframe-post beside that version
+make results; with PREVIOUS=/path/to/another/bin/hframe-post beside that version, with
+TIMED="a.gcode b.gcode" for the time of these prints
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from tests.benchmarks import accuracy, costs, speed
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "sample_gcode"
-MEASURED = next(name for name in accuracy.PROFILES if "corexy-10000" in name)
+MEASURED, HBOT = (next(p for p in accuracy.PROFILES if k in p) for k in ("corexy-10000", "hbot"))
 OFF = (0.05, 0.1, 0.2)  # shares by which random printers differ from the paper's
 HEAD = """\
 # Results
@@ -57,9 +58,13 @@ def rows() -> Iterator[str]:
 def owners() -> Iterator[str]:
     yield OWNERS
     yield table_head(*accuracy.HEAD)
-    more = [Path(name) for name in os.environ.get("SLICES", "").split()]
-    yield from (line(*cells) for cells in accuracy.rows([SAMPLES / "cube.gcode", *more]))
+    yield from (line(*cells) for cells in accuracy.rows(slices("SLICES")))
     yield ""
+
+
+def slices(variable: str) -> list[Path]:
+    """Return the cube, and the files that a variable of the environment names."""
+    return [SAMPLES / "cube.gcode", *map(Path, os.environ.get(variable, "").split())]
 
 
 def inexact() -> Iterator[str]:
@@ -78,11 +83,13 @@ def speeds() -> Iterator[str]:
     yield "## Speed\n"
     yield f"CPU on {platform.machine()} with Python {platform.python_version()}, each converted in"
     yield "turn with slicing by CuraEngine where it is installed, with `gzip -9` of the input, and"
-    yield "with the version that `PREVIOUS` names.\n"
-    previous = os.environ.get("PREVIOUS")
+    yield "with the version that `PREVIOUS` names. *figure*, *knot*, *gyroid* and *vase* are sliced"
+    yield "for this, from `tests/benchmarks/models.py`; `TIMED` names other prints.\n"
+    previous, timed = os.environ.get("PREVIOUS"), slices("TIMED")
     shown = len(speed.HEAD) if previous else -1
     yield table_head(*speed.HEAD[:shown])
-    yield from (line(*cells[:shown]) for cells in speed.rows(accuracy.PROFILES, previous))
+    found = speed.rows((MEASURED, HBOT, "paper"), timed, previous)
+    yield from (line(*cells[:shown]) for cells in found)
     yield f"\nWhat more of a print adds, on {Path(MEASURED).stem}:\n"
     yield table_head(*costs.HEAD)
     yield from (line(*cells) for cells in costs.rows(MEASURED))

@@ -188,11 +188,13 @@ class ItemBuilder:
 
         passed: bytes since the last move.
         """
-        stand, at = np.flatnonzero(rows[:, CORNER] < 0.0).tolist(), 0
+        stand, at, left = np.flatnonzero(rows[:, CORNER] < 0.0).tolist(), 0, len(marks)
         for k in stand:
-            before = marks.count_before(k - at + 1) if marks else 0
+            before = marks.count_before(k - at + 1) if left else 0
             self._add_travel(start, rows[at:k], marks.rows(0, before) if before else NO_MARKS)
-            marks, at = marks.rows(before).shifted(at - k - 1) if marks else marks, k + 1
+            if left:
+                marks, left = marks.rows(before).shifted(at - k - 1), left - before
+            at = k + 1
             if k > 0:
                 start = tuple(rows[k - 1, 1:5].tolist())
             number, *end, speed, acceleration, _ = rows[k].tolist()
@@ -205,7 +207,7 @@ class ItemBuilder:
         return len(rows) > len(stand)
 
     def _add_travel(self, start: Position, rows: Array, marks: Marks) -> None:
-        if marks and not self._count:
+        if marks is not NO_MARKS and not self._count:
             first = marks.count_before(1)
             self._add_marks(marks.rows(0, first))
             marks = marks.rows(first)
@@ -213,7 +215,7 @@ class ItemBuilder:
             self._begin(start)
             self._tabulate()
             self._tables.append(rows)
-        if marks:
+        if marks is not NO_MARKS:
             self._add_marks(marks)
         self._count += n
 

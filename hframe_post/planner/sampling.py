@@ -177,11 +177,11 @@ class _Sampler:
 
     def _slow_parts(self, plan: Plan, motion: Array, last: int) -> deque[tuple[int, int]]:
         """Return the samples, first and last, that can be left out of slow straights."""
-        parts = deque[tuple[int, int]]()
-        if not self._skip_slow:
-            return parts
+        parts, least = deque[tuple[int, int]](), (FEWEST + 2 * KEPT) * TS
         time, duration, s, v, a, j = motion
-        long = np.flatnonzero(duration > (FEWEST + 2 * KEPT) * TS)
+        if not self._skip_slow or duration.max() <= least:
+            return parts
+        long = np.flatnonzero(duration > least)
         for k in long[(v[long] <= SLOW) & (a[long] == 0.0) & (j[long] == 0.0)].tolist():
             end = s[k] + v[k] * duration[k]
             inside = plan.s[(plan.s > s[k]) & (plan.s < end)]

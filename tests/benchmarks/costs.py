@@ -26,12 +26,16 @@ HEAD = ("cost of", "CPU, µs", "growth", "instructions", "growth")
 
 
 class Drawn(NamedTuple):
-    """A print of moves, each in ``split`` pieces, with stops and other lines before each."""
+    """A print of moves, each in ``split`` pieces, with stops and other lines before each.
+
+    line: those lines, with a number below 8.
+    """
 
     feed: int = 6000
     split: int = 1
     stop: bool = False
     lines: int = 0
+    line: str = "M106 S{}"
     moves: int = MOVES
 
     def text(self) -> str:
@@ -39,7 +43,7 @@ class Drawn(NamedTuple):
         rows, x, y = ["G28", "M83", "G90", "G1 X100 Y100 Z0.2 F6000"], 100.0, 100.0
         for i in range(self.moves):
             rows += ["G1 E-0.8 F3000", "G1 E0.8 F3000"] * self.stop
-            rows += [f"M106 S{(i * self.lines + j) % 255}" for j in range(self.lines)]
+            rows += [self.line.format(j % 8) for j in range(self.lines)]
             to_x, to_y = (150.0 + 60.0 * f(2.4 * i) for f in (math.cos, math.sin))
             d = math.hypot(to_x - x, to_y - y)
             dx, dy = 20.0 * (to_x - x) / d, 20.0 * (to_y - y) / d
@@ -58,6 +62,11 @@ MORE = {
     "a move": (PLAIN._replace(split=40), 39),
     "a stop with a retraction": (PLAIN._replace(stop=True), 1),
     "another line": (PLAIN._replace(lines=100), 100),
+    "a line that names a feature": (PLAIN._replace(lines=100, line=";TYPE:FILL{}"), 100),
+    "a line that sets pressure advance": (
+        PLAIN._replace(lines=100, line="SET_PRESSURE_ADVANCE ADVANCE=0.0{}"),
+        100,
+    ),
 }
 
 

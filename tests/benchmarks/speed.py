@@ -12,24 +12,25 @@ from pathlib import Path
 
 from tests.benchmarks.models import SPREAD, models
 
-SAMPLES = Path(__file__).parents[2] / "sample_gcode"
 CURA = Path("/usr/share/cura/resources/definitions/fdmprinter.def.json")
 PAIRS = 3  # the least of each counts: other processes only add
 HEAD = ("print", "printer", "convert, s", "÷ slicing", "÷ gzip -9", "÷ previous")
 
 
-def rows(printers: Sequence[str], previous: str | None) -> Iterator[list[str]]:
+def rows(
+    printers: Sequence[str], slices: Sequence[Path], previous: str | None
+) -> Iterator[list[str]]:
     """Yield a row for each print and printer, as HEAD names its cells; "–": not measured here."""
     with tempfile.TemporaryDirectory() as folder:
-        for sliced, slicing in prints(Path(folder)):
+        for sliced, slicing in prints(slices, Path(folder)):
             for printer in printers:
-                yield [sliced.stem, Path(printer).stem, *row(sliced, slicing, printer, previous)]
+                cells = row(sliced, slicing, printer, Path(folder) / "out.gcode", previous)
+                yield [sliced.stem, Path(printer).stem, *cells]
 
 
-def prints(folder: Path) -> Iterator[tuple[Path, list[str]]]:
-    """Yield G-code files with the command that slices each, if CuraEngine is installed."""
-    for name in ("cube", "prism"):
-        yield SAMPLES / f"{name}.gcode", []
+def prints(slices: Sequence[Path], folder: Path) -> Iterator[tuple[Path, list[str]]]:
+    """Yield slices, and models with the command that slices each if CuraEngine is installed."""
+    yield from ((sliced, []) for sliced in slices)
     if shutil.which("CuraEngine") is None or not CURA.exists():
         return  # Debian: apt install cura
     for name, (surface, settings) in models().items():
@@ -42,10 +43,11 @@ def prints(folder: Path) -> Iterator[tuple[Path, list[str]]]:
         yield sliced, slicing
 
 
-def row(sliced: Path, slicing: list[str], printer: str, previous: str | None) -> Iterator[str]:
+def row(
+    sliced: Path, slicing: list[str], printer: str, out: Path, previous: str | None
+) -> Iterator[str]:
     """Yield the processor time of a conversion and its ratios to what ran in turn with it."""
-    out = str(sliced.parent / "out.gcode") if slicing else os.devnull
-    options = [str(sliced), "-q", "--force", "--jobs", "1", "-p", printer, "-o", out]
+    options = [str(sliced), "-q", "--force", "--jobs", "1", "-p", printer, "-o", str(out)]
     commands = [
         ["hframe-post", *options],
         slicing,
