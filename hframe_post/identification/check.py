@@ -31,7 +31,6 @@ from hframe_post.identification.estimation.frequency_response import (
 from hframe_post.identification.estimation.measured import Run
 from hframe_post.identification.identify import AXIS, DRIFT, LEAST_CHANGE
 from hframe_post.identification.recordings import strokes
-from hframe_post.identification.recordings.clock import acceleration
 from hframe_post.identification.recordings.folder import CHECK
 from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.model.impulse_response import ImpulseResponse
@@ -140,8 +139,8 @@ def drift(old: ImpulseResponse, response: FrequencyResponse, unseen: tuple[Array
 
 def _split(run: Run) -> dict[int, tuple[FrequencyResponse, tuple[Array, Array]]]:
     """Return what is fitted, up to a rest between figures, and what judges, by axis."""
-    u = np.column_stack([acceleration(run.command[:, axis]) for axis in run.axes])
-    a = run.on_command_clock()[:, :2]
+    found = run.aligned()
+    u, a = found.command, found.acceleration @ run.own_axes()
     moving = np.flatnonzero((np.diff(run.command, axis=0) != 0.0).any(axis=1))
     again = moving[1:][np.diff(moving) > RESTS]
     if not len(again):

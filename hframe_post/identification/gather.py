@@ -20,7 +20,7 @@ from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.identification.estimation.measured import Run
 from hframe_post.identification.recordings.accelerometer import Recording, axes_map
-from hframe_post.identification.recordings.clock import known_start, on_command_clock
+from hframe_post.identification.recordings.clock import known_start
 from hframe_post.identification.recordings.folder import (
     Aside,
     Measurement,
@@ -172,8 +172,9 @@ def _experiment(one: Measurement, config: KlipperConfig | None, travel: Travel) 
             one, Run(one.label, motion, _in_sensor_axes(one, config)), f"sweep {name}", notes
         )
     clock, unusual = known_start(one.recording, len(motion), one.name.ended)
-    in_time = on_command_clock(motion, one.recording, clock)
-    run = Run(one.label, motion, one.recording, clock, in_time)
+    run = Run(one.label, motion, one.recording, clock)
+    run = replace(run, found=run.aligned())
+    run.own_axes()  # raises if it does not show them
     return Experiment(one, run, f"{command.kind} {name}", [*unusual, *notes])
 
 

@@ -25,10 +25,9 @@ from hframe_post.identification.estimation.measured import (
     Measured,
     MeasurementSettings,
     Run,
-    stroke_responses,
+    axis_responses,
 )
 from hframe_post.identification.estimation.response import fit_known_start, fit_unknown_start
-from hframe_post.identification.estimation.uncalibrated import uncalibrated_responses
 from hframe_post.identification.places import (
     DAY_TO_DAY,
     MOST,
@@ -182,12 +181,10 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
 
 
 def _measured(runs: Sequence[Run], settings: MeasurementSettings) -> dict[str, Measured]:
-    """Return what the runs of each axis show: those of strokes, or else the others."""
-    others = uncalibrated_responses([run for run in runs if not run.known_start], settings)
-    strokes = stroke_responses([run for run in runs if run.known_start], settings)
-    if not strokes and not others:
+    """Return what the runs of each axis show."""
+    if not runs:
         raise IdentificationError("no run of the nozzle's sensor. Give one with --nozzle")
-    return {name: one for name in AXIS if (one := strokes.get(name) or others.get(name))}
+    return axis_responses(runs, settings)
 
 
 def _fit_all(measured: Mapping[str, Measured]) -> dict[str, Fit]:

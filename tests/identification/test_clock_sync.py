@@ -4,7 +4,7 @@ import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.errors import IdentificationError
-from hframe_post.identification.recordings.clock import acceleration, self_aligned
+from hframe_post.identification.recordings.clock import acceleration, aligned
 from tests.recordings import sweep
 from tests.simulator import BEGUN, Chip
 
@@ -14,7 +14,7 @@ def test_the_line_of_a_sweep_shows_the_start_and_a_large_drift(drift: float) -> 
     """On a perfectly stiff machine, which has no delay."""
     swept = sweep(rate=4.0, marks=False)
     recording = Chip(drift=drift, lead=2.0).on_nozzle(swept, 0.0 * swept)
-    found = self_aligned(acceleration(swept), recording).clock
+    found = aligned(acceleration(swept[:, None]), recording).clock
     assert found.drift == pytest.approx(drift, abs=5e-5)  # 1.5 ms in all
     assert found.start == pytest.approx(BEGUN, abs=0.02)
 
@@ -27,4 +27,4 @@ def test_what_draws_no_line_is_refused(seconds: float) -> None:
     played = short if seconds < 3.0 else 0.0 * short
     recording = Chip(lead=2.0, noise=60.0).on_nozzle(played, played)
     with pytest.raises(IdentificationError, match="does not follow the command"):
-        self_aligned(acceleration(short), recording)
+        aligned(acceleration(short[:, None]), recording)

@@ -15,8 +15,7 @@ from hframe_post.cli.main import main
 from hframe_post.errors import IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import text_from_klipper
-from hframe_post.identification.estimation.measured import MeasurementSettings
-from hframe_post.identification.estimation.uncalibrated import uncalibrated_responses
+from hframe_post.identification.estimation.measured import MeasurementSettings, axis_responses
 from hframe_post.identification.gather import gather
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
@@ -153,7 +152,7 @@ def test_a_real_belt_of_2023_is_taken(tmp_path: Path, config: Path) -> None:
         "40, accel_per_hz 75"
     )
     assert used.notes[0].startswith("its time stamps wander by up to 2")
-    groups = uncalibrated_responses(gathered.runs, MeasurementSettings((3.0, 38.0), racks=False))
+    groups = axis_responses(gathered.runs, MeasurementSettings((3.0, 38.0), racks=False))
     for name, group in groups.items():
         (response,) = (run.response for run in group.runs)
         slow = response.within((10.0, 20.0))

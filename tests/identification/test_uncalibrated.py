@@ -9,16 +9,13 @@ import pytest
 from hframe_post.arrays import TS
 from hframe_post.errors import IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.identification.estimation.directions import Direction, direction
 from hframe_post.identification.estimation.frequency_response import Spectra
-from hframe_post.identification.estimation.uncalibrated import (
-    Direction,
-    direction,
-    uncalibrated_responses,
-)
+from hframe_post.identification.estimation.measured import axis_responses
 from hframe_post.identification.gather import gather
 from hframe_post.identification.identify import Identified, MeasurementSettings, Run, identify
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
-from hframe_post.identification.recordings.clock import Clock, acceleration, self_aligned
+from hframe_post.identification.recordings.clock import Clock, acceleration
 from hframe_post.identification.recordings.resonance_test import ResonanceTest
 from hframe_post.printer.settings import Travel
 from tests.conftest import few
@@ -73,10 +70,10 @@ def check_modes(result: Identified, name: str, axis: Axis) -> None:
 
 def seen(made: Recorded, seed: int) -> Direction:
     given = run(made, seed)
-    aligned = self_aligned(acceleration(given.displacement), made.recording, given.clock)
-    assert aligned.clock.drift == pytest.approx(drawn_sensor(seed, "adxl345").drift, abs=1e-5)
+    found = given.aligned()
+    assert found.clock.drift == pytest.approx(drawn_sensor(seed, "adxl345").drift, abs=1e-5)
     band = (3.0, 100.0)
-    (responses,) = Spectra.of(aligned.command[:, None], aligned.acceleration).responses(band)
+    (responses,) = Spectra.of(found.command, found.acceleration).responses(band)
     return direction(responses)
 
 
@@ -146,7 +143,7 @@ def test_sessions_of_three_sensors_with_gaps_show_one_printer(tmp_path: Path) ->
     assert [one.source.session for one in gathered.used] == [1, 2, 3]
     assert all("are missing; the longest gap is 3" in one.as_text() for one in gathered.used)
     settings = MeasurementSettings((3.0, 100.0), racks=False)
-    group = uncalibrated_responses(gathered.runs, settings)["Gxx"]
+    group = axis_responses(gathered.runs, settings)["Gxx"]
     hz = group.runs[0].response.hz
     true = np.abs(MACHINE.exact().Gxx.response(2.0 * np.pi * TS * hz))
     band = (hz > 15.0) & (hz < 75.0)

@@ -9,7 +9,7 @@ import pytest
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import LimitError
 from hframe_post.identification.recordings.accelerometer import GRAVITY
-from hframe_post.identification.recordings.clock import acceleration, self_aligned
+from hframe_post.identification.recordings.clock import acceleration, aligned
 from hframe_post.identification.recordings.formats import read_command
 from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.identification.recordings.written_sweep import PAD, played
@@ -130,7 +130,7 @@ def test_a_clock_that_is_far_off_is_found(drift: float) -> None:
     command = played(printer, at(1, 110.0, 110.0), 10.0)[0].command
     chip = Chip(noise=20.0, rate=800.0, rate_error=drift, drift=drift, lead=3.0, filtered=True)
     recording = chip.record(replace(MACHINE, y=Axis((Mode(52.6, 0.13),))), command, 0)
-    found = self_aligned(acceleration(command[:, 1]), recording)
+    found = aligned(acceleration(command[:, 1:]), recording)
     assert found.clock.start == pytest.approx(3.0 * (1.0 + drift) + recording.t[0], abs=0.05)
     assert found.clock.drift == pytest.approx(drift, abs=1e-4)
 
@@ -142,7 +142,7 @@ def test_a_clock_is_found_where_late_windows_are_lost_in_noise(sensor: str, drif
     command = played(ender(acceleration=500.0), at(1, 110.0, 110.0), 10.0)[0].command
     soft = replace(MACHINE, y=Axis((Mode(18.8, 0.12),)))
     chip = replace(SENSORS[sensor], lead=3.0, drift=drift)
-    found = self_aligned(acceleration(command[:, 1]), chip.record(soft, command, 11))
+    found = aligned(acceleration(command[:, 1:]), chip.record(soft, command, 11))
     near(found.clock.drift, chip.drift, 1e-4, "drift")
 
 

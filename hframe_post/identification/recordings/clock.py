@@ -1,29 +1,26 @@
-"""When a recording began, how fast its clock runs, and where the printer's axes lie in it.
+"""When a recording began, and how fast its clock runs: one estimation, with what is known before.
 
 A sensor's clock starts elsewhere and runs at another rate: it shows start + (1 + drift)·t at t of
-the command (``Clock``).
+the command (``Clock``). What is known of it beforehand is of three kinds:
 
-**A known start.** Klipper's samples have times of its print time, in which it also plays the
-motion: nothing drifts. The start of a command on that clock is
+===================  =======================  =======================================
+motion               start                    drift
+===================  =======================  =======================================
+strokes              told by the printer      0: Klipper's samples have its print time
+TEST_RESONANCES      within some ms           within 0.06 %
+Marlin's sweep       not known                within 3 %
+===================  =======================  =======================================
 
-- the time in the recording's name at which the motion had ended, less the command's duration;
-- without it, half a sample before the first sample, since Klipper keeps the samples from the first
-  call of ACCELEROMETER_MEASURE on.
+**Told.** The start of a command on Klipper's clock is the time in the recording's name at which the
+motion had ended, less the command's duration; without it, half a sample before the first sample,
+since Klipper keeps the samples from the first call of ACCELEROMETER_MEASURE on. Nothing is left to
+estimate, but each part must follow the command in time, or the motion stopped in between.
 
-The printer's axes in those of the sensor follow from slow motion, in which the nozzle does what it
-is commanded. What it adds to that grows with the frequency, in phase and with a quarter turn:
-
-    a ≈ D·u + E·du/dt + F·d²u/dt² + b,   D (3, 2): where x and y point, as the sensor sees them
-
-No mounting is wrong: a sensor on a bed that moves sees y the other way round, and owners mirror
-axes in printer.cfg, since a spectrum does not show a sign.
-
-**A start that nothing tells.** TEST_RESONANCES, and most other programs, do not tell when the
-motion began. Its frequency grows steadily, and it draws a line into the spectrograms of command and
-recording (``chirp``). Their slopes and origins show start and rate, to some ms. Then the rate is
-refined: the same frequency is excited at several times, by the sine, by its harmonics and by slow
-motion beneath it, and on the right clock all of them have one phase, so that the command explains
-most of the recording. What is left of the start is part of the delay that the estimation finds.
+**Not told.** The frequency of such motions grows steadily, and draws a line into the spectrograms
+of command and recording (``chirp``). Their slopes and origins show start and rate, to some ms. Then
+the rate is refined: the same frequency is excited at several times, by the sine, by its harmonics
+and by slow motion beneath it, and on the right clock all of them have one phase, so that the
+command explains most of the recording. The rest of the start is a delay of the response.
 """
 
 from __future__ import annotations
@@ -35,7 +32,7 @@ from scipy.fft import irfft, rfft, rfftfreq
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.signal import fftconvolve, firwin, upfirdn
 
-from hframe_post.arrays import TS, Array, Integers, X, Y
+from hframe_post.arrays import TS, Array, Integers
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
 from hframe_post.identification.recordings.accelerometer import Recording
@@ -49,7 +46,7 @@ RESTING = 16  # samples before and after a motion; a spline feels none farther a
 
 
 def acceleration(position: Array) -> Array:
-    """Return the second derivative (m,), mm/s², of positions (m,) in mm every 1 ms.
+    """Return the second derivative, mm/s², of positions (m,) or (m, k) in mm every 1 ms.
 
     It is that of a spline, with a gain within 1e-5 up to 100 Hz; the second difference would be
     2 % low at 80 Hz. Before and after, the position rests where it begins and ends: at the ends of
@@ -59,7 +56,8 @@ def acceleration(position: Array) -> Array:
     degree = 7
     if len(position) <= degree:
         raise IdentificationError(f"a command of {len(position)} ms is too short to be a motion")
-    resting = np.pad(position - position[0], RESTING, mode="edge")
+    ends = [(RESTING, RESTING), (0, 0)][: position.ndim]
+    resting = np.pad(position - position[0], ends, mode="edge")
     k = np.arange(len(resting), dtype=np.float64)
     spline = make_interp_spline(k, resting, degree)
     return np.asarray(spline.derivative(2)(k[RESTING:-RESTING]) / TS**2)
@@ -79,6 +77,11 @@ class Clock:
     start: float
     drift: float = 0.0
     sd: float | None = None
+
+    @property
+    def told(self) -> bool:
+        """Return whether the printer's own clock told the start."""
+        return self.sd is not None
 
     def at(self, rows: Array | Integers) -> Array:
         """Return what it shows at rows (k,) of the command, s."""
@@ -115,10 +118,10 @@ class Resampler:
         """Return whether the recording covers times of its clock."""
         return np.asarray((shown >= self._first) & (shown <= self._last))
 
-    def check_covers(self, ends: Array, missing: float) -> None:
+    def check_covers(self, ends: tuple[float, float], missing: float) -> None:
         """Raise IdentificationError if more of a motion is missing, s, than there may be.
 
-        ends (2,): s of the clock at which the motion begins and ends.
+        ends: s of the clock at which the motion begins and ends.
         """
         early, late = self._first - ends[0], ends[1] - self._last
         for off, words in ((early, "begins {:.2f} s after"), (late, "ends {:.2f} s before")):
@@ -134,7 +137,7 @@ def not_found() -> IdentificationError:
     )
 
 
-# ---------------------------------------------------------------------- found in the recording
+# ---------------------------------------------------------------------- one estimation
 
 AT_REST = 1e-3  # share of the greatest acceleration below which a command is at rest
 TAIL = 1000  # samples recorded after the command, in which the printer stops ringing
@@ -144,10 +147,12 @@ WITHIN = (9e-3, 6e-4, 4e-5)  # by which the rate may be off, from step to step
 
 
 @dataclass(frozen=True, slots=True)
-class SelfAligned:
+class Aligned:
     """A recording on the clock of its command, in the sensor's axes.
 
-    command (m,), acceleration (m, 3): mm/s² every 1 ms, 0 where nothing was recorded.
+    command (n, k): accelerations of the directions that move; acceleration (n, 3): mm/s² every
+    1 ms, both 0 where nothing was recorded. Gravity and offset are removed, the sensor's gains are
+    not. The band is that of the sensor: up to 250 Hz of 3200 samples a second.
     """
 
     command: Array
@@ -155,34 +160,40 @@ class SelfAligned:
     clock: Clock
 
 
-def self_aligned(command: Array, recording: Recording, rough: Clock | None = None) -> SelfAligned:
-    """Return the recording on the clock of a command (m,), an acceleration in mm/s².
+def aligned(command: Array, recording: Recording, known: Clock | None = None) -> Aligned:
+    """Return the recording on the clock of a command (m, k), accelerations in mm/s².
 
-    rough: the clock if it is known to 20 ms over the recording. Raises IdentificationError if the
-    recording does not contain the command.
+    recording: in any axes, also left-handed ones. known: the clock, exactly if its start was told,
+    else to 20 ms over the recording. Raises IdentificationError if the recording does not contain
+    the command.
     """
-    moving = np.flatnonzero(np.abs(command) > AT_REST * np.abs(command).max(initial=0.0))
+    moving = np.flatnonzero((np.abs(command) > AT_REST * np.abs(command).max(initial=0.0)).any(1))
     if not moving.size:
         raise IdentificationError("the command does not move")
-    sensor = Resampler(recording.t, recording.a - recording.a.mean(axis=0))
-    clock = rough or _by_chirp(command, recording)
-    sensor.check_covers(clock.at(moving[[0, -1]]), verdict.UNRECORDED_S)
+    clock = known or _by_chirp(command, recording)
+    begins, ends = clock.at(moving[[0, -1]]).tolist()
+    # strokes begin at rest; half of that, in case the start is late
+    resting = recording.t <= (recording.t[0] + begins) / 2.0
+    offset = recording.a[resting] if clock.told and resting.any() else recording.a
+    sensor = Resampler(recording.t, recording.a - offset.mean(axis=0))
+    sensor.check_covers((begins, ends), verdict.UNRECORDED_S)
     middle = TS * float(moving.mean())
-    for within in WITHIN[1:] if rough else WITHIN:
-        found = sensor.resampled(clock, len(command))
-        by = _refined(command, found, within)
-        start = clock.start if rough else clock.start - by * middle
+    for within in () if clock.told else WITHIN[1:] if known else WITHIN:
+        by = _refined(command[:, 0], sensor.resampled(clock, len(command)), within)
+        start = clock.start if known else clock.start - by * middle
         clock = Clock(start, clock.drift + by)
-    whole = np.pad(command, (0, TAIL))
-    recorded = sensor.recorded(clock.at(np.arange(len(whole))))
-    acceleration = sensor.resampled(clock, len(whole)) * recorded[:, None]
-    return SelfAligned(whole * recorded, acceleration, clock)
+    whole = np.pad(command, ((0, 0 if clock.told else TAIL), (0, 0)))
+    recorded = sensor.recorded(clock.at(np.arange(len(whole))))[:, None]
+    found = Aligned(whole * recorded, sensor.resampled(clock, len(whole)) * recorded, clock)
+    if clock.told:
+        _check_in_time(slow_part(found.command), slow_part(found.acceleration))
+    return found
 
 
 def _by_chirp(command: Array, recording: Recording) -> Clock:
-    """Return the clock on which the lines of a command (m,) and its recording are one."""
+    """Return the clock on which the lines of a command (m, 1) and its recording are one."""
     rows = np.arange(len(command), dtype=np.float64)
-    sent = find_line(uniform(TS * rows, command[:, None]))
+    sent = find_line(uniform(TS * rows, command))
     shown = find_line(uniform(recording.t, recording.a))
     if not sent.clear or not shown.clear:
         raise not_found()
@@ -224,15 +235,13 @@ def _refined(command: Array, acceleration: Array, reach: float) -> float:
     return float(drifts[np.argmin(unexplained)])
 
 
-# ---------------------------------------------------------------------- by the printer's clock
+# ---------------------------------------------------------------------- told by the printer
 
 PLAYED_SD = 2e-5  # s: by how much Klipper plays a motion longer or shorter than its command
 AGREED = 1e-3  # s by which the two starts may differ, beyond the time between samples
 SHORTEST_STOP = 0.1  # s by which Klipper moves the print time at least, once its queue is empty
-QUIET = 0.5  # s at the start of a recording in which the printer is at rest
 SLOW_HZ = (2.0, 10.0)
 PART, LAG_REACH = 8000, 2000  # samples of a part that must follow in time, and of its search
-MISSING = 0.5  # s at either end, in which the motion rests
 
 
 def known_start(
@@ -266,59 +275,12 @@ def known_start(
     return first, (f"{differ}: the sample counts",)
 
 
-def on_command_clock(command: Array, recording: Recording, clock: Clock) -> Array:
-    """Return the acceleration (m, 3), mm/s², along the printer's axes at each row of a command.
-
-    command (m, 2): mm every 1 ms, at rest for a second at both ends; recording: in any axes, also
-    left-handed ones. Gravity and offset are removed, the sensor's gains are not. The band is that
-    of the sensor: up to 250 Hz of 3200 samples a second. Raises IdentificationError if the
-    recording does not follow the command in time, or does not cover it.
-    """
-    rest = recording.a[recording.t < recording.t[0] + QUIET].mean(axis=0)
-    sensor = Resampler(recording.t, recording.a - rest)
-    sensor.check_covers(clock.at(np.array([0, len(command) - 1])), MISSING)
-    a = sensor.resampled(clock, len(command))
-    moved = [axis for axis in (0, 1) if np.ptp(command[:, axis]) > 0.0]
-    u = np.column_stack([acceleration(command[:, axis]) for axis in moved])
-    slow, shown = (_slow_part(values) for values in (u, a))
-    _check_in_time(slow, shown)
-    rates = np.gradient(slow, TS, axis=0)
-    columns = np.hstack([slow, rates, np.gradient(rates, TS, axis=0)])
-    D = np.linalg.lstsq(columns / columns.std(axis=0), shown, rcond=None)[0]
-    D = (D / columns.std(axis=0)[:, None])[: len(moved)]
-    if (np.linalg.norm(D, axis=1) < verdict.SHOWN).any():
-        raise not_found()
-    return np.asarray(a @ np.linalg.inv(axes_in_sensor(np.eye(2)[moved], D, recording.up)))
-
-
-def _slow_part(values: Array) -> Array:
+def slow_part(values: Array) -> Array:
     """Return the part of values (n, k), one a millisecond, that lies in ``SLOW_HZ``."""
     hz = rfftfreq(len(values), TS)
     spectra = rfft(values, axis=0)
     spectra[(hz < SLOW_HZ[0]) | (hz > SLOW_HZ[1])] = 0.0
     return np.asarray(irfft(spectra, len(values), axis=0))
-
-
-def axes_in_sensor(commanded: Array, seen: Array, up: Array) -> Array:
-    """Return the printer's axes as the sensor sees them: x, y and z, in rows (3, 3).
-
-    commanded (k, 2): directions in x and y that moved; seen (k, 3): where the sensor saw them, of
-    any length. up: as of ``Recording``, needed if all moved along one line; raises
-    IdentificationError without it.
-    """
-    seen = seen / np.linalg.norm(seen, axis=1, keepdims=True)
-    if np.linalg.matrix_rank(commanded, tol=0.3) < 2:
-        if not up.any():
-            raise IdentificationError(
-                "the recording does not show gravity, and nothing else shows where the other axis "
-                "points. Record both axes with the sensor mounted alike"
-            )
-        across = np.cross(up, seen[0])
-        commanded = np.vstack([commanded, [-commanded[0, Y], commanded[0, X]]])
-        seen = np.vstack([seen, across / np.linalg.norm(across)])
-    x, y = np.linalg.lstsq(commanded, seen, rcond=None)[0]
-    z = np.cross(x, y)
-    return np.array([x, y, z / np.linalg.norm(z) * (np.sign(z @ up) or 1.0)])
 
 
 def _check_in_time(slow: Array, shown: Array) -> None:
