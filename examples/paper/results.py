@@ -24,10 +24,10 @@ from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator
-from hframe_post.prediction.predict import predict
+from hframe_post.prediction.predict import Judgement, judge
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import Moves, Samples
+from hframe_post.stream.types import Moves
 from hframe_post.studies.inputs import rectangle
 
 N_FIG_9 = 125  # control points, counted as the paper's n
@@ -212,7 +212,7 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
     options = Options("racking", strategies, limits="printer", picture=True)  # computes "none", too
     commands = SampleStream(lines, printer, options, compensator=compensator).computed()
     error: dict[str, list[Array]] = {name: [] for name in strategies}
-    for walls in _outer_walls(predict(commands, printer.plant)).values():
+    for walls in _outer_walls(judge(commands, printer.plant)).values():
         wanted = _width(walls["path"], walls["path"])
         for name, rows in error.items():
             rows.append(_width(walls[name], walls["path"]) - wanted)
@@ -231,13 +231,12 @@ def _middle(lines: Iterable[bytes], printer: Printer) -> float:
     return float((low + high) / 2.0) if low < high else printer.plant.x_c
 
 
-def _outer_walls(
-    predicted: Iterable[tuple[Samples, dict[str, Array]]],
-) -> dict[str, dict[str, Array]]:
+def _outer_walls(judgements: Iterable[Judgement]) -> dict[str, dict[str, Array]]:
     """Return layer → strategy (and ``path``) → x, y of the outer wall's samples, (k, 2)."""
     labels = Labels()
     pieces: dict[str, dict[str, list[Array]]] = {}
-    for block, places in predicted:
+    for judgement in judgements:
+        block, places = judgement.chunk, judgement.motion
         layer, feature = labels.number(block)
         outer = [k for k, name in enumerate(labels.features) if name.upper() in OUTER_WALLS]
         wall = np.isin(feature, outer)

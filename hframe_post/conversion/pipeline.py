@@ -188,9 +188,8 @@ class Stages:
         self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
         rules = own.motion(options.tolerance)
         self._advancing = Advancing(start.advance, rules.extruder)
-        # a picture shows all of a print
         picture = _picture(replace(start.printing)) if options.picture else None
-        whole = None if picture or not self._lines else 0 if start.place else WHOLE
+        whole = None if not self._lines else 0 if start.place else WHOLE
         self._errors = ErrorMeter(
             printer.plant, doubts=Doubts.from_plant(printer.plant, printer.uncertainty),
             picture=picture, whole=whole, rules=rules if self._lines else None,

@@ -15,7 +15,7 @@ from hframe_post.conversion.rows import Row, percent, range_as_text
 from hframe_post.firmware.base import Firmware
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.prediction.error_meter import PIECE
+from hframe_post.prediction.error_meter import PIECE_MM
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.print_time import duration
 
@@ -280,7 +280,7 @@ class Report(Ledger):
         known = {
             name: self.width[name].percents() for name in self.strategies if name in self.width
         }
-        text = f"off by {shares} (RMS, on {PIECE:g} mm of line)" if shares else ""
+        text = f"off by {shares} (RMS, on {PIECE_MM:g} mm of line)" if shares else ""
         return Row("line width", text, {"line_width_error_percent": known})
 
     def warnings(self) -> list[str]:

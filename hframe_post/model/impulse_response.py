@@ -265,6 +265,11 @@ class FiniteFilter:
         self.state = known[len(u) :].copy()
         return self.output(known, len(u))
 
-    def output(self, known: Array, n: int) -> Array:
-        """Return the output (n,) at the last samples of the input known (memory or more + n,)."""
-        return finite_filter(self._taps, known, n, self._late, self._rest, self._lag, self._single)
+    def output(self, known: Array, n: int, every: int = 1) -> Array:
+        """Return the output at every n-th (``every``) of the last n samples of the input.
+
+        known (memory or more + n,): the input. More than one sample apart it is in single
+        precision.
+        """
+        late, rest, lag = self._late, self._rest, self._lag
+        return finite_filter(self._taps, known, n, late, rest, lag, self._single, every)

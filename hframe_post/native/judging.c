@@ -29,58 +29,70 @@ WIDE static int64_t sliding_sums(const double *factors, int64_t m, const double 
     return n;
 }
 
-/* sums (n): as sliding_sums, of the m factors and numbers of u in single precision. */
-WIDE static void single_sums(const float *factors, int64_t m, const float *u, int64_t n, double *sums)
+/* Add to sums (n) those of the m factors in turn, each times a number of u, in single precision. */
+WIDE static void add_single_sums(const float *factors, int64_t m, const float *u, int64_t n, double *sums)
 {
-    for (int64_t k = 0; k < n && n < WIDER; k++) {
-        float sum = 0.0f;
-        for (int64_t i = 0; i < m; i++)
-            sum += factors[i] * u[i + k];
-        sums[k] = (double)sum;
-    }
-    for (int64_t k = 0; k < n && n >= WIDER; k += WIDER) {
+    float few[WIDER] = {0.0f}; /* those that fill no register */
+    for (int64_t i = 0; i < m; i++)
+        for (int64_t k = 0; k < n % WIDER; k++)
+            few[k] += factors[i] * u[i + k];
+    for (int64_t k = 0; k < n % WIDER; k++)
+        sums[k] += (double)few[k];
+    for (int64_t k = n % WIDER; k < n; k += WIDER) {
         float sum[WIDER] = {0.0f};
-        int64_t at = k + WIDER <= n ? k : n - WIDER;
         for (int64_t i = 0; i < m; i++)
             for (int j = 0; j < WIDER; j++)
-                sum[j] += factors[i] * u[at + i + j];
+                sum[j] += factors[i] * u[k + i + j];
         for (int j = 0; j < WIDER; j++)
-            sums[at + j] = (double)sum[j];
+            sums[k + j] += (double)sum[j];
     }
 }
 
-/* Output y (n) of a finite filter at the last samples of its input u (h): taps (m), that of the oldest
- * acceleration first, then rest times the input ``late`` samples before, less its speed times lag.
- * single: in single precision. room (n + m). */
+/* Add to sums (n) those of the m taps times the accelerations of input u, one from every ``every``-th
+ * sample on, in single precision. Taps and accelerations are taken in ``every`` groups, in each of which
+ * they follow each other. room: of both for one group. */
+static void add_thinned_sums(const double *taps, int64_t m, const double *u, int64_t n, int64_t every,
+                             float *room, double *sums)
+{
+    for (int64_t phase = 0; phase < every && phase < m; phase++) {
+        int64_t own = (m - phase + every - 1) / every;
+        const double *now = u + phase;
+        float *factors = room, *a = room + own;
+        for (int64_t i = 0; i < own; i++)
+            factors[i] = (float)taps[phase + every * i];
+        for (int64_t i = 0; i < n + own - 1; i++, now += every)
+            a[i] = (float)((now[2] - now[1]) - (now[1] - now[0]));
+        add_single_sums(factors, own, a, n, sums);
+    }
+}
+
+/* Output y (count) of a finite filter, at every ``every``-th of the last n samples of its input u (h): taps
+ * (m), that of the oldest acceleration first, then rest times the input ``late`` samples before, less its
+ * speed times lag. single: in single precision; more than one sample apart it always is. room (n + m). */
 static int64_t finite_filter(const double *taps, int64_t m, const double *u, int64_t h, int64_t n,
-                             int64_t late, double rest, double lag, int64_t single, double *room,
-                             double *y)
+                             int64_t late, double rest, double lag, int64_t count, int64_t every,
+                             int64_t single, double *room, double *y)
 {
     const double *from = u + h - n - m - 1, *then = u + h - n - late;
-    if (single) {
-        float *factors = (float *)room, *a = factors + m;
-        for (int64_t i = 0; i < m; i++)
-            factors[i] = (float)taps[i];
-        for (int64_t i = 0; i < n + m - 1; i++)
-            a[i] = (float)((from[i + 2] - from[i + 1]) - (from[i + 1] - from[i]));
-        single_sums(factors, m, a, n, y);
+    memset(y, 0, sizeof(double) * (size_t)count);
+    if (single || every > 1) {
+        add_thinned_sums(taps, m, from, count, every, (float *)room, y);
     } else {
-        for (int64_t i = 0; i < n + m - 1; i++)
+        for (int64_t i = 0; i < count + m - 1; i++)
             room[i] = (from[i + 2] - from[i + 1]) - (from[i + 1] - from[i]);
-        memset(y, 0, sizeof(double) * (size_t)n);
-        sliding_sums(taps, m, room, n, y);
+        sliding_sums(taps, m, room, count, y);
     }
-    for (int64_t i = 0; i < n; i++)
-        y[i] += rest * then[i];
-    for (int64_t i = 0; i < n && lag != 0.0; i++)
-        y[i] -= lag * (then[i] - then[i - 1]);
-    return n;
+    for (int64_t i = 0; i < count; i++)
+        y[i] += rest * then[every * i];
+    for (int64_t i = 0; i < count && lag != 0.0; i++)
+        y[i] -= lag * (then[every * i] - then[every * i - 1]);
+    return count;
 }
 
 LOOP(finite_filter, FLOATS(0, COUNT(1)), WITHIN(1, 1, MOST_ITEMS), FLOATS(2, COUNT(3)),
-     WITHIN(3, COUNT(4) + greater(COUNT(1), WITHIN(5, 0, MOST_FEW)) + 1, MOST_ITEMS), COUNT(4),
-     WITHIN(5, 0, MOST_FEW), REAL(6), REAL(7), WITHIN(8, 0, 1), OUT_FLOATS(9, COUNT(4) + COUNT(1)),
-     OUT_FLOATS(10, COUNT(4)))
+     WITHIN(3, COUNT(4) + greater(COUNT(1), WITHIN(5, 0, MOST_FEW)) + 1, MOST_ITEMS),
+     WITHIN(4, 1 + (COUNT(8) - 1) * FEW(9), MOST_ITEMS), WITHIN(5, 0, MOST_FEW), REAL(6), REAL(7), COUNT(8),
+     WITHIN(9, 1, MOST_FEW), WITHIN(10, 0, 1), OUT_FLOATS(11, COUNT(4) + COUNT(1)), OUT_FLOATS(12, COUNT(8)))
 
 LOOP(sliding_sums, FLOATS(0, COUNT(1)), COUNT(1), FLOATS(2, COUNT(1) - 1 + COUNT(3)), COUNT(3),
      OUT_FLOATS(4, COUNT(3)))
@@ -162,15 +174,15 @@ static int64_t count_turns(const double *places, int64_t columns, int64_t n, int
 LOOP(count_turns, FLOATS(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2),
      OUT_INTEGERS(3, COUNT(2) + 1))
 
-/* nozzle (m, width): x and y first, at samples first, first + 1, … of the path; at (count): which of
+/* nozzle (m, width): x and y first, at samples first, first + apart, … of the path; at (count): which of
  * these to judge; off (count): the way to the nozzle from the path. */
 static int64_t deviation(const double *places, int64_t columns, int64_t n, const int64_t *turns,
                          const double *nozzle, int64_t width, int64_t m, int64_t first,
-                         const int64_t *at, int64_t count, int64_t reach, struct vector *off)
+                         int64_t apart, const int64_t *at, int64_t count, int64_t reach, struct vector *off)
 {
     struct path path = {places, columns, n};
     for (int64_t i = 0; i < count; i++) {
-        const double *point = nozzle + width * within(at[i] - first, m);
+        const double *point = nozzle + width * within((at[i] - first) / apart, m);
         struct vector a = {point[X], point[Y]};
         int64_t low = within(at[i] - reach, n), high = within(at[i] + reach, n);
         if (turns[high] == turns[low + 1]) {
@@ -188,8 +200,8 @@ static int64_t deviation(const double *places, int64_t columns, int64_t n, const
 
 LOOP(deviation, FLOATS(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2),
      INTEGERS(3, COUNT(2) + 1), FLOATS(4, COUNT(5) * COUNT(6)), WITHIN(5, 2, MOST_FEW),
-     WITHIN(6, COUNT(9) > 0, MOST_ITEMS), WHOLE(7), INDICES(8, COUNT(9), 0, COUNT(2)), COUNT(9),
-     FEW(10), (struct vector *)OUT_FLOATS(11, 2 * COUNT(9)))
+     WITHIN(6, COUNT(10) > 0, MOST_ITEMS), WHOLE(7), WITHIN(8, 1, MOST_FEW),
+     INDICES(9, COUNT(10), 0, COUNT(2)), COUNT(10), FEW(11), (struct vector *)OUT_FLOATS(12, 2 * COUNT(10)))
 
 /* xyze (n, 4). Note at which samples the path moves, of every n-th from ``first`` on, and whether it
  * extrudes there; return their number. at, extruding (n): room. */

@@ -10,16 +10,19 @@ from hframe_post.native import kernels
 
 
 def finite_filter(
-    taps: Array, u: Array, n: int, late: int, rest: float, lag: float, single: bool = False
-) -> Array:
-    """Return the output (n,) of a filter at the last n samples of its input u (h,).
+    taps: Array, u: Array, n: int, late: int, rest: float, lag: float, single: bool = False,
+    every: int = 1,
+) -> Array:  # fmt: skip
+    """Return the output of a filter at every n-th (``every``) of the last n samples of u (h,).
 
     taps (m,): by acceleration, that of the oldest sample first; rest: gain of the input ``late``
     samples before; lag: s⁻¹ of its speed. h is at least n + 1 + the greater of m and ``late``.
-    single: sums of taps in single precision, which miss a deviation by about a millionth of it.
+    single: sums of taps in single precision, which miss a deviation by about a millionth of it;
+    more than one sample apart they always are.
     """
-    y, room = np.empty(n), np.empty(n + len(taps))
-    kernels.finite_filter(taps, len(taps), u, len(u), n, late, rest, lag, int(single), room, y)
+    y, room = np.empty(-(-n // every)), np.empty(n + len(taps))
+    filtered = taps, len(taps), u, len(u), n, late, rest, lag
+    kernels.finite_filter(*filtered, len(y), every, int(single), room, y)
     return y
 
 
@@ -42,19 +45,19 @@ def count_turns(path: Array) -> Integers:
 
 
 def deviation(
-    path: Array, turns: Integers, nozzle: Array, first: int, at: Integers, reach: int
+    path: Array, turns: Integers, nozzle: Array, first: int, apart: int, at: Integers, reach: int
 ) -> Array:
     """Return the shortest way (k, 2) from a path (p, ≥2) to the nozzle at its samples ``at`` (k,).
 
-    turns: see ``count_turns``; nozzle (n, ≥2): at samples first … first + n − 1. x and y come
-    first. The path counts within ``reach`` samples of each. Where it is a straight line, the
+    turns: see ``count_turns``; nozzle (n, ≥2): at samples first, first + apart, …. x and y
+    come first. The path counts within ``reach`` samples of each. Where it is a straight line, the
     distance is that to the line; elsewhere the nearest sample is found first, then the nearer of
     the two segments that meet there.
     """
     p = len(path)
     nozzle, off = np.ascontiguousarray(nozzle), np.empty((len(at), 2))
     of_path, of_nozzle = (path, path.shape[1], p, turns), (nozzle, nozzle.shape[1], len(nozzle))
-    kernels.deviation(*of_path, *of_nozzle, first, at, len(at), reach, off)
+    kernels.deviation(*of_path, *of_nozzle, first, apart, at, len(at), reach, off)
     return off
 
 

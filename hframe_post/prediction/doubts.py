@@ -7,39 +7,35 @@ are needed, they are computed at every EVERYth sample of the print, wherever it 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hframe_post.arrays import Array, Integers, X, Y
 from hframe_post.model.error_range import products
-from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.model.plant import Plant, Racking
 from hframe_post.native.judging import sliding_sums
-from hframe_post.stream.types import Samples
+from hframe_post.prediction.windows import Window, around
 
 EVERY = 16  # samples, a power of two and a multiple of those at which errors are judged
 RINGS = 3.0  # times the mean time of a squared response after which it has decayed
-NOWHERE = 1e-9  # mm; a nozzle so near to the path has no direction from it
-TINY = 1e-300  # mm, of a path at rest
+TINY_MM = 1e-9  # a nozzle so near to the path has no direction from it
 
 
 @dataclass(frozen=True)
 class _Part:
     """What is not known of one response, of an axis or of racking.
 
-    drift, unknown: reversed taps of filters of the second difference, ``late`` samples late, a
-    multiple of EVERY in length, maybe none. lag: of the drift. share (k,): how the squared unknown
-    part lasts, at every EVERYth sample, the latest last.
+    drift, unknown: filters; None: it is known. share (k,): how the squared unknown part lasts, at
+    every EVERYth sample, the latest last.
     """
 
     answer: int
     command: int
     racking: Racking | None
-    drift: Array
-    unknown: Array
-    lag: float
+    drift: FiniteFilter | None
+    unknown: FiniteFilter | None
     share: Array
 
 
@@ -50,13 +46,11 @@ class Doubts:
     """
 
     def __init__(self, parts: list[tuple[int, int, Racking | None, ImpulseResponse]]) -> None:
-        filters = [doubt for *_, G in parts for doubt in G.doubts]
-        late = self.ahead = max(doubt.ahead for doubt in filters)
-        self._parts = [_part(*part, late) for part in parts]
-        lengths = [len(taps) for part in self._parts for taps in (part.drift, part.unknown)]
-        self._longest = max(lengths)
-        self._lasting = max(len(part.share) for part in self._parts)
-        self.past = self._longest + EVERY * self._lasting + 3
+        self.ahead = max(doubt.ahead for *_, G in parts for doubt in G.doubts)
+        self._parts = [_part(*part, self.ahead) for part in parts]
+        filters = [f for part in self._parts for f in (part.drift, part.unknown) if f]
+        self._lasting = EVERY * (max(len(part.share) for part in self._parts) - 1)
+        self.past = max(f.memory for f in filters) + self._lasting
 
     @classmethod
     def from_plant(cls, plant: Plant, uncertainty: float | None = None) -> Doubts | None:
@@ -76,62 +70,59 @@ class Doubts:
         parts = [part for part in parts if part[-1].doubts]
         return cls(parts) if parts else None
 
-    def at(self, command: Array, place: Array, start: int) -> tuple[Array, Array]:
-        """Return drift (k, 2, 2) and unknown (k, 2) at every EVERYth sample from ``start`` on.
+    def at(self, command: Array, place: Array) -> tuple[Array, Array]:
+        """Return drift (k, 2, 2) and unknown (k, 2) at every EVERYth sample.
 
-        command (n, 2): from ``past`` samples before the start to ``ahead`` after the last sample.
-        place (k, 2): the path at these samples. drift: what one standard deviation of each axis
+        command (n, 2): from ``past`` samples before the first to ``ahead`` after the last of these
+        samples. place (k, 2): the path there. drift: what one standard deviation of each axis
         adds to the nozzle's x and y, mm; unknown: expected squares of what is not known, mm².
         """
-        count = len(place)
+        count, columns = len(place), np.ascontiguousarray(command.T)
+        n = EVERY * (count - 1) + 1
         drift, unknown = np.zeros((count, 2, 2)), np.zeros((count, 2))
-        if not count:
-            return drift, unknown
-        polyphase = [self._polyphase(command[:, axis], start, count) for axis in (X, Y)]
-        for part in self._parts:
+        for part in self._parts if count else ():
             lever = 1.0 if part.racking is None else part.racking.lever(place)
-            phases = polyphase[part.command]
-            if len(part.drift):
-                added = _filtered(part.drift, phases[:, self._begin(part.drift) :])[:count]
-                if part.lag:
-                    k = start + EVERY * np.arange(count)
-                    u = command[:, part.command]
-                    added = added - part.lag * (u[k] - u[k - 1])
-                drift[:, part.command, part.answer] += lever * added
-            if len(part.unknown):
-                first = self._begin(part.unknown) + 1 - len(part.share)
-                square = np.square(_filtered(part.unknown, phases[:, first:]))
-                lasting = sliding_sums(part.share, square)[:count]
+            u = columns[part.command]
+            if part.drift:
+                drift[:, part.command, part.answer] += lever * part.drift.output(u, n, EVERY)
+            if part.unknown:
+                longer = n + EVERY * (len(part.share) - 1)
+                squares = np.square(part.unknown.output(u, longer, EVERY))
+                lasting = sliding_sums(part.share, squares)
                 unknown[:, part.answer] += np.square(lever) * lasting
         return drift, unknown
 
-    def _begin(self, taps: Array) -> int:
-        """Return the column of ``_polyphase`` where the first output of a filter begins."""
-        return self._lasting + (self._longest - len(taps)) // EVERY
+    def along(
+        self, window: Window, at: Integers, off: dict[str, Array]
+    ) -> tuple[Integers, dict[str, Array]]:
+        """Return which of the samples ``at`` (k,) of a window were looked at, and their products.
 
-    def _polyphase(self, u: Array, start: int, count: int) -> Array:
-        """Return second differences (EVERY, k) column by column, for all outputs of all filters."""
-        first = start + self.ahead + 1 - self._longest - EVERY * self._lasting
-        n = EVERY * (count + self._lasting) + self._longest - EVERY
-        return np.ascontiguousarray(np.diff(u[first - 2 : first + n], n=2).reshape(-1, EVERY).T)
+        off: by strategy, the way from the path to the model's nozzle at these samples, (k, 2), mm.
+        Without compensation the error is the printer's own, and promises nothing.
+        """
+        piece = window.piece
+        which, found = np.flatnonzero((piece.first + at) % EVERY == 0), dict[str, Array]()
+        at = at[which]
+        for name in [name for name in off if name != "none"] if len(at) else ():
+            first, last = int(at[0]), int(at[-1])
+            command = around(piece.commands[name], first - self.past, last + self.ahead + 1)
+            drift, unknown = self.at(command, piece.xyze[first : last + 1 : EVERY, :2])
+            rows = (at - first) // EVERY
+            drift, unknown = drift.take(rows, axis=0), unknown.take(rows, axis=0)
+            x, y, e = _normals(piece.xyze, at, off[name][which])
+            d = drift[:, :, X] * x[:, None] + drift[:, :, Y] * y[:, None]
+            found[name] = products(e, d, unknown[:, X] * x * x + unknown[:, Y] * y * y)
+        return which, found
 
 
 def _part(
     answer: int, command: int, racking: Racking | None, G: ImpulseResponse, late: int
 ) -> _Part:
-    of_drift = replace(G, unknown=np.zeros(0)).doubts
-    of_unknown = replace(G, drift=0.0).doubts
-    lag = sum(doubt.lag for doubt in of_drift)
-    drift, unknown = (_taps(doubts, late) for doubts in (of_drift, of_unknown))
-    return _Part(answer, command, racking, drift, unknown, lag, _lasting(G))
-
-
-def _taps(doubts: Iterable[ImpulseResponse], late: int) -> Array:
-    """Return the reversed taps of the first, a multiple of EVERY of them; none of none."""
-    for doubt in doubts:
-        taps = doubt.taps(late)
-        return np.asarray(np.pad(taps, (0, -len(taps) % EVERY))[::-1])
-    return np.zeros(0)
+    drift, unknown = (
+        next((FiniteFilter(doubt, late, single=True) for doubt in each.doubts), None)
+        for each in (replace(G, unknown=np.zeros(0)), replace(G, drift=0.0))
+    )
+    return _Part(answer, command, racking, drift, unknown, _lasting(G))
 
 
 def _lasting(G: ImpulseResponse) -> Array:
@@ -144,67 +135,15 @@ def _lasting(G: ImpulseResponse) -> Array:
     return np.asarray(share / share.sum())
 
 
-def _filtered(taps: Array, phases: Array) -> Array:
-    """Return the sums of reversed taps times the samples up to each EVERYth one."""
-    by_phase = np.ascontiguousarray(taps.reshape(-1, EVERY).T)
-    total = sliding_sums(by_phase[0], phases[0])
-    for of_phase, row in zip(by_phase[1:], phases[1:], strict=True):
-        total += sliding_sums(of_phase, row)
-    return total
+def _normals(path: Array, at: Integers, off: Array) -> tuple[Array, Array, Array]:
+    """Return x and y of the direction of ``off`` (k, 2), and its length, mm.
 
-
-class JudgedDoubts:
-    """The doubts along one stretch of a print, for each strategy that compensates.
-
-    Without compensation the error is the printer's own, and promises nothing.
+    Where that is zero, the direction is across the path.
     """
-
-    def __init__(self, doubts: Doubts) -> None:
-        self._doubts = doubts
-        self._past: dict[str, Array] = {}
-
-    def feed(
-        self, chunk: Samples, after: list[Samples], at: Integers, off: dict[str, Array]
-    ) -> tuple[Integers, dict[str, Array]]:
-        """Return which of the samples ``at`` (k,) were looked at, and their ``products``.
-
-        after: what follows the chunk, at least ``ahead`` samples unless the stretch ends. off: by
-        strategy, the way from the path to the model's nozzle at the samples, (k, 2), mm.
-        """
-        doubts = self._doubts
-        which = np.flatnonzero((chunk.first + at) & (EVERY - 1) == 0)
-        found = dict[str, Array]()
-        compensated = {name: u for name, u in chunk.commands.items() if name != "none"}
-        for name, command in compensated.items() if len(chunk) else ():
-            past = self._past.get(name)
-            if past is None:
-                past = np.repeat(command[:1], doubts.past, axis=0)
-            whole = np.concatenate(
-                [past, command, *(each.commands[name] for each in after if len(each))]
-            )
-            self._past[name] = whole[len(command) : len(command) + doubts.past]
-            found[name] = self._products(chunk, whole, at[which], off[name][which])
-        return which, found
-
-    def _products(self, chunk: Samples, command: Array, at: Integers, off: Array) -> Array:
-        doubts = self._doubts
-        first = -chunk.first % EVERY
-        end = np.repeat(command[-1:], doubts.ahead, axis=0)
-        path = chunk.xyze[first::EVERY, :2]
-        drift, unknown = doubts.at(np.concatenate([command, end]), path, doubts.past + first)
-        rows = (at - first) // EVERY
-        normal, e = _normals(chunk, at, off)
-        x, y = normal.T
-        drift, unknown = drift.take(rows, axis=0), unknown.take(rows, axis=0)
-        d = drift[:, :, X] * x[:, None] + drift[:, :, Y] * y[:, None]
-        return products(e, d, unknown[:, X] * x * x + unknown[:, Y] * y * y)
-
-
-def _normals(chunk: Samples, at: Integers, off: Array) -> tuple[Array, Array]:
-    """Return the direction of ``off`` (k, 2), or across the path where it is zero, and its size."""
-    e = np.sqrt(off[:, X] * off[:, X] + off[:, Y] * off[:, Y])
-    step = chunk.xyze.take(at, axis=0) - chunk.xyze.take(np.maximum(at - 1, 0), axis=0)
-    near = e < NOWHERE
-    x, y = np.where(near, -step[:, Y], off[:, X]), np.where(near, step[:, X], off[:, Y])
-    size = np.where(near, np.sqrt(x * x + y * y), e)
-    return np.column_stack([x, y]) / np.maximum(size, TINY)[:, None], e
+    x, y = off.T
+    e = np.sqrt(x * x + y * y)
+    step = path.take(at, axis=0) - path.take(np.maximum(at - 1, 0), axis=0)
+    near = e < TINY_MM
+    x, y = np.where(near, -step[:, Y], x), np.where(near, step[:, X], y)
+    size = np.sqrt(x * x + y * y)  # the path moves there
+    return x / size, y / size, e

@@ -7,7 +7,7 @@ goes another way in the same time, so the line becomes too thick or too thin:
 
     w = Σ (de/dp) dp / Σ (de/dp) ds,   dp along the path, ds along the nozzle's way
 
-over pieces of PIECE mm of the nozzle's way; w = 1 is the slicer's line. Where the samples say how
+over pieces of PIECE_MM of the nozzle's way; w = 1 is the slicer's line. Where the samples say how
 far the extruder is ahead, what comes out goes through the hot end's pressure (``Melt``); otherwise
 pressure is not predicted.
 """
@@ -23,30 +23,21 @@ import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers
 from hframe_post.firmware.motion import MotionRules
-from hframe_post.model.nozzle import Plants
 from hframe_post.model.plant import Plant
 from hframe_post.model.pressure_advance import extruding
 from hframe_post.native.judging import line_pieces
 from hframe_post.native.linear import recursion
-from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.doubts import Doubts
-from hframe_post.prediction.predict import (
-    COMPENSATING,
-    Judgement,
-    as_written,
-    judge,
-    judge_window,
-)
+from hframe_post.prediction.predict import COMPENSATING, Judge, Judgement, as_written
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
-from hframe_post.prediction.windows import WINDOW, Windows
-from hframe_post.stream.chunks import branches, on_a_grid
+from hframe_post.prediction.windows import Window, Windows
 from hframe_post.stream.types import Samples
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
 
 
-PIECE = 0.4  # mm, the width of a usual line
+PIECE_MM = 0.4  # the width of a usual line
 
 
 class Lines:
@@ -57,13 +48,19 @@ class Lines:
     """
 
     def __init__(self) -> None:
-        self._melt = Melt()
+        self._melt, self._end = Melt(), -1
         self._path: Array | None = None  # at the last sample, (1, 4)
         self._open: dict[str, tuple[Array, Array]] = {}  # the nozzle there (1, 2); its piece
 
     def pieces(self, judgement: Judgement) -> dict[str, tuple[Integers, Array]]:
-        """Return by strategy where in the next chunk pieces end (k,), and |w − 1| of each."""
+        """Return by strategy where in the window pieces end (k,), and |w − 1| of each.
+
+        Lines go on if it follows the one before.
+        """
         chunk, found = judgement.chunk, dict[str, tuple[Integers, Array]]()
+        if chunk.first != self._end:
+            self._melt, self._path = Melt(), None
+            self._open.clear()
         if len(chunk) and judgement.motion:
             before = chunk.xyze[:1] if self._path is None else self._path
             path = np.concatenate([before, chunk.xyze])
@@ -74,13 +71,11 @@ class Lines:
                 last, begun = self._open.get(name, (nozzle[:1], np.zeros(4)))
                 out = laid if name in ours else planned
                 drawn = path, np.concatenate([last, nozzle]), out
-                at, errors, begun = line_pieces(*drawn, PIECE, begun)
+                at, errors, begun = line_pieces(*drawn, PIECE_MM, begun)
                 found[name] = np.maximum(at - 2, 0), errors  # the last sample of each
                 self._open[name] = nozzle[-1:], begun
             self._path = chunk.xyze[-1:]
-        if chunk.ends_stretch:
-            self._path, self._melt = None, Melt()
-            self._open.clear()
+        self._end = -1 if chunk.ends_stretch else chunk.end
         return found
 
 
@@ -128,7 +123,6 @@ class Melt:
 
 
 # ----------------------------------------------------------------------
-# Commands → the errors of the nozzle's path and of the printed line, summed up by strategy.
 
 JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
 
@@ -136,43 +130,39 @@ JUDGED_EVERY = 2  # samples; 500 Hz is far above what a printer rings at
 class ErrorMeter:
     """Predicts the errors of the nozzle's path and line, by strategy: ``contour`` and ``width``.
 
-    doubts: what is not known of the plant. picture: also collects them, if given. whole: samples
-    from the first one on that are all judged, and a share of those after them; None: judge all.
-    rules: of the lines that the commands become, if they do. judged: samples that were.
+    doubts: what is not known of the plant. whole: samples from the first one on that are all
+    judged, and a share of those after them; None: judge all. picture: collects all of the print, if
+    given. rules: of the lines that the commands become, if they do. judged: samples that were.
     """
 
     def __init__(
         self, plant: Plant, every: int = JUDGED_EVERY, doubts: Doubts | None = None,
         picture: Picture | None = None, whole: int | None = None, rules: MotionRules | None = None,
     ) -> None:  # fmt: skip
-        self._plant, self._every, self._doubts, self._rules = plant, every, doubts, rules
-        self._whole, self.judged = whole, 0
-        self.picture, self._lines = picture, Lines()
+        self.judge, self._rules, self._whole = Judge(plant, every, doubts), rules, whole
+        self.picture, self._lines, self.judged = picture, Lines(), 0
         self.contour: dict[str, ContourErrors] = {}
         self.width: dict[str, ErrorStatistics] = {}
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
-        if self._whole is None:
-            kept, passed = branches(on_a_grid(chunks, WINDOW) if self._rules else chunks, 2)
-            written = (as_written(chunk, self._rules) for chunk in passed)
-            judged = judge(written, self._plant, self._every, self._doubts)
-            for chunk, judgement in zip(kept, judged, strict=True):
-                self._add(judgement, self._lines)
-                if self.picture is not None:
-                    self.picture.add(judgement)
-                yield chunk
-            return
-        doubts, plants = self._doubts, Plants([self._plant])
-        before = max(self._plant.memory, doubts.past if doubts is not None else 0, NEAREST)
-        after = self._plant.ahead + NEAREST + 1 + (doubts.ahead if doubts is not None else 0)
-        for chunk, windows in Windows(before, after, self._whole).samples(chunks):
-            for each in windows:
-                window = replace(each, piece=as_written(each.piece, self._rules))
-                judgement = judge_window(window, plants, self._every, doubts)
-                self._add(judgement, Lines(), each.weight)
+        """Yield the chunks unchanged, and add their errors."""
+        shown = self.picture is not None
+        windows = Windows(self.judge.before, self.judge.after, self._whole, shown)
+        for chunk in chunks:
+            for window in windows.take(chunk):
+                self.add(window)
             yield chunk
+        for window in windows.end():
+            self.add(window)
 
-    def _add(self, judgement: Judgement, lines: Lines, weight: int = 1) -> None:
+    def add(self, window: Window) -> None:
+        window = replace(window, piece=as_written(window.piece, self._rules))
+        judgement = self.judge.judged(window)
+        if self.picture is not None:
+            self.picture.add(judgement.shown())
+        weight = judgement.weight
+        if not weight:
+            return
         self.judged += len(judgement.chunk)
         for name, errors in judgement.contour.items():
             contour = self.contour.setdefault(name, ContourErrors())
@@ -180,5 +170,5 @@ class ErrorMeter:
             if name in judgement.products:
                 extruding = judgement.extruding[judgement.doubtful]
                 contour.doubt(judgement.products[name], extruding, weight)
-        for name, (_, shares) in lines.pieces(judgement).items():
+        for name, (_, shares) in self._lines.pieces(judgement).items():
             self.width.setdefault(name, ErrorStatistics()).add(shares, weight)

@@ -1,8 +1,8 @@
 """The path of a print and the nozzle's path, small enough to look at.
 
-Judged samples are merged into pieces of some milliseconds, each with the largest error in it and
-where the nozzle is at its end. Pieces that continue straight on are joined. If there are too many,
-the whole picture gets coarser by a step. So its size is bounded, and its shape is kept.
+Between two judged samples is a piece, with its error and where the nozzle is at its end. Pieces
+that continue straight on are joined, with the largest error in them. If there are too many, the
+whole picture gets coarser by a step. So its size is bounded, and its shape is kept.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from hframe_post.native.judging import Table, joined_pieces
 from hframe_post.prediction.predict import Judgement
 from hframe_post.prediction.statistics import Labels
 
-PIECE = 4  # samples of a piece at first; ringing at 50 Hz takes 20
 FINEST = 2.0  # mm of a piece at most, as long as there are few; twice as much with each step
 NEAR = 0.01  # mm that the path may be off the line drawn for it; likewise
 FINER = 2.5  # times as exact is the way from the path to the nozzle, which is drawn magnified
@@ -83,24 +82,21 @@ class Picture:
             self._sum(layer, feature, errors)
             self._doubt(judgement, layer, feature)
             line = chunk.line.take(at)
-            starts = _starts((chunk.first + at) // PIECE, line, layer, feature)
-            last = np.append(starts[1:], len(at)) - 1
-            shape = np.empty((self._speed, len(last)), np.float32)
-            shape[:Z] = _columns(chunk.xyze, at.take(last))[:Z]
-            for row, numbers in zip(_numbers(shape), (line, layer, feature), strict=False):
-                row[:] = numbers.take(last)
+            shape = np.empty((self._speed, len(at)), np.float32)
+            shape[:Z] = _columns(chunk.xyze, at)[:Z]
+            _numbers(shape)[:-1] = line, layer, feature
             _numbers(shape)[-1] = 0
             _numbers(shape)[-1, 0] = self._apart
             for k, name in enumerate(self.strategies):
-                shape[WAYS + 2 * k : WAYS + 2 * k + 2] = _columns(judgement.off[name], last)
+                shape[WAYS + 2 * k : WAYS + 2 * k + 2] = judgement.off[name].T
             kept = self._kept(shape)
-            end, starts = at.take(last.take(kept)), starts.take(_begun(kept))
+            end = at.take(kept)
             place = _columns(chunk.xyze, end)[:Z]
             self._append(np.vstack([
                 shape.take(kept, axis=1),
                 np.hypot(*(place - _columns(chunk.xyze, end - 1)[:Z]))[None] / TS,
-                *(_columns(judgement.motion[name], end) - place for name in self.strategies),
-                np.maximum.reduceat(errors, starts, axis=1),
+                *(judgement.nozzle(name, end).T - place for name in self.strategies),
+                np.maximum.reduceat(errors, _begun(kept), axis=1),
             ], dtype=np.float32, casting="same_kind"), self.coarser)  # fmt: skip
             self._apart = False
         self._apart = self._apart or chunk.ends_stretch

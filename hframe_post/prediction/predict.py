@@ -1,199 +1,133 @@
 """Prediction of the nozzle's motion: commands through the plant, compared with the path.
 
-The plant is exact: its states are carried, and racking is that at the actual x (eq. 2), not at
-x_d. Where a response begins before its command, chunks wait for the commands that follow. The
-contour error is the distance to the path, not to the desired place at that time.
+A stream is judged window by window. Each brings the samples before and after it on which its own
+depend, so that it is as exact as the whole. Racking is that at the actual x (eq. 2), not at x_d.
+The contour error is the distance to the path, not to the desired place at that time.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
+from hframe_post.arrays import TS, Array, Flags, Integers, Z
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.nozzle import Plants, Responses
+from hframe_post.model.nozzle import Nozzle
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.native.judging import count_turns, deviation, moving, square
 from hframe_post.native.stop import NEAREST
-from hframe_post.prediction.doubts import Doubts, JudgedDoubts
-from hframe_post.prediction.windows import Window
+from hframe_post.prediction.doubts import Doubts
+from hframe_post.prediction.windows import Window, Windows, around
 from hframe_post.printer.settings import Steps
-from hframe_post.stream.chunks import neighbours, part, stretches, with_neighbours
+from hframe_post.stream.chunks import part, stretches, with_neighbours
 from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import Samples, frozen
 
 COMPENSATING = STRATEGIES.keys() - {"none"}
-_Predicted: TypeAlias = tuple[Samples, list[dict[str, Array]]]  # a chunk, and each plant's nozzle
 
 
-def predict(chunks: Iterable[Samples], plant: Plant) -> Iterator[tuple[Samples, dict[str, Array]]]:
-    """Yield each chunk with the nozzle's x, y (n, 2) for every strategy in its commands."""
-    for chunk, (motion,) in _predict(chunks, Plants([plant])):
-        yield chunk, motion
-
-
-def _predict(
-    chunks: Iterable[Samples], plants: Plants, filament: float | None = None
-) -> Iterator[_Predicted]:
-    """Yield each chunk with the motion of each plant's nozzle, as ``predict`` gives it for one."""
-    for stretch in stretches(chunks):
-        nozzles: _Nozzles | None = None
-        for chunk in stretch:
-            if nozzles is None and len(chunk) and chunk.commands:
-                origin, fed = chunk.xyze[0, :Z], chunk.xyze[0, E] if filament is None else filament
-                nozzles = _Nozzles(plants.at_rest(origin, len(chunk.commands), float(fed)))
-            if nozzles is not None:
-                yield from nozzles.feed(chunk)
-            else:
-                yield chunk, [dict[str, Array]() for _ in range(len(plants))]
-        if nozzles is not None:
-            yield from nozzles.finish()
-
-
-class _Nozzles:
-    """The chunks of a stretch that wait for their nozzles, which may depend on later commands."""
-
-    def __init__(self, responses: Responses) -> None:
-        self._responses, self._early = responses, responses.late
-        self._waiting, self._last = deque[Samples](), list[Array]()
-        self._motion = np.zeros((0, 0, 0, 2))  # of plants and commands at the waiting samples
-
-    def feed(self, chunk: Samples) -> Iterator[_Predicted]:
-        self._waiting.append(chunk)
-        if len(chunk):
-            self._last = [command[-1:] for command in chunk.commands.values()]
-        self._run(list(chunk.commands.values()))
-        yield from self._known()
-
-    def finish(self) -> Iterator[_Predicted]:
-        """Yield what is left; the commands rest after their end."""
-        late = self._responses.late
-        self._run([np.repeat(place, late, axis=0) for place in self._last] if late else [])
-        yield from self._known()
-
-    def _run(self, commands: list[Array]) -> None:
-        if not commands:
-            return
-        motion = self._responses.run(commands)
-        early = min(self._early, motion.shape[2])  # samples before the stretch
-        self._early -= early
-        motion = motion[:, :, early:]
-        waiting = self._motion.shape[2]
-        self._motion = np.concatenate([self._motion, motion], axis=2) if waiting else motion
-
-    def _known(self) -> Iterator[_Predicted]:
-        while self._waiting and len(self._waiting[0]) <= self._motion.shape[2]:
-            chunk = self._waiting.popleft()
-            of_chunk, self._motion = np.split(self._motion, [len(chunk)], axis=2)
-            motions = [dict(zip(chunk.commands, one, strict=True)) for one in of_chunk]
-            yield chunk, motions
+SHOWN_EVERY = 4  # samples of what is only shown; ringing at 50 Hz takes 20
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """How well each strategy follows one chunk, at the k of its samples that count.
+    """How well each strategy follows the samples of a window, at the k of them that count.
 
-    at (k,): indices of these; extruding (k,): which of them extrude. contour: strategy → (k,),
-    distance to the path; off: strategy → (k, 2), the way to the nozzle from the nearest place on
-    the path. motion: strategy → the nozzle's x, y (n, 2) at all samples. mm.
+    weight: of how many windows it is an example; 0: it is only shown. at (k,): indices of these
+    samples; extruding (k,): which of them extrude. contour: strategy → (k,), distance to the path;
+    off: strategy → (k, 2), the way to the nozzle from the nearest place on the path. motion:
+    strategy → the nozzle's x, y (n, 2) at all samples, or ``apart`` from ``begin`` on. mm.
 
     Of some of these samples, numbered by doubtful (d,), strategy → ``products`` (d, SUMS) say what
     is not known of the error; without doubts they are empty.
     """
 
     chunk: Samples
+    weight: int
     at: Integers
     extruding: Flags
     contour: dict[str, Array]
     off: dict[str, Array]
     motion: dict[str, Array]
-    doubtful: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
-    products: dict[str, Array] = field(default_factory=dict)
+    begin: int
+    apart: int
+    doubtful: Integers
+    products: dict[str, Array]
 
-    def between(self, start: int, stop: int) -> Judgement:
-        """Return the judgement of the chunk's samples start … stop − 1."""
-        kept = (self.at >= start) & (self.at < stop)
-        looked_at = kept[self.doubtful]
-        return Judgement(
-            part(self.chunk, start, stop), self.at[kept] - start, self.extruding[kept],
-            {name: each[kept] for name, each in self.contour.items()},
-            {name: each[kept] for name, each in self.off.items()},
-            {name: each[start:stop] for name, each in self.motion.items()},
-            (np.cumsum(kept) - 1)[self.doubtful[looked_at]],
-            {name: each[looked_at] for name, each in self.products.items()},
-        )  # fmt: skip
+    def nozzle(self, strategy: str, at: Integers) -> Array:
+        """Return the nozzle's x, y (k, 2) at samples (k,) of those that count."""
+        return self.motion[strategy].take((at - self.begin) // self.apart, axis=0)
 
     def tracking(self, strategy: str) -> Array:
         """Return the deviation from the desired place at the same time, (k, 2), mm."""
-        return np.asarray(self.motion[strategy][self.at] - self.chunk.xyze[self.at, :Z])
+        return np.asarray(self.nozzle(strategy, self.at) - self.chunk.xyze[self.at, :Z])
+
+    def shown(self) -> Judgement:
+        """Return what is shown of it: every SHOWN_EVERY-th sample of the print."""
+        if not self.weight:
+            return self
+        kept = np.flatnonzero((self.chunk.first + self.at) % SHOWN_EVERY == 0)
+        return replace(
+            self, at=self.at[kept], extruding=self.extruding[kept],
+            contour={name: each.take(kept) for name, each in self.contour.items()},
+            off={name: each.take(kept, axis=0) for name, each in self.off.items()},
+            doubtful=np.searchsorted(kept, self.doubtful),
+        )  # fmt: skip
+
+
+class Judge:
+    """Judges windows of commands on a plant, at every n-th sample (n = ``every``) of the print.
+
+    doubts: what is not known of the plant. before, after: samples that a window needs around it.
+    """
+
+    def __init__(self, plant: Plant, every: int = 1, doubts: Doubts | None = None) -> None:
+        self._plant, self._every, self._doubts = plant, every, doubts
+        self._load, self._nozzle = 0, Nozzle(plant.loaded(0))
+        self.before = max(plant.memory, NEAREST, doubts.past if doubts else 0)
+        self.after = max(plant.ahead, NEAREST + 1, doubts.ahead if doubts else 0)
+
+    def judged(self, window: Window) -> Judgement:
+        """Return the judgement of a window."""
+        piece, start, stop = window.piece, window.start, window.stop
+        own, path, nozzle = part(piece, start, stop), Polyline(piece.xyze), self._at(window)
+        every, apart = (self._every, 1) if window.weight else (SHOWN_EVERY, SHOWN_EVERY)
+        first, begin = (start + -own.first % each for each in (every, apart))
+        at, extruding = moving(piece.xyze[:stop], first, every)
+        motion = {
+            name: nozzle.at(
+                around(u, begin - nozzle.past, stop + nozzle.ahead), stop - begin, apart
+            )
+            for name, u in piece.commands.items()
+            if stop > begin
+        }
+        off = {name: path.deviation(xy, at, begin, apart) for name, xy in motion.items()}
+        contour = {name: np.sqrt(square(way)) for name, way in off.items()}
+        which, products = np.zeros(0, np.int64), dict[str, Array]()
+        if self._doubts is not None:
+            which, products = self._doubts.along(window, at, off)
+        at, begin = at - start, begin - start
+        known = extruding, contour, off, motion
+        return Judgement(own, window.weight, at, *known, begin, apart, which, products)
+
+    def _at(self, window: Window) -> Nozzle:
+        """Return the nozzle with a window's filament on the bed."""
+        load = self._plant.load(window.filament)
+        if load != self._load:
+            self._load, self._nozzle = load, Nozzle(self._plant.loaded(load))
+        return self._nozzle
 
 
 def judge(
     chunks: Iterable[Samples], plant: Plant, every: int = 1, doubts: Doubts | None = None
 ) -> Iterator[Judgement]:
-    """Yield a judgement per chunk, of every n-th sample (n = ``every``) at which the path moves.
-
-    doubts: what is not known of the plant.
-    """
-    for (judgement,) in judge_each(chunks, Plants([plant]), every, doubts):
-        yield judgement
-
-
-def judge_window(
-    window: Window, plants: Plants, every: int = 1, doubts: Doubts | None = None
-) -> Judgement:
-    """Return the judgement of a window, as ``judge`` gives it for one plant."""
-    piece = [replace(window.piece, ends_stretch=True)]
-    ((whole,),) = judge_each(piece, plants, every, doubts, window.filament)
-    return whole.between(window.start, window.stop)
-
-
-def judge_each(
-    chunks: Iterable[Samples], plants: Plants, every: int = 1, doubts: Doubts | None = None,
-    filament: float | None = None,
-) -> Iterator[list[Judgement]]:  # fmt: skip
-    """Yield the judgements of each chunk, one per plant, as ``judge`` gives them for one.
-
-    doubts: of the first plant. filament: mm on the bed; that of each stretch's first sample by
-    default.
-    """
-    following = max(NEAREST + 1, doubts.ahead if doubts is not None else 0)
-    for stretch in stretches(chunks):
-        waiting: deque[list[dict[str, Array]]] = deque()
-        doubted = None if doubts is None else JudgedDoubts(doubts)
-        for before, chunk, after in neighbours(
-            _noted(_predict(stretch, plants, filament), waiting), NEAREST, following
-        ):
-            motions, start = waiting.popleft(), sum(map(len, before))
-            xyze = np.concatenate([each.xyze for each in (*before, chunk, *after)])
-            first, stop = start + -chunk.first % every, start + len(chunk)
-            at, extruding = moving(xyze[:stop], first, every)
-            path, judgements = Polyline(xyze), list[Judgement]()
-            for motion in motions:
-                off = {name: path.deviation(xy, at, start) for name, xy in motion.items()}
-                contour = {name: np.sqrt(square(way)) for name, way in off.items()}
-                judgements.append(Judgement(chunk, at - start, extruding, contour, off, motion))
-            if doubted is not None:
-                own = judgements[0]
-                which, products = doubted.feed(chunk, after, own.at, own.off)
-                judgements[0] = replace(own, doubtful=which, products=products)
-            yield judgements
-
-
-def _noted(
-    predicted: Iterable[_Predicted], waiting: deque[list[dict[str, Array]]]
-) -> Iterator[Samples]:
-    """Yield the chunks; put their motions on ``waiting``."""
-    for chunk, motions in predicted:
-        waiting.append(motions)
-        yield chunk
+    """Yield judgements of all windows of a stream, at every n-th sample at which the path moves."""
+    own = Judge(plant, every, doubts)
+    yield from map(own.judged, Windows(own.before, own.after).of(chunks))
 
 
 def as_written(chunk: Samples, rules: MotionRules | None) -> Samples:
@@ -253,10 +187,10 @@ class Polyline:
         self._path = np.ascontiguousarray(path)
         self._turns = count_turns(self._path)
 
-    def deviation(self, nozzle: Array, at: Integers, first: int = 0) -> Array:
+    def deviation(self, nozzle: Array, at: Integers, first: int = 0, apart: int = 1) -> Array:
         """Return the shortest way (k, 2) from the path to the nozzle at its samples ``at`` (k,).
 
-        nozzle (n, ≥2): at samples first … first + n − 1, x and y first. The path counts within
+        nozzle (n, ≥2): at samples first, first + apart, …, x and y first. The path counts within
         NEAREST samples of each.
         """
-        return deviation(self._path, self._turns, nozzle, first, at, NEAREST)
+        return deviation(self._path, self._turns, nozzle, first, apart, at, NEAREST)

@@ -30,11 +30,11 @@ from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import JUDGED_EVERY, ErrorMeter, Lines
 from hframe_post.prediction.picture import Picture
-from hframe_post.prediction.predict import Judgement, as_written, judge, quantise
+from hframe_post.prediction.predict import Judge, Judgement, as_written, quantise
 from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
-from hframe_post.prediction.windows import WINDOW
+from hframe_post.prediction.windows import WINDOW, Windows
 from hframe_post.printer.settings import Printer, Steps
-from hframe_post.stream.chunks import branches, on_a_grid
+from hframe_post.stream.chunks import on_a_grid
 from hframe_post.stream.types import Samples
 from hframe_post.writers.print_time import duration
 
@@ -313,15 +313,16 @@ class _Judged:
             commands = shape(map(_with_path, commands), shapings or {})
         if self._steps is not None:
             commands = quantise(commands, self._kinematics, self._steps)
-        meters = [meter for each in self._meters.values() for meter in each]
-        judged, *others = branches(commands, 1 + len(meters))
-        drawn = (meter.samples(each) for meter, each in zip(meters, others, strict=True))
-        labels, drawing = Labels(), Lines()
-        for judgement, *_ in zip(  # chunk by chunk, to hold but one
-            judge(judged, study.plant, JUDGED_EVERY, study.doubts), *drawn, strict=True
-        ):
+        drawn = [meter for each in self._meters.values() for meter in each]
+        own, labels, drawing = Judge(study.plant, JUDGED_EVERY, study.doubts), Labels(), Lines()
+        judges = [own, *(meter.judge for meter in drawn)]
+        before, after = (max(k) for k in zip(*((j.before, j.after) for j in judges), strict=True))
+        for window in Windows(before, after).of(commands):
+            judgement = own.judged(window)
+            for meter in drawn:
+                meter.add(window)
             if picture is not None:
-                picture.add(judgement)
+                picture.add(judgement.shown())
             layer, feature = labels.number(judgement.chunk)
             groups = _groups(layer[judgement.at], feature[judgement.at], labels, parts)
             _add_errors(judgement, groups, self._names)

@@ -12,10 +12,9 @@ from examples.paper.tables import transfer_functions
 from hframe_post.arrays import Array, Complex
 from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.nozzle import Plants, Response
+from hframe_post.model.nozzle import Nozzle, Response
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.uncertainty import draws
 from tests.modes import axis_mode, damped_by_the_frame, deviation_of_mode
 from tests.paths import walk
 from tests.plants import Filter, as_response
@@ -74,19 +73,18 @@ def test_any_real_roots_and_pairs_make_sections(seed: int) -> None:
 
 
 @pytest.mark.parametrize("racks", [True, False])
-@pytest.mark.parametrize(("plants", "commands"), [(1, 1), (1, 3), (2, 2), (7, 1)])
-def test_side_by_side(paper: Printer, plants: int, commands: int, racks: bool) -> None:
-    own = paper.plant if racks else paper.plant.decoupled()
-    drawn = (own, *draws(own, 0.1, plants - 1, seed=1))
-    origin = np.array([200.0, 80.0])
-    each = [origin + walk(np.random.default_rng(k), 1000) for k in range(commands)]
-    together = Plants(drawn).at_rest(origin, commands, 0.0)
-    cuts = ([xy[cut] for xy in each] for cut in (slice(0, 1), slice(1, 400), slice(400, None)))
-    motion = np.concatenate([together.run(pieces) for pieces in cuts], axis=2)
-    alone = [[Response(plant, origin, single=True).run(xy) for xy in each] for plant in drawn]
-    exact = [[Response(plant, origin).run(xy) for xy in each] for plant in drawn]
-    np.testing.assert_allclose(motion, exact, rtol=0.0, atol=1e-5)  # mm, of a walk of some mm
-    assert motion.tobytes() == np.array(alone).tobytes()
+@pytest.mark.parametrize("every", [1, 4, 7])
+def test_a_piece_of_a_command_moves_the_nozzle_as_all_of_it(
+    paper: Printer, every: int, racks: bool
+) -> None:
+    plant = paper.plant if racks else paper.plant.decoupled()
+    origin, nozzle = np.array([200.0, 80.0]), Nozzle(plant)
+    command = origin + walk(np.random.default_rng(1), 2000)
+    exact = Response(plant, origin).run(command)
+    begin, n = 1400, 333
+    piece = command[begin - nozzle.past : begin + n + nozzle.ahead]
+    found = nozzle.at(piece, n, every)
+    np.testing.assert_allclose(found, exact[begin : begin + n : every], rtol=0.0, atol=1e-5)  # mm
 
 
 OMEGA = np.linspace(0.0, 3.0, 100)

@@ -17,6 +17,7 @@ from hframe_post.prediction.doubts import EVERY, Doubts
 from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors, Labels
+from hframe_post.prediction.windows import around
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import smaller
@@ -42,8 +43,9 @@ def racking(drift: tuple[float, float]) -> Plant:
 
 def along(doubts: Doubts, command: Array) -> tuple[Array, Array]:
     """Return drift and unknown part at every EVERYth sample of a command, which is the path."""
-    whole = np.pad(command, ((doubts.past, doubts.ahead + EVERY), (0, 0)), mode="edge")
-    return doubts.at(whole, command[::EVERY], doubts.past)
+    place = command[::EVERY]
+    last = EVERY * (len(place) - 1)
+    return doubts.at(around(command, -doubts.past, last + doubts.ahead + 1), place)
 
 
 @pytest.mark.parametrize(("axis", "drift"), AXES)

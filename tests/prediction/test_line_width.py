@@ -7,14 +7,14 @@ from hframe_post.arrays import TS, Array, E, X, Y, Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.whole_file import SampleStream
 from hframe_post.native.judging import line_pieces
-from hframe_post.prediction.error_meter import PIECE, Melt
+from hframe_post.prediction.error_meter import PIECE_MM, Melt
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
 
 
 def drawn(path: Array, nozzle: Array) -> Array:
     """Return |w − 1| of a line's pieces that are complete."""
-    return line_pieces(path, nozzle, fed(path), PIECE, np.zeros(4))[1]
+    return line_pieces(path, nozzle, fed(path), PIECE_MM, np.zeros(4))[1]
 
 
 def fed(path: Array) -> Array:
@@ -69,7 +69,7 @@ def test_where_a_piece_ends_does_not_depend_on_chunks() -> None:
     begun, found = np.zeros(4), []
     for low in range(0, 2999, 7):
         part = slice(low, min(low + 7, 2999) + 1)
-        _, errors, begun = line_pieces(path[part], nozzle[part], fed(path[part]), PIECE, begun)
+        _, errors, begun = line_pieces(path[part], nozzle[part], fed(path[part]), PIECE_MM, begun)
         found.append(errors)
     np.testing.assert_allclose(np.concatenate(found), whole, rtol=1e-9)
 

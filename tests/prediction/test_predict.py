@@ -62,7 +62,6 @@ def test_standstill_does_not_count_and_extrusion_is_flagged(compensator: Compens
     path[60:, 3] = path[59, 3]
     block = Samples(0, path, np.zeros(100, np.int64), (), {"none": path[:, :2]})
     (judgement,) = judge([block], compensator.plant)
-    assert judgement.chunk is block
     assert judgement.at.tolist() == [*range(1, 40), *range(60, 100)]
     assert len(judgement.contour["none"]) == len(judgement.tracking("none")) == 79
     assert judgement.at[judgement.extruding].tolist() == [*range(1, 40)]
@@ -124,8 +123,22 @@ def test_errors_are_those_of_the_motion_that_lines_make(paper: Printer) -> None:
 
 def test_a_window_is_one_of_so_many() -> None:
     chunks = smaller([moving(64 * WINDOW)], 3000)
-    windows = [each for _, found in Windows(1000, 60, WHOLE).samples(chunks) for each in found]
+    windows = list(Windows(1000, 60, WHOLE).of(chunks))
     starts = [each.piece.first + each.start for each in windows]
-    assert [start // WINDOW for start in starts] == [*range(8), 12, 20, 28, 48]
-    assert [each.weight for each in windows] == [1] * 8 + [SOME] * 3 + [FEW]
-    assert {each.stop - each.start for each in windows} == {WINDOW}
+    assert [start // WINDOW for start in starts] == [0, 4, 12, 20, 28, 48]
+    assert [each.weight for each in windows] == [1] * 2 + [SOME] * 3 + [FEW]
+    assert [each.stop - each.start for each in windows] == [4 * WINDOW] * 2 + [WINDOW] * 4
+
+
+def test_what_has_an_example_is_shown_all_the_same() -> None:
+    """Windows of a picture follow each other, wherever the stream is cut, and count as before."""
+    whole = moving(40 * WINDOW + 5)
+    found = []
+    for chunks in ([whole], smaller([whole], 777), smaller([whole], 9000)):
+        windows = list(Windows(1000, 60, WHOLE, shown=True).of(chunks))
+        starts = [each.piece.first + each.start for each in windows]
+        stops = [each.piece.first + each.stop for each in windows]
+        assert [*starts, len(whole)] == [0, *stops]
+        found.append([*zip(starts, (each.weight for each in windows), strict=True)])
+    assert found[0] == found[1] == found[2]
+    assert [start // WINDOW for start, weight in found[0] if weight] == [0, 4, 12, 20, 28]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.prediction.predict import judge, predict
+from hframe_post.prediction.predict import judge
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.writers.tables import (
@@ -88,7 +88,7 @@ def column(table: Array, name: str) -> Array:
 
 def test_each_row(paper: Printer, commands: Callable[[str], Samples], table: Array) -> None:
     whole = commands("racking")
-    ((_, motion),) = predict([whole], paper.plant)
+    motion = next(judge([whole], paper.plant)).motion
     np.testing.assert_allclose(column(table, "t"), np.arange(1, len(whole) + 1) / 1000)
     for k, name in enumerate(("x_d", "y_d", "z", "e")):
         np.testing.assert_array_equal(column(table, name), whole.xyze[:, k])
