@@ -9,7 +9,7 @@ from hframe_post.identification.estimation.fit import Fit
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.estimation.measured import Measured
 from hframe_post.identification.identify import AXIS
-from hframe_post.identification.report import IdentificationReport
+from hframe_post.identification.report import COLUMNS, IdentificationReport, functions
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.page.charts import Card, Chart, Curve, Section, page
 
@@ -45,7 +45,10 @@ def identification_page(report: IdentificationReport, name: str) -> bytes:
     sections = [
         Section(TITLES[G], _charts(G, measured[G], found, profiles[G])) for G, found in fits.items()
     ]
-    facts = [(G, _fact(measured[G], found)) for G, found in fits.items()]
+    facts = [
+        (G, "; ".join(f"{column}: {text}" for column, text in zip(COLUMNS, row, strict=True)))
+        for G, row in functions(identified).items()
+    ]
     facts += report.gathered.rows()
     return page(name, lead, cards, sections, report.remarks(), facts)
 
@@ -67,16 +70,6 @@ def _ringing_card(axis: str, mode: tuple[float, float] | None) -> Card:
     if mode is None:
         return Card(f"{axis} rings at", "–", "", "no mode rings")
     return Card(f"{axis} rings at", f"{mode[0]:.1f}", "Hz", f"damping {mode[1]:.2f}")
-
-
-def _fact(measured: Measured, found: Fit) -> str:
-    modes = ", ".join(f"{hz:.1f} Hz (damping {damping:.2f})" for hz, damping in found.modes)
-    several = len(measured.places) > 1
-    variation = f"; variation between positions {100 * measured.spread:.1f} %" if several else ""
-    return (
-        f"modes: {modes or 'none'}; unexplained {100 * found.residual:.2f} %; "
-        f"lag {found.lag * 1e3:.2f} ms{variation}"
-    )
 
 
 def _charts(name: str, measured: Measured, found: Fit, held: ImpulseResponse | None) -> list[Chart]:

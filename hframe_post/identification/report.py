@@ -25,18 +25,22 @@ def conclude(
     return IdentificationReport(found, plant, compensation, gathered)
 
 
-def functions_table(identified: Identified) -> list[str]:
-    lines = [f"{'':10s}{'unexplained':>11s}{'variation':>13s}{'lag':>10s}   modes"]
+COLUMNS = ("unexplained", "variation", "lag", "modes")
+
+
+def functions(identified: Identified) -> dict[str, tuple[str, str, str, str]]:
+    """Return what is known of each response, by its name, as texts of COLUMNS."""
+    rows = {}
     for name, found in identified.fits.items():
         measured = identified.measured[name]
-        modes = ", ".join(f"{hz:.1f} Hz ({damping:.2f})" for hz, damping in found.modes)
         several = len(measured.places) > 1
-        variation = f"{100 * measured.spread:.1f} %" if several else "–"
-        lines.append(
-            f"{name:10s}{100 * found.residual:9.2f} %{variation:>13s}"
-            f"{round(found.lag * 1e3, 2) + 0.0:7.2f} ms   {modes or 'none'}"
+        rows[name] = (
+            f"{100 * found.residual:.2f} %",
+            f"{100 * measured.spread:.1f} %" if several else "–",
+            f"{round(found.lag * 1e3, 2) + 0.0:.2f} ms",
+            ", ".join(f"{hz:.1f} Hz ({damping:.2f})" for hz, damping in found.modes) or "none",
         )
-    return lines
+    return rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +115,8 @@ class IdentificationReport:
 
     def as_text(self) -> str:
         used = [f"{label:13s}{text}" for label, text in self.gathered.rows()]
-        table = functions_table(self.identified)
+        rows = {"": COLUMNS, **functions(self.identified)}
+        table = [f"{name:10s}{a:>11s}{b:>13s}{c:>10s}   {d}" for name, (a, b, c, d) in rows.items()]
         return "\n".join([*used, "", *table, "", *self.remarks()])
 
     def remarks(self) -> list[str]:

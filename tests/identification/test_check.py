@@ -1,5 +1,6 @@
 """``hframe-post check``: drift is found, and nothing else is taken for drift."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -282,11 +283,12 @@ def test_without_recordings_age_raises_the_uncertainty(folder: Path) -> None:
     mine = folder / "my.toml"
     old = mine.read_text().replace("2026-06-01", "2020-06-01")
     mine.write_text(old)
-    done = invoked("-p", mine, "-o", mine)
+    done = invoked("-p", mine, "-o", mine, "--json", folder / "age.json")
     assert done.exit_code == 0, done.output
     profile = load(str(mine))
     assert profile.uncertainty is not None
     assert profile.uncertainty > 0.13
+    assert json.loads((folder / "age.json").read_text())["uncertainty"] == profile.uncertainty
     assert profile.measured == date(2020, 6, 1)
     mine.write_text(old.replace('measured = "2020-06-01"\n', ""))
     assert "measured" in invoked("-p", mine).output

@@ -21,7 +21,7 @@ from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError, IdentificationError
 from hframe_post.identification.recordings.accelerometer import Recording, from_table
 from hframe_post.identification.recordings.formats import (
-    CSV_HEAD,
+    is_command,
     read_command,
     read_tables,
     unpacked,
@@ -39,11 +39,6 @@ SUFFIXES = (".csv", ".csv.gz", ".csv.xz", ".csv.zst", ".stdata")
 DEPTH, MOST_FILES = 3, 500  # of folders in folders; of files
 STROKES, CHECK = "measure", "check"  # how the names of their runs begin
 WAITING = 120.0  # s before and after the motion, in a recording that was started by hand
-UNUSABLE = {
-    "axes map": "a test of the sensor's axes, which the other recordings show as well",
-    "vibrations": "a test at constant speeds, which excites no band of frequencies",
-    "constant frequency": "a test at a constant frequency, which excites no band of frequencies",
-}
 EXPLICIT = "or name it with its command: 'hframe-post identify --nozzle COMMAND RECORDING'"
 
 
@@ -85,9 +80,9 @@ class RunMotion:
 class Measurement:
     """A recording in a file.
 
-    label: the file, within the folder given, and its measurement if there are several. digest: of
-    the samples. command: its motion; None for a test of resonances, whose motion follows from
-    printer.cfg. session: 1, or more for recordings that repeat the test of an earlier one.
+    label: the file, in the folder given, and which of several. digest: of the samples. command:
+    None for a test of resonances, whose motion follows from printer.cfg. session: 1, or more for
+    recordings that repeat the test of an earlier one.
     """
 
     label: str
@@ -110,8 +105,7 @@ class Measurement:
     @property
     def test(self) -> tuple[object, ...]:
         """Return what the recordings of a repeated test share."""
-        motion = self.command.run if self.command else self.name.point
-        return (motion, self.direction)
+        return (self.command.run if self.command else self.name.point, self.direction)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,12 +139,17 @@ def contents(
     read = list[RunMotion | Measurement | Aside]()
     for path, label in files.items():
         other = parsed(path.name).other
-        read += [Aside(label, UNUSABLE[other])] if other else _read(path, label, columns)
+        read += [Aside(label, other)] if other else _read(path, label, columns)
     commands = [each for each in read if isinstance(each, RunMotion)]
-    found = [_with_motion(each, commands) for each in read if not isinstance(each, RunMotion)]
+    found: list[Measurement | Aside] = [each for each in read if isinstance(each, Aside)]
+    found += [_with_motion(each, commands) for each in read if isinstance(each, Measurement)]
     for command, path in pairs:
         motion = RunMotion.read(command)
-        found += [_of_pair(each, motion) for each in _read(path, path.name, columns)]
+        for each in _read(path, path.name, columns):
+            if isinstance(each, Measurement):
+                found.append(replace(each, command=motion))
+            elif isinstance(each, Aside):
+                found.append(each)
     found = list(_without_second_sensors(list(_without_copies(found)), chips))
     measurements = [each for each in found if isinstance(each, Measurement)]
     return list(_in_sessions(measurements)), [each for each in found if isinstance(each, Aside)]
@@ -187,52 +186,41 @@ def _raise(error: OSError) -> None:
 
 def _read(
     path: Path, label: str, columns: Sequence[str] | None
-) -> list[RunMotion | Measurement | Aside]:
+) -> Iterator[RunMotion | Measurement | Aside]:
+    """Yield the command or the recordings in a file, or why it has none that can be used."""
     by_file = parsed(path.name)
     try:
         content = unpacked(path)
-        if content[:100].lstrip().partition(b"\n")[0].strip().lower() == CSV_HEAD.encode():
-            return [RunMotion.read(path)]
-        tables = read_tables(path, content, columns)
+        if is_command(content):
+            yield RunMotion.read(path)
+        tables = [] if is_command(content) else read_tables(path, content, columns)
     except (HframeError, OSError) as error:
-        return [Aside(label, reason_of(path, error))]
-    found: list[RunMotion | Measurement | Aside] = []
+        yield Aside(label, _reason(path, error))
+        return
     for table in tables:
         which = f"{label}: {table.name}" if len(tables) > 1 else label
         name = parsed(table.name) | by_file if table.name else by_file
         try:
             recording = from_table(path, table)
         except HframeError as error:
-            found.append(Aside(which, reason_of(path, error)))
+            yield Aside(which, _reason(path, error))
             continue
         digest = hashlib.sha256(table.values.tobytes()).hexdigest()[:16]
-        found.append(Measurement(which, path, recording, name, digest))
-    return found
+        yield Measurement(which, path, recording, name, digest)
 
 
-def reason_of(path: Path, error: Exception) -> str:
+def _reason(path: Path, error: Exception) -> str:
     """Return why a file is not used, without its name."""
     if isinstance(error, OSError):
         return error.strerror or str(error)
     return str(error).removeprefix(str(path)).removeprefix(":").strip().removeprefix("is ")
 
 
-# ---------------------------------------------------------------------- motions
-
-
-def _of_pair(one: RunMotion | Measurement | Aside, command: RunMotion) -> Measurement | Aside:
-    if isinstance(one, RunMotion):
-        return Aside(one.path.name, "a command, not a recording. Give the command first")
-    return replace(one, command=command) if isinstance(one, Measurement) else one
-
-
-def _with_motion(one: Measurement | Aside, commands: Sequence[RunMotion]) -> Measurement | Aside:
+def _with_motion(one: Measurement, commands: Sequence[RunMotion]) -> Measurement | Aside:
     """Return a recording with its command, if it is not one of a test of resonances."""
-    if isinstance(one, Aside):
-        return one
     name = one.name
     if name.other:
-        return Aside(one.label, UNUSABLE[name.other])
+        return Aside(one.label, name.other)
     if not name.certain and (found := _of_command(one, commands)) is not None:
         return found
     if name.direction is None:
@@ -252,8 +240,12 @@ def _of_command(one: Measurement, commands: Sequence[RunMotion]) -> Measurement 
     named = [command for command in commands if own.endswith(command.run)]
     possible = named or [command for command in commands if axis and command.direction == axis]
     fitting = [command for command in possible if command.lasts_as_long_as(one.recording)]
+    if not fitting and named:
+        lasts, needed = float(np.ptp(one.recording.t)), TS * len(named[0].motion)
+        cause = f"it lasts {lasts:.1f} s, but its motion, {named[0].path.name}, {needed:.1f} s"
+        return Aside(one.label, f"{cause}: it was cut off, or is of another run")
     if not fitting:
-        return _cut_off(one, named[0]) if named else None
+        return None
 
     def rank(command: RunMotion) -> tuple[int, bool]:
         return len(command.run) if named else 0, command.path.parent == one.path.parent
@@ -267,15 +259,6 @@ def _of_command(one: Measurement, commands: Sequence[RunMotion]) -> Measurement 
     words = own.removesuffix(best[0].run).rstrip("-_.") if named else ""
     chip = words.replace("-", "_") or one.name.chip
     return replace(one, command=best[0], name=replace(one.name, chip=chip))
-
-
-def _cut_off(one: Measurement, command: RunMotion) -> Aside:
-    lasts, needed = float(np.ptp(one.recording.t)), TS * len(command.motion)
-    cause = f"it lasts {lasts:.1f} s, but its motion, {command.path.name}, {needed:.1f} s"
-    return Aside(one.label, f"{cause}: it was cut off, or is of another run")
-
-
-# ---------------------------------------------------------------------- copies and sessions
 
 
 def _without_copies(found: list[Measurement | Aside]) -> Iterator[Measurement | Aside]:

@@ -29,8 +29,7 @@ from hframe_post.native import digits
 MAX_SIZE = 1 << 28  # bytes, decompressed; two minutes of an ADXL345 are 20 MB
 PIECE = 1 << 20  # bytes that are decompressed at once
 BROKEN = (OSError, lzma.LZMAError, zlib.error, zstandard.ZstdError)
-# by a file's first bytes
-PACKED: dict[bytes, Callable[[BinaryIO], Any]] = {
+PACKED: dict[bytes, Callable[[BinaryIO], Any]] = {  # by a file's first bytes
     b"\x1f\x8b": lambda file: gzip.GzipFile(fileobj=file),
     b"\xfd7zXZ\0": lzma.LZMAFile,
     b"\x28\xb5\x2f\xfd": lambda file: zstandard.ZstdDecompressor().stream_reader(
@@ -70,16 +69,22 @@ def _content(path: Path, file: BinaryIO) -> bytes:
     return b"".join(parts)
 
 
-CSV_HEAD = "t,x,y"
+COMMAND = ["t", "x", "y"]  # as measure writes it
+SHORTEST = 1000  # rows of a command
 
 
 def command_csv(command: Array) -> Iterator[bytes]:
     """Yield a command (m, 2) as CSV: ``t,x,y`` in s and mm, one row a millisecond, t from 0."""
-    yield CSV_HEAD.encode() + b"\n"
+    yield ",".join(COMMAND).encode() + b"\n"
     t = np.arange(len(command)) * TS
     comma = digits.column(b",", len(command))
     at, x, y = (digits.fixed(values, 6) for values in (t, *command.T))
     yield digits.rows([at, comma, x, comma, y, digits.column(b"\n", len(command))])
+
+
+def is_command(content: bytes) -> bool:
+    """Return whether a file's content is the command of a motion."""
+    return [name.lower() for name in _header(content)[0]] == COMMAND
 
 
 def read_command(path: Path) -> Array:
@@ -87,27 +92,20 @@ def read_command(path: Path) -> Array:
 
     Raises OSError, and IdentificationError with the line and the cause.
     """
-    lines = unpacked(path).decode("latin-1").splitlines()
-    if not lines or lines[0].strip().lower() != CSV_HEAD:
+    content = unpacked(path)
+    if not is_command(content):
         raise IdentificationError(
-            f"{path} is not the command of a motion, whose first line is {CSV_HEAD}. Give the "
-            "command first and the recording after it"
+            f"{path} is not the command of a motion, whose first line is {','.join(COMMAND)}. Give "
+            "the command first and the recording after it"
         )
-    if sum(bool(line.strip()) for line in lines[1:]) < 1000:
-        raise IdentificationError(f"{path}: too short for a command: at least 1000 rows are needed")
-    try:
-        rows = np.loadtxt(lines[1:], delimiter=",", comments=None, ndmin=2)
-    except ValueError as error:
-        raise IdentificationError(f"{path} cannot be read as numbers: {error}") from None
-    if rows.shape[1] != 3:
-        raise IdentificationError(f"{path}: rows must have three columns, {CSV_HEAD}")
-    if not np.isfinite(rows).all():
-        raise IdentificationError(f"{path} has values that are not finite")
-    late = np.abs(rows[:, 0] - rows[0, 0] - np.arange(len(rows)) * TS) > 1e-6
-    if late.any():
-        raise IdentificationError(
-            f"{path}: line {int(np.argmax(late)) + 2}: rows must be 1 ms apart"
-        )
+    rows = _numbers(path, content, _header(content)[0])
+    if len(rows) < SHORTEST:
+        raise IdentificationError(f"{path}: too short: a command has {SHORTEST} rows at least")
+    late = rows[:, 0] - rows[0, 0] - np.arange(len(rows)) * TS
+    wrong = ~(np.isfinite(rows).all(axis=1) & (np.abs(late) <= 1e-6))
+    if wrong.any():
+        where = Table(rows, content).where(int(np.argmax(wrong)))
+        raise IdentificationError(f"{path}: {where}: rows must be finite and 1 ms apart")
     return np.asarray(rows[:, 1:])
 
 
@@ -144,8 +142,7 @@ class Table:
         """Return the place of a row for an error message: its line, or its number."""
         if self.text is None:
             return f"sample {row + 1}"
-        filled = [k for k, line in enumerate(self.text.splitlines(), 1) if line.strip()]
-        return f"line {filled[row + 1]}"
+        return f"line {_filled(self.text)[row + 1][0]}"
 
 
 def read_tables(path: Path, content: bytes, columns: Sequence[str] | None) -> list[Table]:
@@ -163,6 +160,11 @@ def read_tables(path: Path, content: bytes, columns: Sequence[str] | None) -> li
     for read in FORMATS:
         if (tables := read(path, content, names)) is not None:
             return tables
+    if any(name.lower().startswith("psd_") for name in names):
+        raise IdentificationError(
+            f"{path} is a spectrum that Klipper has computed, not a recording. Record again with "
+            "TEST_RESONANCES AXIS=… OUTPUT=raw_data"
+        )
     raise IdentificationError(
         f"{path} is not a Klipper accelerometer file; {_listed(names)}. If another program wrote "
         "it, name its columns: 'hframe-post identify --columns time,x,y,z'"
@@ -231,22 +233,9 @@ def _labelled(path: Path, content: bytes, names: list[str]) -> list[Table] | Non
     return None
 
 
-def _no_recording(path: Path, _: bytes, names: list[str]) -> list[Table] | None:
-    """Raise IdentificationError for files that are often taken for recordings."""
-    if any(name.lower().startswith("psd_") for name in names):
-        raise IdentificationError(
-            f"{path} is a spectrum that Klipper has computed, not a recording. Record again with "
-            "TEST_RESONANCES AXIS=… OUTPUT=raw_data"
-        )
-    return None
-
-
 FORMATS: tuple[Callable[[Path, bytes, list[str]], list[Table] | None], ...] = (
-    _shaketune, _klipper, _no_recording, _reprap, _labelled,
+    _shaketune, _klipper, _reprap, _labelled,
 )  # fmt: skip
-
-
-# ---------------------------------------------------------------------- text
 
 
 def _header(content: bytes) -> tuple[list[str], str]:
@@ -261,37 +250,33 @@ def _numbers(path: Path, content: bytes, columns: Sequence[str]) -> Array:
     chosen = [_column(path, names, name) for name in columns]
     if b"\n" not in content.strip():
         return np.zeros((0, 4))
-    skipped = _lines_to_names(content)
     try:
         return np.asarray(
-            np.loadtxt(io.BytesIO(content), delimiter=delimiter, skiprows=skipped, usecols=chosen,
-                       comments=None, ndmin=2, encoding="latin-1")
+            np.loadtxt(io.BytesIO(content.lstrip()), delimiter=delimiter, skiprows=1,
+                       usecols=chosen, comments=None, ndmin=2, encoding="latin-1")
         )  # fmt: skip
     except ValueError:
         raise _bad_line(path, content, delimiter, chosen) from None
 
 
-def _lines_to_names(content: bytes) -> int:
-    return content[: len(content) - len(content.lstrip())].count(b"\n") + 1
+def _filled(content: bytes) -> list[tuple[int, bytes]]:
+    """Return the lines that are not blank, with their numbers; the first names the columns."""
+    return [(k, line) for k, line in enumerate(content.splitlines(), 1) if line.strip()]
 
 
 def _bad_line(
     path: Path, content: bytes, delimiter: str, chosen: Sequence[int]
 ) -> IdentificationError:
-    lines = content.splitlines()
-    first = _lines_to_names(content)
-    for number, line in enumerate(lines[first:], first + 1):
+    _, *lines = _filled(content)
+    for number, line in lines:
         parts = line.decode("latin-1").split(delimiter)
-        if not line.strip():
-            continue
-        shown = repr(line.strip()[:LONGEST_NAME].decode("latin-1"))
-        if len(parts) <= max(chosen):
-            hint = " (is the file cut off?)" if number == len(lines) else ""
-            return IdentificationError(f"{path}: line {number}: too few columns: {shown}{hint}")
         try:
-            [float(parts[place]) for place in chosen]
-        except ValueError:
-            return IdentificationError(f"{path}: line {number}: not a number: {shown}")
+            [*map(float, [parts[place] for place in chosen])]
+        except (IndexError, ValueError) as error:
+            cause = "too few columns" if isinstance(error, IndexError) else "not a number"
+            shown = repr(line.strip()[:LONGEST_NAME].decode("latin-1"))
+            hint = " (is the file cut off?)" if number == lines[-1][0] else ""
+            return IdentificationError(f"{path}: line {number}: {cause}: {shown}{hint}")
     return IdentificationError(f"{path} cannot be read as numbers")
 
 

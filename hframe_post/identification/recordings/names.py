@@ -40,10 +40,16 @@ NAMED_CHIP = re.compile(r"(?!at_\d)[a-z]\w*?(?=_20\d{6}_\d{6}$)")  # by the sect
 WORD = re.compile(r"(?<![a-z0-9])([xyz])(?![a-z0-9])")
 NUMBERED = re.compile(r"(?<![a-z0-9])([xyz])(?=\d)")
 BELT = re.compile(r"belts?(?:comparison)?(?:[-_].*?)?[-_]([abxz])(?![a-z0-9])")
-OTHER_TESTS = {
-    "axes map": re.compile(r"axe?s?_?map"),
-    "vibrations": re.compile(r"(?<![a-z])vib|(?<![a-z])an\d+_\d+sp\d"),
-    "constant frequency": re.compile(r"static_?freq"),
+OTHER_TESTS = {  # tests that excite no band of frequencies
+    "a test of the sensor's axes, which the other recordings show as well": re.compile(
+        r"axe?s?_?map"
+    ),
+    "a test at constant speeds, which excites no band of frequencies": re.compile(
+        r"(?<![a-z])vib|(?<![a-z])an\d+_\d+sp\d"
+    ),
+    "a test at a constant frequency, which excites no band of frequencies": re.compile(
+        r"static_?freq"
+    ),
 }
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 EARLIEST = date(2010, 1, 1)  # no accelerometer was recorded on a printer before
@@ -56,7 +62,7 @@ class RecordingName:
 
     direction: of the motion, a unit vector. point: x and y in mm. chip: of the sensor, words
     joined by ``_``. date: sortable. certain: whether the name is that of a test of resonances.
-    other: the kind of a test that shows no resonances. ended: print time in s at which the motion
+    other: what the test is, if it shows no resonances. ended: print time in s at which the motion
     had ended.
     """
 
