@@ -61,7 +61,7 @@ __all__ = [
     "simulate",
 ]
 
-_ROOMS = {  # name → module, and the name in it if that differs
+_ROOMS = {  # name → module
     "HframeError": "errors",
     "ImpulseResponse": "model.impulse_response",
     "Lpfbs": "model.lpfbs",
@@ -87,8 +87,7 @@ def __getattr__(name: str) -> Any:
     """Import a name when it is first used, so that importing the package is cheap (PEP 562)."""
     if name not in _ROOMS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, _, attribute = _ROOMS[name].partition(":")
-    value = getattr(import_module(f"{__name__}.{module}"), attribute or name)
+    value = getattr(import_module(f"{__name__}.{_ROOMS[name]}"), name)
     globals()[name] = value
     return value
 

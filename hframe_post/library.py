@@ -36,7 +36,6 @@ from hframe_post.model.nozzle import nozzle
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
-from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.predict import contour_error as off_path
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Printer
@@ -192,17 +191,12 @@ def simulate(
     twice; one that can be read only once is kept in memory. Raises HframeError, OSError.
     """
     from hframe_post.studies import simulation
-    from hframe_post.studies.uncertainty import draws as drawn
 
     if steps and printer.steps is None:
         raise PrinterError("the table is missing: whole steps need it", "steps", printer.name)
     actual = simulated or printer
-    study = simulation.Study(
-        actual.plant,
-        {share: drawn(actual.plant, share, draws, seed) for share in dict.fromkeys(model_error)},
-        printer.steps if steps else None,
-        actual.name,
-        Doubts.from_plant(actual.plant, actual.uncertainty),
+    study = simulation.Study.from_printer(
+        actual, model_error, draws, seed, printer.steps if steps else None
     )
     options = replace(options, strategy="racking", predict=tuple(STRATEGIES))
     given = Input(source, progress)

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import difflib
 import glob
-import json
 import os
 import re
 import shlex
 import shutil
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -31,8 +28,7 @@ CONFIG = "moonraker.conf"
 BACKUP = ".before-hframe-post"  # added to the name of a file that is changed
 INSTANCES = ("*_data/config/printer.cfg", "klipper_config/printer.cfg")
 PLACES = ("moonraker/moonraker", "moonraker-env/lib/python3*/site-packages/moonraker")
-UPDATES = f"update_manager {NAME}"
-# a header and the lines below it, as far as the next empty line
+# a header and the lines below it, as far as the next empty line; earlier versions added two
 SECTIONS = re.compile(
     r"(?:\n*^\[(?:update_manager )?hframe_post\].*(?:\n(?!\[)[^\r\n]+)*\n?)+", re.MULTILINE
 )
@@ -118,18 +114,15 @@ class Moonraker:
         """Return the change of moonraker.conf that lets the component run hframe-post."""
         ours = program()
         command = f"{ours} -p {shlex.quote(str(profile.absolute()))}"
-        installed = metadata.distribution("hframe-post")
-        wanted = {NAME: f"command: {command}\n", UPDATES: update_lines(installed)}
         text, known = _text(self._config), "\n".join(_with_includes(self._config))
-        new, added = text, []
+        if not re.search(rf"^\[{NAME}\]", known, re.MULTILINE):
+            new = f"{text.rstrip()}\n\n[{NAME}]\ncommand: {command}\n"
+            return Change(self._config, text, new, f"section [{NAME}] added")
         if (gone := COMMAND.search(text)) and not shutil.which(gone[3]):
             new = f"{text[: gone.start(2)]}{ours}{text[gone.end(2) :]}"
-            added.append(f"command corrected, because {gone[3]} is gone")
-        for name, lines in wanted.items():
-            if lines and not re.search(rf"^\[{name}\]", known, re.MULTILINE):
-                new = f"{new.rstrip()}\n\n[{name}]\n{lines}"
-                added.append(f"section [{name}] added")
-        return Change(self._config, text, new, ", ".join(added)) if added else None
+            done = f"command corrected, because {gone[3]} is gone"
+            return Change(self._config, text, new, done)
+        return None
 
     def _with_sections(self, here: bool) -> Change | None:
         """Return the change of printer.cfg. here: whether the profile is next to it."""
@@ -253,18 +246,3 @@ def _text(path: Path) -> str:
 
 def _bytes(text: str) -> bytes:
     return text.encode("utf-8", "surrogateescape")
-
-
-def update_lines(installed: metadata.Distribution) -> str:
-    """Return what lets Moonraker update this installation, if pip took it from an index or Git."""
-    origin = installed.read_text("direct_url.json")  # without one it is from an index
-    updatable = origin is None or "vcs_info" in json.loads(origin)
-    if not (updatable and installed.read_text("INSTALLER")):
-        return ""
-    return f"""\
-type: python
-project_name: hframe-post
-virtualenv: {sys.prefix}
-is_system_service: False
-managed_services: moonraker
-"""

@@ -23,7 +23,7 @@ from hframe_post.cli.parameters import (
 )
 from hframe_post.conversion.options import Options
 from hframe_post.firmware.registry import firmware
-from hframe_post.gcode.lines import Input
+from hframe_post.gcode.lines import Input, lines_of
 from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shaping import (
     compare_shapers,
@@ -78,7 +78,6 @@ def simulate(
     Example:
       hframe-post simulate in.gcode -p my.toml --model-error 5%
     """
-    _check_usage(source, report_file, shapers)
     profile = library.load_printer(printer)
     simulated = library.load_printer(plant_file) if plant_file else profile
     with (
@@ -86,12 +85,15 @@ def simulate(
         Outputs(files_read(source, printer, plant_file)) as outputs,
     ):
         write_json = open_json(outputs, json_file)
-        printed = rectangle(profile) if source is None else dashed(source) or sys.stdin.buffer
+        printed = rectangle(profile) if source is None else dashed(source)
+        if printed is None:
+            printed = list(lines_of(sys.stdin.buffer))  # it is read several times
         head = [(choice := chosen_printer()).as_text()]
         report = library.simulate(
             printed, profile, options, simulated=simulated, progress=advance,
             model_error=shares, draws=draws, seed=seed, steps=steps,
-            page=report_file, title=source.name if source else "", notes=head, outputs=outputs,
+            page=report_file, title=source.name if source else "rectangle", notes=head,
+            outputs=outputs,
         )  # fmt: skip
         text = "\n".join([*head, report.as_text()])
         summary = {**choice.as_json(), **report.as_json()}
@@ -103,10 +105,3 @@ def simulate(
         write_json(summary)
     if not quiet:
         click.echo(text, err=str(json_file) == "-")
-
-
-def _check_usage(source: Path | None, report_file: Path | None, shapers: bool) -> None:
-    if report_file is not None and (source is None or str(source) == "-"):
-        raise click.UsageError("--report reads the file twice: name a file")
-    if shapers and str(source) == "-":
-        raise click.UsageError("--shapers reads the file several times: name a file")

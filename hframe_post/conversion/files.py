@@ -38,19 +38,17 @@ class Target:
     instead_of: Path | None = None
     _files: dict[str, IO[bytes]] = field(default_factory=dict)
 
-    def open(self) -> IO[bytes]:
-        """Return the empty file. What an earlier conversion wrote to it is dropped."""
-        return self._emptied("", self.path, self.instead_of)
+    def open(self, suffix: str = "") -> IO[bytes]:
+        """Return the empty file, or for a suffix the one whose name has that in addition.
 
-    def open_next_to(self, suffix: str) -> IO[bytes]:
-        """Return an empty file whose name has a suffix more; there must be a path."""
-        assert self.path is not None
-        return self._emptied(suffix, self.path.with_name(self.path.name + suffix))
-
-    def _emptied(self, key: str, path: Path | None, instead_of: Path | None = None) -> IO[bytes]:
-        if key not in self._files:
-            self._files[key] = self.outputs.open(path, instead_of)
-        file = self._files[key]
+        What an earlier conversion wrote to it is dropped.
+        """
+        if suffix not in self._files:
+            path, source = self.path, self.instead_of
+            if path is not None and suffix:
+                path, source = path.with_name(path.name + suffix), None
+            self._files[suffix] = self.outputs.open(path, source)
+        file = self._files[suffix]
         file.seek(0)
         file.truncate()
         return file
@@ -146,7 +144,7 @@ def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
     if target.path is None:
         out.writelines(inlined(conversion))
         return
-    events = target.open_next_to(".events")
+    events = target.open(".events")
     events.write(EVENTS_HEADER)
     with compressing(out, _suffixes(target.path)[1]) as packed:
         for piece in conversion:

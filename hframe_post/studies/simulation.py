@@ -36,6 +36,7 @@ from hframe_post.prediction.windows import WINDOW, Windows
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import on_a_grid
 from hframe_post.stream.types import Samples
+from hframe_post.studies.uncertainty import draws
 from hframe_post.writers.print_time import duration
 
 # ---------------------------------------------------------------------- the report
@@ -240,6 +241,17 @@ class Study:
     name: str = ""
     doubts: Doubts | None = None
     exact: bool = False
+
+    @classmethod
+    def from_printer(
+        cls, printer: Printer, shares: Iterable[float], count: int, seed: int,
+        steps: Steps | None = None,
+    ) -> Study:  # fmt: skip
+        """Return the study of a printer, and of ``count`` random ones for each share."""
+        plant = printer.plant
+        drawn = {share: draws(plant, share, count, seed) for share in dict.fromkeys(shares)}
+        doubts = Doubts.from_plant(plant, printer.uncertainty)
+        return cls(plant, drawn, steps, printer.name, doubts)
 
 
 def simulate(

@@ -71,6 +71,12 @@ def test_simulate_under_model_error_on_steps_and_another_plant(tmp_path: Path) -
     assert b"median of 3 printers" in first.stderr  # standard output is the JSON's
 
 
+def test_standard_input_is_read_as_often_as_a_file(tmp_path: Path) -> None:
+    arguments = ("--shapers", "--json", "-", "--report", tmp_path / "page.html")
+    piped = run("simulate", "-", *arguments, stdin=RECTANGLE.read_bytes())
+    assert printed(piped) == printed(run("simulate", RECTANGLE, *arguments))
+
+
 USAGE = [
     (["simulate", "--model-error", "many"], "'many' is not a share"),
     (["simulate", "--seed", "-1"], "--seed"),
