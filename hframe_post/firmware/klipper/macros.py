@@ -111,42 +111,27 @@ def check_macros(config: KlipperConfig, printer: Printer, remedy: str) -> Iterat
 
     remedy: how hframe.cfg is written for this profile.
     """
-    for name, own in WRAPPERS.items():
-        yield from _replaced(config, name, f"gcode_macro {own}")
+    own, cancels = f"gcode_macro {WRAPPERS['CANCEL_PRINT']}", config.macros("CANCEL_PRINT")
+    if own in cancels and cancels[-1] != own:
+        included = f"include {FILE}"
+        here = config.place(included if config.has(included) else own, "")
+        yield Finding(
+            True,
+            f"{here}: [{cancels[-1]}] at {config.place(cancels[-1], '')} comes later, so its moves "
+            f"run with the limits of the converted file: {LAST}",
+        )
     written = config.lines(f"gcode_macro {END}")
-    if not any(config.has(f"gcode_macro {own}") for own in WRAPPERS.values()):
+    if not any(config.has(f"gcode_macro {each}") for each in WRAPPERS.values()):
         yield Finding(
             True,
             f"{config.path}: {FILE} is not included, so a print that is cancelled, paused or fails "
             f"leaves the limits of the converted file in force: {remedy}, copy {FILE} next to "
             f"printer.cfg, and {LAST}",
         )
-    elif not written or written[0].path.read_text("utf-8", "replace") != macros(printer, config):
-        place = written[0].path if written else config.path
+    elif not written or written[-1].path.read_text("utf-8", "replace") != macros(printer, config):
+        place = written[-1].path if written else config.path
         yield Finding(
             True,
             f"{place}: {FILE} is not what this profile gives: {remedy}, and copy {FILE} next to "
             "printer.cfg again",
-        )
-
-
-def _replaced(config: KlipperConfig, name: str, own: str) -> Iterator[Finding]:
-    """Yield what is wrong with the macros of a command. own: the section of hframe.cfg."""
-    sections = config.macros(name)
-    for section in sections:
-        bodies = config.lines(section, "gcode")
-        if len(bodies) > 1:
-            yield Finding(
-                section == own,
-                f"{bodies[-1].place}: replaces the [{section}] of {bodies[0].place}, because "
-                "Klipper merges sections of one name: delete one of them if that is not intended",
-            )
-    if name == "CANCEL_PRINT" and own in sections and sections[-1] != own:
-        later = config.place(sections[-1], "")
-        included = f"include {FILE}"
-        here = config.place(included if config.has(included) else own, "")
-        yield Finding(
-            True,
-            f"{here}: [{sections[-1]}] at {later} comes later, so its moves run with the limits "
-            f"of the converted file: {LAST}",
         )
