@@ -20,6 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import ifft
 from scipy.ndimage import median_filter
 from scipy.signal import find_peaks
 
@@ -32,8 +33,7 @@ from hframe_post.identification.recordings.clock import Aligned, not_found, slow
 EXCITED = 0.1  # of a test's usual power, from which a frequency counts as excited
 LATEST_GAP_HZ = 30.0  # at which a test begins at the latest
 LEAST_HZ = 8.0  # to which a test lasts at least; slow sweeping lies below
-LATEST = 0.08  # s by which the rough start may be off
-SLOW_HZ = 25.0  # below it a printer moves more than it racks
+STEP = 2e-4  # s between the delays that are tried
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,21 +56,17 @@ def direction(responses: list[FrequencyResponse]) -> Direction:
 
     Raises IdentificationError if the printer does not follow the command at low frequencies.
     """
-    hz = responses[0].hz
+    hz, power = responses[0].hz, responses[0].power
     H = np.array([one.H for one in responses])
-    size = np.sqrt((np.abs(H) ** 2).sum(axis=0))
-    slow = hz <= SLOW_HZ  # in the fast part the nozzle may rack more than it moves
-    strongest = int(np.argmax((np.abs(H) ** 2 * responses[0].power)[:, slow].sum(axis=1)))
-    excited = _excited(responses[strongest])
+    size = np.linalg.norm(H, axis=0)
+    whole = size**2 / (np.abs(H) ** 2 / np.array([one.coherence for one in responses])).sum(axis=0)
+    excited = _excited(hz, power, whole)
     resonance = _first_resonance(hz, size, excited)
     low, high = hz[excited][[0, -1]].tolist()
     low_end = max(0.7 * resonance, 2.5 * low)
     used = excited & (hz <= low_end)
-    unit = H[:, used] / np.abs(H[strongest, used])
-    weight = np.clip(responses[strongest].coherence, 0.0, 1.0)[used]
-    delays = np.arange(-LATEST, LATEST, 2e-4)
-    turned = np.exp(2j * np.pi * np.outer(hz[used], delays)) * weight[:, None]
-    delay = float(delays[np.argmax((np.abs(unit @ turned) ** 2).sum(axis=0))])
+    unit, weight = H[:, used] / size[used], np.clip(whole, 0.0, 1.0)[used]
+    delay = _delay(unit * weight, hz[used])
     lowest = hz[used] <= 0.6 * low_end
     along = (unit * np.exp(2j * np.pi * hz[used] * delay))[:, lowest]
     axis = _at_rest(along, hz[used][lowest], weight[lowest])
@@ -80,25 +76,34 @@ def direction(responses: list[FrequencyResponse]) -> Direction:
     return Direction(axis / np.linalg.norm(axis), delay, resonance, (low, high))
 
 
-def _excited(response: FrequencyResponse) -> Flags:
+def _delay(unit: Complex, hz: Array) -> float:
+    """Return the delay in s with which directions (3, k) at hz (k,), evenly spaced, are one."""
+    step = float(hz[1] - hz[0])
+    n = round(1.0 / (STEP * step))
+    at = np.rint(hz / step).astype(int)
+    spectrum = np.zeros((3, n), dtype=complex)
+    spectrum[:, at] = unit
+    best = int(np.argmax((np.abs(ifft(spectrum, axis=1)) ** 2).sum(axis=0)))
+    return STEP * (best - n if best > n // 2 else best)
+
+
+def _excited(hz: Array, power: Array, coherence: Array) -> Flags:
     """Flag the frequencies (k,) from the last gap at the low end to where the test ended.
 
     A test's pulses grow with the frequency. The slow sweeping under them has lines below, too, and
     the pulses have harmonics of a ninth of their power.
     """
-    coherence = _smoothed(response.coherence, response.hz, 1.0)
-    middle = response.hz <= LATEST_GAP_HZ
-    step = float(response.hz[1] - response.hz[0])
-    level = response.power / np.square(response.hz)
+    coherence = _smoothed(coherence, hz, 1.0)
+    middle = hz <= LATEST_GAP_HZ
+    step = float(hz[1] - hz[0])
+    level = power / np.square(hz)
     steady = median_filter(level, max(round(2.0 / step), 1), mode="nearest")
-    usual = float(
-        np.median(level[steady > EXCITED * steady[response.hz > LEAST_HZ].max(initial=0.0)])
-    )
+    usual = float(np.median(level[steady > EXCITED * steady[hz > LEAST_HZ].max(initial=0.0)]))
     inside = ~middle & (steady > EXCITED * usual)
     if not inside.any() or np.median(coherence[inside]) < verdict.COHERENCE:
         raise not_found()
     gaps = np.flatnonzero(middle & (steady < EXCITED * usual))
-    flags = np.zeros(len(response.hz), dtype=bool)
+    flags = np.zeros(len(hz), dtype=bool)
     ends = slice(int(gaps[-1]) + 1 if gaps.size else 0, int(np.flatnonzero(inside)[-1]) + 1)
     flags[ends] = True
     return flags
