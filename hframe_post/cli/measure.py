@@ -152,6 +152,7 @@ class _File:
 def _write(target: Path, printer: str, files: Sequence[_File]) -> None:
     from hframe_post.identification.recordings.formats import command_csv
 
+    target.parent.mkdir(parents=True, exist_ok=True)  # the recordings are to be put there, too
     with Outputs(files_read(printer)) as outputs:
         motions = [(outputs.open(file.path), file) for file in files]
         commands = [

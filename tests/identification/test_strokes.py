@@ -132,23 +132,24 @@ def test_other_firmware_is_an_error() -> None:
 
 
 def test_writes_gcode_and_the_command(tmp_path: Path) -> None:
-    out = tmp_path / "m.gcode"
+    folder = tmp_path / "recordings"  # which is made
+    out = folder / "m.gcode"
     done = run("measure", "-p", "paper", "-o", out, "--position", "80,100", "--chip", "hotend")
     assert done.returncode == 0, done.stderr
     names = ["measure-at-80"]
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(
+    assert sorted(p.name for p in folder.iterdir()) == sorted(
         ["m.gcode", *(f"m.{name}.csv" for name in names)]
     )
     text = out.read_text()
     assert re.findall(r"_HFRAME_RECORDED CHIPS=hotend NAME=(.*)", text) == names
     assert re.findall(r"ACCELEROMETER_MEASURE CHIP=hotend NAME=(.*)", text) == names
     (one,) = runs(load("paper"), [(80.0, 100.0)])
-    written = read_command(tmp_path / f"m.{one.name}.csv")
+    written = read_command(folder / f"m.{one.name}.csv")
     below(float(np.abs(written - one.command).max()), 1e-6, "off the command, mm")
     said = done.stderr.decode()
     assert "in all, of strokes as in a print of up to 300 mm/s and 10000 mm/s²" in said
     assert "hframe-post identify -p paper" in said
-    assert "*-measure-*.csv" in said
+    assert f'*-measure-*.csv" {folder}' in said
 
 
 def test_one_sensor_of_a_bed_slinger_is_moved_between_two_files(tmp_path: Path) -> None:
