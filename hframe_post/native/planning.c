@@ -82,7 +82,9 @@ LOOP(limit_moves, FLOATS(0, COLUMNS * (COUNT(4) + 1)), FLOATS(1, COUNT(4)), FLOA
      FLOATS(3, COUNT(4)), COUNT(4), (const struct rules *)FLOATS(5, sizeof(struct rules) / sizeof(double)),
      (struct limited *)OUT_FLOATS(6, OF_MOVE * COUNT(4)))
 
-#define GENTLE 0.71 /* as in planning.py */
+/* cosine of the turns with which an arc must fit into short moves: Marlin takes √½, with which rounding
+ * decides at the 45° of infill */
+#define GENTLE 0.71
 #define STRAIGHT 0.999999 /* cosine; moves back within it stop */
 
 /* Return the greatest speed between two moves, as a board with junction deviation finds it: their
@@ -118,7 +120,8 @@ static double deviation_speed(const double *one, const double *other, struct lim
     return sqrt(v2);
 }
 
-/* Return the greatest speed between two moves, as corners.py finds it. */
+/* Return the greatest speed between two moves, as Klipper finds it. In a reversal 1 − cosθ consists of
+ * rounding, which must be Klipper's: hence not one/length. */
 static double junction_speed(const double *one, const double *other, struct limited a,
                              struct limited b, double extruder_corner)
 {

@@ -11,8 +11,8 @@ R = sin(θ/2)/(1 − sin(θ/2)):
     v² ≤ ½·length·a·tan(θ/2)            the arc must fit into half of each move
     v ≤ corner velocity / |Δ(e per mm)| sudden change of extrusion speed
 
-A square corner (θ = 90°) is passed at v_sc where deviation = (√2 − 1)·v_sc²/a. In C this is a part
-of the loops of ``planning.c`` and ``ramps.c``.
+A square corner (θ = 90°) is passed at v_sc where deviation = (√2 − 1)·v_sc²/a. These rules are
+in ``planning.c`` and ``ramps.c``.
 
 A board with junction deviation has the first of these rules, with differences. Directions are those
 of all motors, also of z and filament: it passes from motion into a retraction at a speed. Along the
@@ -23,15 +23,12 @@ where the path turns by less than 45°.
 from __future__ import annotations
 
 import math
+from enum import IntEnum
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, Integers
 from hframe_post.native import kernels
-
-# cosine of the turns with which an arc must fit into short moves: Marlin takes √½, with which
-# rounding decides at the 45° of infill
-GENTLE = 0.71
 
 
 def junction_deviation(square_corner_velocity: Array | float, acceleration: Array | float) -> Array:
@@ -48,9 +45,7 @@ def square_corner_velocity(deviation: float, acceleration: float) -> float:
 # ----------------------------------------------------------------------
 # Look-ahead over a queue of moves: limits, junctions, and speeds of runs.
 #
-# Moves are a table (n, 5): length, cruise speed, acceleration and junction deviation of each, and
-# whether x and y rest, 1, and the machine before and after it, 2. See ``planner.lookahead`` for the
-# rules.
+# Moves are a table (n, 5). See ``planner.lookahead`` for the rules.
 
 PLATEAU = 256  # moves at cruise speed in a run
 # Shares of acceleration and jerk, and of the cruise speed at vertices, that keep Ruckig off the
@@ -60,6 +55,20 @@ STEEP = 1.0  # rise over run above which a move starts and ends at rest
 CREEP = 0.01  # mm/s; a junction that allows less is a stop
 
 Runs = tuple[Array, Integers, Array]
+
+
+class Column(IntEnum):
+    """Columns of a table of moves.
+
+    DEVIATION: of its junctions. ALONE: whether x and y rest, 1, and the machine before and after
+    it, 2.
+    """
+
+    LENGTH = 0
+    CRUISE = 1
+    ACCELERATION = 2
+    DEVIATION = 3
+    ALONE = 4
 
 
 def limit_moves(

@@ -315,7 +315,7 @@ function frame() {
     add($("strategies"), button);
   });
   $("layer").max = Math.max(data.layers.length - 1, 0);
-  if (data.coarse) $("sampled").textContent = `This print is long: its path is shown in pieces of up to ${data.coarse[0]} mm, each with its largest error; places may be off by ${Math.round(1000 * data.coarse[1])} µm.`;
+  if (data.coarse) $("sampled").textContent = `This print is long: its path is shown in pieces of up to ${data.coarse[0]} mm, each with the largest error of its samples, 4 ms apart; places may be off by ${Math.round(1000 * data.coarse[1])} µm.`;
 }
 frame(); cards();
 load().then(() => {

@@ -30,6 +30,7 @@ from hframe_post.arrays import Array, Integers, Z
 from hframe_post.native.planning import (
     BELOW_CRUISE,
     STEEP,
+    Column,
     Runs,
     find_runs,
     greatest_speeds,
@@ -52,8 +53,7 @@ from hframe_post.stream.types import (
 BATCH = 4096  # moves planned at once; more if none of their speeds is final
 LONGEST_QUEUE = 16 * BATCH
 MELTED = 50.0  # mm/s of filament, more than any hot end melts
-CRUISE, ACCELERATION, ALONE = 1, 2, 4  # columns of ``limit_moves``
-AT_REST = 2.0  # in the last of these: the machine rests before and after the move
+AT_REST = 2.0  # of ALONE: the machine rests before and after the move
 SHORT = 1.0  # mm; only into shorter moves must an arc fit, on a board with junction deviation
 # of the accelerations in z, and in filament taken back, while x and y move: what compensation adds
 # needs the rest. On a host's steps of a slice, the nozzle was off by 5 % more with all of them
@@ -158,7 +158,7 @@ class Lookahead:
         rules = self._rules_with(self._file_limits)
         moves, rests = self._as_moves(items)
         table = limit_moves(moves.points, moves.speed, moves.acceleration, moves.corner, rules)
-        table[rests, ALONE] = AT_REST
+        table[rests, Column.ALONE] = AT_REST
         corners, caps = self._caps(moves.points, table, rules)
         self._moves.append(Limited(moves.line, moves.points, table, caps[:-1], corners[:-1]))
 
@@ -253,7 +253,7 @@ class Lookahead:
         """
         if not self.joins:
             return count
-        alone, count = moves.limits[:, ALONE], min(count, len(ends) - 2)
+        alone, count = moves.limits[:, Column.ALONE], min(count, len(ends) - 2)
         while count > 0 and alone[ends[count]] > alone[ends[count] - 1]:
             count -= 1
         return max(count, 0)
@@ -283,14 +283,14 @@ class Lookahead:
 
     def _brake_late(self, caps: Array, table: Array) -> None:
         """Raise the speeds (n − 1,) between moves to those that braking late leads to."""
-        late = np.sqrt(np.square(caps) + 2.0 * self._late * table[1:, ACCELERATION])
-        slower = BELOW_CRUISE * np.minimum(table[:-1, CRUISE], table[1:, CRUISE])
+        late = np.sqrt(np.square(caps) + 2.0 * self._late * table[1:, Column.ACCELERATION])
+        slower = BELOW_CRUISE * np.minimum(table[:-1, Column.CRUISE], table[1:, Column.CRUISE])
         caps[:] = np.where(caps > 0.0, np.minimum(late, slower), 0.0)
 
     def _joints(self, moves: Limited) -> Array:
         """Return the greatest speeds (n + 1,) at the ends of moves; at the first, the speed."""
         caps = np.empty(len(moves.caps) + 1)
-        caps[:-1], caps[-1] = moves.caps, BELOW_CRUISE * moves.limits[-1, CRUISE]
+        caps[:-1], caps[-1] = moves.caps, BELOW_CRUISE * moves.limits[-1, Column.CRUISE]
         caps[0] = self._speed
         return caps
 
@@ -307,7 +307,8 @@ class Lookahead:
         self._marks = [marks.rows(passed).shifted(-n)] if passed < len(marks) else []
         self._speed = float(speed[-1])
         self.count -= n
-        cruise, acceleration = moves.limits[ends[:-1], CRUISE : ACCELERATION + 1].T.copy()
+        own = moves.limits[ends[:-1], Column.CRUISE : Column.DEVIATION]
+        cruise, acceleration = own.T.copy()
         return Plan(
             moves.line[:n], moves.points[: n + 1], s[: n + 1],
             ends, speed, cruise, acceleration, marks.rows(0, passed) if marks else marks,
