@@ -69,15 +69,6 @@ class Shaper:
             command += np.multiply(taps[k], padded[k : k + len(path)], out=term)
         return command
 
-    def residual(self, hz: Array, damping: float) -> Array:
-        """Return the share of ringing that remains of modes at ``hz`` (k,): Singer and Seering."""
-        omega = 2.0 * np.pi * hz[:, None]
-        phase = omega * np.sqrt(1.0 - damping**2) * self.T
-        growth = self.A * np.exp(damping * omega * (self.T - self.T[-1]))
-        return np.asarray(
-            np.hypot((growth * np.cos(phase)).sum(1), (growth * np.sin(phase)).sum(1))
-        )
-
 
 def shaper(name: str, hz: float, damping: float) -> Shaper:
     """Return the shaper of that name for a mode of a damping ratio. Raises HframeError."""
