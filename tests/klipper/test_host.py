@@ -73,7 +73,7 @@ def test_a_failure_shows_the_log(tmp_path: Path, text: str, message: str) -> Non
 
 MAINLINE = os.environ.get("MAINLINE_KLIPPER", "")
 SET = ("test_host.py", "test_playback.py")
-LIVE = ("../live/test_host.py::test_the_hosts_steps_are_the_kernels",)
+LIVE = ("../live/test_host.py::test_the_hosts_steps_are_the_kernels[hbot]",)
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ STEPS = (
     ("simulate", BOTH, r"0( +[\d.]+){3}", ""),
     ("@", BOTH, SUMMARY, PART),
     ("measure --for check -o c.gcode", ("voron",), "  hframe-post check", r"c\.\S+\.csv c\.gcode"),
-    ("check", BOTH, "uncertainty  ±", ""),
+    ("check", BOTH, "Nothing is written", ""),
     ("check checked", ("voron",), "Nothing is written. To keep it", ""),
     ("calibrate-print --heat 210,60 -o t.gcode", BOTH, r"Print t\.gcode\.", rf"{FORM} t\.gcode"),
     (f"calibrate-print --form {FORM} -o n.toml", BOTH,

@@ -167,15 +167,18 @@ def rests_before(a: Array, start: float) -> bool:
 def check_motion(fit: Match, line: ChirpLine, hz: Array, level: Array) -> None:
     """Raise IdentificationError if what a recording shows at low frequencies is another motion."""
     grows = f"the recording's frequency grows by {line.slope:.3g} Hz/s as in a resonance test, but"
-    if float(np.polyfit(np.log(hz), np.log(level), 1)[0]) < verdict.TEST_GROWTH:
+    growth = float(np.polyfit(np.log(hz), np.log(level), 1)[0])
+    if growth < verdict.TEST_GROWTH:
         raise IdentificationError(
-            f"{grows} its acceleration does not grow with it: this is another program's sweep"
+            f"{grows} its acceleration does not grow with it (to its power of {1.0 + growth:.2f}; "
+            f"a test to {1.0 + verdict.TEST_GROWTH:g} or more): this is another program's sweep"
         )
     if fit.like < verdict.TEST_EXPLAINED:
         raise IdentificationError(
             f"{grows} only {100.0 * max(fit.like, 0.0):.0f} % of what it shows below "
-            f"{hz[-1]:.0f} Hz is that motion. Either {ELSEWHERE}, or input shaping was on "
-            "(INPUT_SHAPING=1), or another program made it"
+            f"{hz[-1]:.0f} Hz is that motion, not {100.0 * verdict.TEST_EXPLAINED:.0f} % or more. "
+            f"Either {ELSEWHERE}, or input shaping was on (INPUT_SHAPING=1), or another program "
+            "made it"
         )
 
 
@@ -195,8 +198,8 @@ def check_level(fit: Match, level: float, expected: ResonanceTest) -> None:
             f"accel_per_hz in [resonance_tester], which is {expected.accel_per_hz:g}"
         )
     raise IdentificationError(
-        f"the recording shows {100.0 * share:.0f} % of the acceleration that the test makes: "
-        f"{cause}"
+        f"the recording shows {100.0 * share:.0f} % of the acceleration that the test makes, not "
+        f"{100.0 * verdict.TEST_LEVEL:.0f} % or more: {cause}"
     )
 
 
@@ -205,10 +208,11 @@ def check_shaping(hz: Array, level: Array, base: float) -> None:
     if level.max() < verdict.TEST_PEAK * base and level.min() < 0.5 * base:
         fades = float(hz[np.flatnonzero(level < 0.5 * base)[0]])
         raise IdentificationError(
-            f"the recording shows no resonance, and from {fades:.0f} Hz on less than half of the "
-            "test's motion. Either input shaping was on (repeat TEST_RESONANCES without "
-            "INPUT_SHAPING=1), or something soft lies between motors and sensor, such as a slack "
-            "belt or a sensor that is not screwed on"
+            f"the recording shows no resonance (at most {level.max() / base:.1f} times its level "
+            f"at low frequencies, not {verdict.TEST_PEAK:g}), and from {fades:.0f} Hz on less than "
+            "half of the test's motion. Either input shaping was on (repeat TEST_RESONANCES "
+            "without INPUT_SHAPING=1), or something soft lies between motors and sensor, such as "
+            "a slack belt or a sensor that is not screwed on"
         )
 
 
