@@ -81,6 +81,8 @@ def setup(
         set_default(os.path.abspath(files[0]))
         click.echo(f"profile          {files[0]}, from now on the default")
         return
+    if folder is not None and folder.suffix == ".toml":
+        raise click.UsageError(f"-o names the folder of {PROFILE}: write -o {folder.parent}")
     made = NewProfile(files, (folder or Path()) / PROFILE, kinematics, bed, reset)
     made.write()
     click.echo("\n".join(made.conclude()))

@@ -57,6 +57,13 @@ def test_setup_writes_profile_and_macros_and_makes_the_profile_the_default(confi
     assert at_home("connect", "klipper").stdout == (config.parent / "hframe.cfg").read_bytes()
 
 
+def test_the_name_of_a_profile_is_no_folder(config: Path) -> None:
+    done = run("setup", config, "-o", config.parent / "my.toml")
+    assert done.returncode == 2
+    assert f"write -o {config.parent}" in done.stderr.decode()
+    assert [*config.parent.iterdir()] == [config]
+
+
 def test_again_it_changes_nothing_and_says_what_differs(config: Path) -> None:
     own = config.parent / "printer.toml"
     set_up(config)
