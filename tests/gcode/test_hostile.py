@@ -191,8 +191,10 @@ def test_what_else_shows_that_e_is_absolute(text: tuple[str, ...], expected: flo
     assert filament(*text) == expected
 
 
-@pytest.mark.parametrize("own", ["BED_MESH_CALIBRATE", "SET_KINEMATIC_POSITION X=0 Y=0 Z=10"])
-def test_commands_of_klippers_own_set_no_mode(own: str) -> None:
+@pytest.mark.parametrize(
+    "own", ["BED_MESH_CALIBRATE", "SET_KINEMATIC_POSITION X=0 Y=0 Z=10", "L83", "M\x053"]
+)
+def test_commands_of_klippers_own_and_no_commands_set_no_mode(own: str) -> None:
     """A macro may; so what looks relative after these is asked for, not believed."""
     with pytest.raises(GcodeError, match="its numbers look relative"):
         filament(own, *START[1:], *EQUAL)

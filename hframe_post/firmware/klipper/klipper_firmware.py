@@ -51,8 +51,9 @@ def _object_label(text: bytes) -> bytes | None:
 
 
 def _may_be_macro(name: str) -> bool:
-    coded = name[:1] in "GMT" and name[1:].isdigit()
-    return not (coded or name.startswith(OWN_COMMANDS))
+    """Return whether Klipper allows a macro of this name, and has no command of its own by it."""
+    legal = name.isascii() and name.replace("_", "A").isalnum() and not name[1:2].isdigit()
+    return legal and not name.startswith(OWN_COMMANDS)
 
 
 def _dwell(words: Words) -> float:
