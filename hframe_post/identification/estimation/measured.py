@@ -53,7 +53,7 @@ class Run:
     @property
     def known_start(self) -> bool:
         """Return whether the printer's own clock tells when the motion began."""
-        return self.clock is not None and self.clock.told
+        return self.clock is not None and self.clock.is_exact
 
     @property
     def axes(self) -> tuple[int, ...]:

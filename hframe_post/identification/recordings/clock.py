@@ -6,17 +6,17 @@ the command (``Clock``). What is known of it beforehand is of three kinds:
 ===================  =======================  =======================================
 motion               start                    drift
 ===================  =======================  =======================================
-strokes              told by the printer      0: Klipper's samples have its print time
+strokes              by the printer's clock   0: Klipper's samples have its print time
 TEST_RESONANCES      within some ms           within 0.06 %
 Marlin's sweep       not known                within 3 %
 ===================  =======================  =======================================
 
-**Told.** The start of a command on Klipper's clock is the time in the recording's name at which the
-motion had ended, less the command's duration; without it, half a sample before the first sample,
+**Known.** The start of a command on Klipper's clock is the time in the recording's name, at which
+the motion had ended, less the command's duration; without it, half a sample before the first one,
 since Klipper keeps the samples from the first call of ACCELEROMETER_MEASURE on. Nothing is left to
 estimate, but each part must follow the command in time, or the motion stopped in between.
 
-**Not told.** The frequency of such motions grows steadily, and draws a line into the spectrograms
+**Unknown.** The frequency of such motions grows steadily, and draws a line into the spectrograms
 of command and recording (``chirp``). Their slopes and origins show start and rate, to some ms. Then
 the rate is refined: the same frequency is excited at several times, by the sine, by its harmonics
 and by slow motion beneath it, and on the right clock all of them have one phase, so that the
@@ -71,7 +71,7 @@ class Clock:
     """A sensor's clock.
 
     start: s on it at the first row of the command. drift: by how much it runs fast. sd: standard
-    deviation of the start in s, if the printer's own clock told it; else None.
+    deviation of the start in s, if the printer's own clock reports it; else None.
     """
 
     start: float
@@ -79,8 +79,8 @@ class Clock:
     sd: float | None = None
 
     @property
-    def told(self) -> bool:
-        """Return whether the printer's own clock told the start."""
+    def is_exact(self) -> bool:
+        """Return whether the printer's own clock reports the start."""
         return self.sd is not None
 
     def at(self, rows: Array | Integers) -> Array:
@@ -163,9 +163,9 @@ class Aligned:
 def aligned(command: Array, recording: Recording, known: Clock | None = None) -> Aligned:
     """Return the recording on the clock of a command (m, k), accelerations in mm/s².
 
-    recording: in any axes, also left-handed ones. known: the clock, exactly if its start was told,
-    else to 20 ms over the recording. Raises IdentificationError if the recording does not contain
-    the command.
+    recording: in any axes, also left-handed ones. known: the clock, exactly if its start is
+    reported, else to 20 ms over the recording. Raises IdentificationError if the recording does not
+    contain the command.
     """
     moving = np.flatnonzero((np.abs(command) > AT_REST * np.abs(command).max(initial=0.0)).any(1))
     if not moving.size:
@@ -174,18 +174,18 @@ def aligned(command: Array, recording: Recording, known: Clock | None = None) ->
     begins, ends = clock.at(moving[[0, -1]]).tolist()
     # strokes begin at rest; half of that, in case the start is late
     resting = recording.t <= (recording.t[0] + begins) / 2.0
-    offset = recording.a[resting] if clock.told and resting.any() else recording.a
+    offset = recording.a[resting] if clock.is_exact and resting.any() else recording.a
     sensor = Resampler(recording.t, recording.a - offset.mean(axis=0))
     sensor.check_covers((begins, ends), verdict.UNRECORDED_S)
     middle = TS * float(moving.mean())
-    for within in () if clock.told else WITHIN[1:] if known else WITHIN:
+    for within in () if clock.is_exact else WITHIN[1:] if known else WITHIN:
         by = _refined(command[:, 0], sensor.resampled(clock, len(command)), within)
         start = clock.start if known else clock.start - by * middle
         clock = Clock(start, clock.drift + by)
-    whole = np.pad(command, ((0, 0 if clock.told else TAIL), (0, 0)))
+    whole = np.pad(command, ((0, 0 if clock.is_exact else TAIL), (0, 0)))
     recorded = sensor.recorded(clock.at(np.arange(len(whole))))[:, None]
     found = Aligned(whole * recorded, sensor.resampled(clock, len(whole)) * recorded, clock)
-    if clock.told:
+    if clock.is_exact:
         _check_in_time(slow_part(found.command), slow_part(found.acceleration))
     return found
 
@@ -235,7 +235,7 @@ def _refined(command: Array, acceleration: Array, reach: float) -> float:
     return float(drifts[np.argmin(unexplained)])
 
 
-# ---------------------------------------------------------------------- told by the printer
+# ---------------------------------------------------------------------- reported by the printer
 
 PLAYED_SD = 2e-5  # s: by how much Klipper plays a motion longer or shorter than its command
 AGREED = 1e-3  # s by which the two starts may differ, beyond the time between samples

@@ -56,7 +56,7 @@ from hframe_post.writers.gcode import GcodeWriter
 from hframe_post.writers.print_time import Output, duration
 
 OUTER = 60.0  # mm from the middle of x to the outer places: the paper's longest arm (its Fig. 4)
-NEAREST = 10.0  # mm; racking cannot be told from places that are closer
+NEAREST = 10.0  # mm; racking cannot be found from places that are closer
 EDGE = 7.0  # mm from an outer place to the edge of the travel, at least
 MULTIPLE = 3.5  # of a run's acceleration, allowed to Klipper: with 3 it is late by 0.03 ms
 APPROACH = 100.0  # mm/s, to the place of a run
