@@ -1,3 +1,5 @@
+#include <stddef.h>
+
 #include "kernels.h"
 
 struct stepper { double hz, extra_tick, smoothing_hz, ahead, development, s_curve, slowest; };
@@ -33,8 +35,24 @@ INSIDE double rate_at(double t, const struct ramp *ramp, int s_curve)
     return floor(ramp->start + way * (u * u * u) * (10.0 - 15.0 * u + 6.0 * u * u));
 }
 
+/* Ticks that have passed, interrupts since the last step, and where the time of the next one goes. */
+struct count { double passed, made, *next; };
+
+/* Count an interrupt of so many ticks, if anything counts. */
+INSIDE void count(struct count *c, double ticks, double shares, const struct stepper *s)
+{
+    if (c == NULL)
+        return;
+    c->passed += ticks + s->extra_tick;
+    if (++c->made < shares)
+        return;
+    *c->next++ = c->passed / s->hz;
+    c->made = 0.0;
+}
+
 /* Return the seconds of a ramp; reached: its last rate. */
-INSIDE double ramped(const struct ramp *ramp, double shares, const struct stepper *s, double *reached)
+INSIDE double ramped(const struct ramp *ramp, double shares, const struct stepper *s,
+                     struct count *c, double *reached)
 {
     double taken = 0.0, t = ramp->ahead / s->hz;
     *reached = ramp->start;
@@ -43,6 +61,7 @@ INSIDE double ramped(const struct ramp *ramp, double shares, const struct steppe
         double ticks = floor(s->hz / (*reached * shares)), interval = ticks / s->hz;
         taken += s->extra_tick == 0.0 ? interval : seconds(s, ticks);
         t += interval;
+        count(c, ticks, shares, s);
     }
     return taken;
 }
@@ -56,7 +75,7 @@ INSIDE double rounded(double w, double rate, const struct stepper *s)
 }
 
 INSIDE double block_seconds(double n, double a, double begin, double rate, double end,
-                            const struct stepper *s)
+                            const struct stepper *s, struct count *c)
 {
     int development = s->development != 0.0, s_curve = s->s_curve != 0.0;
     begin = rounded(begin, rate, s), end = rounded(end, rate, s);
@@ -76,11 +95,14 @@ INSIDE double block_seconds(double n, double a, double begin, double rate, doubl
     if (s_curve && !(n - up - down > 0.0))
         reach = lesser(sqrt(begin * begin + 2.0 * a * up), rate);
     struct ramp ramp = {begin, reach, a, rising, s->ahead * first};
-    double climb = ramped(&ramp, shares, s, &top);
+    count(c, first, shares, s);
+    double climb = ramped(&ramp, shares, s, c, &top);
+    for (double k = 0.0; c != NULL && k < cruising; k++)
+        count(c, cruise, shares, s);
     top = s_curve || (development && cruising > 0.0) ? reach : top;
     double lead = cruising > 0.0 ? s->ahead * cruise : rising > 0.0 ? 0.0 : s->ahead * first;
     ramp = (struct ramp){greater(top, end), end, a, falling, development ? lead : 0.0};
-    double drop = ramped(&ramp, shares, s, &top);
+    double drop = ramped(&ramp, shares, s, c, &top);
     return seconds(s, first) + climb + cruising * seconds(s, cruise) + drop;
 }
 
@@ -90,13 +112,29 @@ WIDE static int64_t marlin_block_times(int64_t k, const double *n, const double 
                                        const struct stepper *s, double *taken)
 {
     for (int64_t i = 0; i < k; i++)
-        taken[i] = block_seconds(n[i], a[i], begin[i], rate[i], end[i], s);
+        taken[i] = block_seconds(n[i], a[i], begin[i], rate[i], end[i], s, NULL);
     return k;
 }
 
 LOOP(marlin_block_times, COUNT(0), FLOATS(1, COUNT(0)), FLOATS(2, COUNT(0)), FLOATS(3, COUNT(0)),
      FLOATS(4, COUNT(0)), FLOATS(5, COUNT(0)), (const struct stepper *)FLOATS(6, STEPPER),
      OUT_FLOATS(7, COUNT(0)))
+
+/* t (sum of n): when each step of all blocks is made, s. */
+static int64_t marlin_step_times(int64_t k, const int64_t *n, const double *a, const double *begin,
+                                 const double *rate, const double *end, const struct stepper *s,
+                                 double *t)
+{
+    struct count c = {0.0, 0.0, t};
+    for (int64_t i = 0; i < k; i++)
+        if (n[i] > 0)
+            block_seconds((double)n[i], a[i], begin[i], rate[i], end[i], s, &c);
+    return k;
+}
+
+LOOP(marlin_step_times, COUNT(0), PARTS(1, COUNT(0), ITEMS(7)), FLOATS(2, COUNT(0)),
+     FLOATS(3, COUNT(0)), FLOATS(4, COUNT(0)), FLOATS(5, COUNT(0)),
+     (const struct stepper *)FLOATS(6, STEPPER), OUT_FLOATS(7, 0))
 
 /* Return the speed between the blocks i - 1 and i, of which one runs at v_s and the other at v. */
 INSIDE double joint(const struct blocks *b, int64_t i, double v_s, double v, int free_entry,
@@ -119,7 +157,7 @@ WIDE static void find_times(const struct blocks *b, int64_t k, const double *v, 
         double end = i + 1 < k ? joint(b, i + 1, v[i], v[i + 1], free_entry, s)
                                : lesser(v[i], b->corners[k]);
         double per_mm = s->development != 0.0 ? b->n[i] / b->d[i] : rate[i] / v[i];
-        taken[i] = block_seconds(b->n[i], b->a[i], begin * per_mm, rate[i], end * per_mm, s);
+        taken[i] = block_seconds(b->n[i], b->a[i], begin * per_mm, rate[i], end * per_mm, s, NULL);
         begin = end;
     }
 }

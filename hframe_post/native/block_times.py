@@ -24,11 +24,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
-from hframe_post.arrays import Array, Integers
+from hframe_post.arrays import Array
 from hframe_post.native import kernels
 from hframe_post.native.whole_steps import Blocks
 
@@ -48,25 +47,6 @@ class Timer:
     hz: float
     extra_tick: bool = False
     smoothing_hz: float = 0.0
-
-    def interrupts(self, rate: Array) -> Array:
-        """Return the interrupts a step, (k,), in blocks of nominal rates (k,)."""
-        if not self.smoothing_hz:
-            return np.ones(len(rate))
-        below = np.ceil(self.smoothing_hz / rate) - 1.0  # most that stay under smoothing_hz
-        _, exponent = np.frexp(np.maximum(below, 1.0))
-        return np.asarray(np.ldexp(1.0, exponent - 1))
-
-    def ticks(self, rate: Array) -> Array:
-        return np.floor(self.hz / rate)
-
-    def step(self, rate: Array) -> Array:
-        """Return the seconds that a step takes, (k,), at constant rates (k,)."""
-        shares = self.interrupts(rate)
-        return shares * self.seconds(self.ticks(rate * shares))
-
-    def seconds(self, ticks: Array) -> Array:
-        return (ticks + float(self.extra_tick)) / self.hz
 
 
 UNROUNDED = Timer(1e15)  # with ticks too short for rounding to matter
@@ -104,144 +84,15 @@ def block_times(blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: 
     return taken
 
 
-class _Interrupts(NamedTuple):
-    """Ticks of the interrupts of all blocks (m,); the index of each block's first, and past it."""
-
-    ticks: Array
-    first: Integers
-    past: Integers
-
-
 def step_times(blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper) -> Array:
     """Return when each step of all blocks is made, (m,), in seconds from the start of the first.
 
     The arguments are those of ``block_times``.
     """
-    timer = stepper.timer
-    shares = timer.interrupts(rate)
-    own = (blocks.n * shares).astype(np.int64)
-    past = np.cumsum(own)
-    made = _Interrupts(np.repeat(timer.ticks(rate * shares), own), past - own, past)
-    found = _development_times if stepper.development else _released_times
-    found(blocks, begin, rate, end, stepper, made)
-    whole = np.cumsum(np.repeat(shares, blocks.n.astype(np.int64))).astype(np.int64) - 1
-    total = np.cumsum(made.ticks + float(timer.extra_tick))
-    return np.asarray(total[whole] / timer.hz)
-
-
-def _released_times(
-    blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper,
-    made: _Interrupts,
-) -> Array:  # fmt: skip
-    """Return block times of 2.0 and 2.1, and write the ramps' interrupts to ``made``."""
-    n, _, a, _ = blocks
-    timer, s_curve = stepper.timer, stepper.s_curve
-    begin, end = (np.minimum(np.maximum(np.ceil(w - 1e-6), SLOWEST), rate) for w in (begin, end))
-    rise, fall, meet = _ramp_lengths(n, a, begin, rate, end)
-    up, down = _fitting(n, np.ceil(rise), np.floor(fall), np.ceil(meet))
-    shares = timer.interrupts(rate)
-    after_first = n * shares - 1.0
-    rising = _between(up * shares, after_first)
-    falling = _between(down * shares - 1.0, after_first - rising)
-    cruising = after_first - rising - falling
-    first, cruise = timer.ticks(begin * shares), timer.ticks(rate * shares)
-    reach = rate
-    if s_curve:  # a curve must know where it will end
-        met = np.minimum(np.sqrt(begin**2 + 2.0 * a * up), rate)
-        reach = np.where(n - up - down > 0.0, rate, met)
-    up_to, down_to = _places(made, first, falling)
-    climb, top = _ramp(begin, reach, a, rising, stepper.ahead * first, shares, stepper, up_to)
-    top = np.maximum(reach if s_curve else top, end)
-    drop, _ = _ramp(top, end, a, falling, np.zeros(len(n)), shares, stepper, down_to)
-    return np.asarray(timer.seconds(first) + climb + cruising * timer.seconds(cruise) + drop)
-
-
-def _development_times(
-    blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper,
-    made: _Interrupts,
-) -> Array:  # fmt: skip
-    """Return block times of 2.1-dev, whose ramps are ahead by half an interval.
-
-    They are an interval shorter at the top than before, and an interval longer at the foot.
-    """
-    n, _, a, _ = blocks
-    timer, ahead = stepper.timer, stepper.ahead
-    # Marlin rounds halves up
-    begin, end = (np.minimum(np.maximum(np.floor(w + 0.5), 1.0), rate) for w in (begin, end))
-    rise, fall, meet = _ramp_lengths(n, a, begin, rate, end)
-    up, down = _fitting(n, np.ceil(rise), np.ceil(fall), np.floor(meet + 0.5))
-    shares = timer.interrupts(rate)
-    after_first = n * shares - 1.0
-    rising = _between(up * shares - 1.0, after_first)
-    falling = _between(down * shares, after_first - rising)
-    cruising = after_first - rising - falling
-    first, cruise = timer.ticks(begin * shares), timer.ticks(rate * shares)
-    up_to, down_to = _places(made, first, falling)
-    climb, top = _ramp(begin, rate, a, rising, ahead * first, shares, stepper, up_to)
-    lead = np.where(rising > 0, 0.0, ahead * first)
-    lead = np.where(cruising > 0, ahead * cruise, lead)
-    top = np.maximum(np.where(cruising > 0, rate, top), end)
-    drop, _ = _ramp(top, end, a, falling, lead, shares, stepper, down_to)
-    return np.asarray(timer.seconds(first) + climb + cruising * timer.seconds(cruise) + drop)
-
-
-def _places(made: _Interrupts, first: Array, falling: Array) -> tuple[_Interrupts, _Interrupts]:
-    """Write the first ticks (k,) of blocks; return where both ramps write theirs."""
-    made.ticks[made.first] = first
-    return (
-        made._replace(first=made.first + 1),
-        made._replace(first=made.past - falling.astype(np.int64)),
-    )
-
-
-def _ramp_lengths(
-    n: Array, a: Array, begin: Array, rate: Array, end: Array
-) -> tuple[Array, Array, Array]:
-    """Return steps (k,) of the rising and the falling ramp, and where two too long ones meet."""
-    rise, fall = ((rate**2 - w**2) / (2.0 * a) for w in (begin, end))
-    return rise, fall, (n + (rise - fall)) / 2.0  # exactly the middle if they are alike
-
-
-def _fitting(n: Array, up: Array, down: Array, meet: Array) -> tuple[Array, Array]:
-    """Return both ramps' steps (k,) without more of them than the n of the block."""
-    meet = _between(meet, n)
-    short = up + down > n
-    return np.where(short, meet, up), np.where(short, n - meet, down)
-
-
-def _between(x: Array, most: Array) -> Array:
-    return np.minimum(np.maximum(x, 0.0), most)  # np.clip takes twice as long
-
-
-def _ramp(
-    start: Array, end: Array, a: Array, interrupts: Array, ahead: Array, shares: Array,
-    stepper: Stepper, made: _Interrupts,
-) -> tuple[Array, Array]:  # fmt: skip
-    """Return the seconds (k,) of ramps from start to end rates, and the rates that they reach.
-
-    interrupts (k,): how many each ramp has; ahead (k,): ticks by which it is ahead; shares (k,):
-    interrupts a step.
-    """
-    timer = stepper.timer
-    taken, t, now, done = np.zeros(len(start)), ahead / timer.hz, start.copy(), 0
-    while (ramping := interrupts > done).any():
-        now = np.where(ramping, _rate_at(t, start, end, a, stepper.s_curve), now)
-        ticks = timer.ticks(now * shares)
-        made.ticks[made.first[ramping] + done] = ticks[ramping]
-        taken = np.where(ramping, taken + timer.seconds(ticks), taken)
-        t = t + ticks / timer.hz
-        done += 1
-    return taken, now
-
-
-def _rate_at(t: Array, start: Array, end: Array, a: Array, s_curve: bool) -> Array:
-    """Return whole rates (k,) at t (k,) s: on a line, or on a Bézier curve of equal duration."""
-    way = end - start
-    if not s_curve:
-        return np.asarray(start + np.sign(way) * np.minimum(np.floor(a * t), np.abs(way)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u = np.where(way != 0.0, np.clip(a * t / np.abs(way), 0.0, 1.0), 1.0)
-    return np.asarray(np.floor(start + way * (u * u * u) * (10.0 - 15.0 * u + 6.0 * u * u)))
+    n = blocks.n.astype(np.int64)
+    t = np.empty(n.sum())
+    kernels.marlin_step_times(len(n), n, blocks.a, begin, rate, end, stepper.row, t)
+    return t
 
 
 def joined_times(

@@ -36,6 +36,7 @@
     EACH(marlin_feed_rates)                                                                   \
     EACH(marlin_segment_ends)                                                                 \
     EACH(marlin_slow_ends)                                                                    \
+    EACH(marlin_step_times)                                                                   \
     EACH(marlin_times)                                                                        \
     EACH(misplaced)                                                                           \
     EACH(misses)                                                                              \
