@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, settings
 
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import prepared
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -112,7 +112,7 @@ def commands(paper: Printer, compensator: Compensator) -> Callable[[str], Sample
 
     def whole(strategy: str) -> Samples:
         lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
-        commands = SampleStream(iter(lines), paper, Options(strategy), compensator=compensator)
-        return join([chunk for chunk in commands.computed() if len(chunk)])
+        commands = WholeFile(iter(lines), paper, Options(strategy)).commands((), compensator)
+        return join([chunk for chunk in commands if len(chunk)])
 
     return whole

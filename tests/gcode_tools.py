@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hframe_post.compensation.stops import stop_rules
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.print_report import Report
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.planner.lookahead import plan
@@ -79,9 +79,9 @@ def follow(text: bytes, layer: str = ";LAYER:", marlin: bool = False) -> Reading
 def converted(
     lines: list[bytes], profile: Printer, options: Options | None = None
 ) -> tuple[bytes, Report]:
-    conversion = GcodeConversion(iter(lines), profile, options or Options("racking"))
-    pieces = [o.text if isinstance(o, Deferred) else o for o in conversion]
-    return b"".join(pieces), conversion.report()
+    conversion = WholeFile(iter(lines), profile, options or Options("racking"))
+    pieces = [o.text if isinstance(o, Deferred) else o for o in conversion.gcode()]
+    return b"".join(pieces), conversion.report
 
 
 def planned(lines: Iterable[str], printer: Printer, strategy: str = "racking") -> list[Samples]:

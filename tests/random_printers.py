@@ -8,7 +8,7 @@ import numpy as np
 
 from hframe_post.arrays import Z
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.identification.identify import Identified, MeasurementSettings, Run, identify
 from hframe_post.identification.recordings.clock import Clock
 from hframe_post.identification.recordings.runs import PlannedRun
@@ -72,7 +72,7 @@ def judged(machine: Machine, profile: Printer, path: str = "rectangle") -> Error
     """Return the contour errors of the machine, without and with compensation by the profile."""
     lines = rectangle(profile) if path == "rectangle" else cube()
     options = Options("racking", clamp=True)
-    computed = SampleStream(lines, profile, options, ("racking", "none")).computed()
+    computed = WholeFile(lines, profile, options).commands(("racking", "none"))
     chunks = [chunk for chunk in computed if len(chunk)]
     wanted = np.concatenate([chunk.xyze[:, :Z] for chunk in chunks])
     moving = np.concatenate([in_motion(chunk.xyze)[1] for chunk in chunks])

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.conversion.conversions import StepConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.print_report import Report
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.types import Dwell, Event, Handling, ModalState, Passthrough, Samples
@@ -71,9 +71,9 @@ def write_steps(
     path: Path, lines: list[bytes], printer: Printer, strategy: str = "racking"
 ) -> Report:
     """Write a whole conversion to an uncompressed step file, without its events."""
-    pieces = StepConversion(iter(lines), printer, Options(strategy, format="steps"))
-    path.write_bytes(b"".join(piece for piece in pieces if isinstance(piece, bytes)))
-    return pieces.report()
+    whole = WholeFile(iter(lines), printer, Options(strategy, format="steps"))
+    path.write_bytes(b"".join(piece for piece in whole.steps() if isinstance(piece, bytes)))
+    return whole.report
 
 
 def read_steps(text: bytes, printer: Printer) -> tuple[Integers, Array]:

@@ -17,7 +17,7 @@ from examples.paper.commands import WholeTrajectory, windowed
 from hframe_post.arrays import TS, Array, Complex, E, X, Y, Z
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain, prepared
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
@@ -210,7 +210,7 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
         window, compensator = "printed", Compensator(printer.plant, PRINTED_WINDOW)
     strategies = "none", "fbs", "racking"
     options = Options("racking", strategies, limits="printer", picture=True)  # computes "none", too
-    commands = SampleStream(lines, printer, options, compensator=compensator).computed()
+    commands = WholeFile(lines, printer, options).commands(compensator=compensator)
     error: dict[str, list[Array]] = {name: [] for name in strategies}
     for walls in _outer_walls(judge(commands, printer.plant)).values():
         wanted = _width(walls["path"], walls["path"])

@@ -1,6 +1,6 @@
 """Output formats, chosen by suffix or by name, and how each is saved.
 
-To add a format, write a conversion in ``conversions`` and a row of ``FORMATS`` here.
+To add a format, write a generator of ``WholeFile`` and a row of ``FORMATS`` here.
 """
 
 from __future__ import annotations
@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import IO, Any
 
-from hframe_post.conversion.conversions import GcodeConversion, SampleConversion, StepConversion
+from hframe_post.arrays import Array
 from hframe_post.conversion.options import TOLERANCE, Kind, Options, stamp
 from hframe_post.conversion.print_report import Report
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.errors import OptionError
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.lines import BINARY
@@ -20,10 +21,8 @@ from hframe_post.printer.profile import check_identified
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
 from hframe_post.writers.outputs import Outputs, compressing
-from hframe_post.writers.print_time import write_output
-from hframe_post.writers.tables import COLUMNS, EVENTS_HEADER, as_csv, inlined, write_npz
-
-Conversion: TypeAlias = GcodeConversion | StepConversion | SampleConversion
+from hframe_post.writers.print_time import Output, write_output
+from hframe_post.writers.tables import COLUMNS, EVENTS_HEADER, Note, as_csv, inlined, write_npz
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +55,13 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """One kind of output: the conversion, and the function that saves it.
+    """One kind of output: what makes it of a file, and the function that saves it.
 
-    save: takes the conversion, the target and a text that says what made it. suffixes: those that
-    choose this format.
+    save: takes what is made, the target and the file. suffixes: those that choose this format.
     """
 
-    convert: Callable[..., Conversion]
-    save: Callable[[Any, Target, str], None]
+    make: Callable[[WholeFile], Iterable[Any]]
+    save: Callable[[Any, Target, WholeFile], None]
     suffixes: tuple[str, ...] = ()
 
 
@@ -77,14 +75,14 @@ def convert(
     """
     if target is not None and options.strategy != "none" and not options.force:
         check_identified(printer)
-    chosen = FORMATS[options.format or "gcode"]
-    conversion = chosen.convert(lines, printer, options)
+    chosen, file = FORMATS[options.format or "gcode"], WholeFile(lines, printer, options)
+    pieces = chosen.make(file)
     if target is None:
-        for _ in conversion:
+        for _ in pieces:
             pass
     else:
-        chosen.save(conversion, target, stamp(printer, options))
-    return conversion.report()
+        chosen.save(pieces, target, file)
+    return file.report
 
 
 def with_format(
@@ -133,41 +131,40 @@ def _suffixes(path: Path | None) -> tuple[str, str]:
     return (suffixes[-1] if suffixes else ""), packing
 
 
-def _save_gcode(conversion: GcodeConversion, target: Target, _: str) -> None:
-    report = conversion.report
-    write_output(target.open(), conversion, lambda: conversion.times, lambda: report().as_text())
+def _save_gcode(pieces: Iterable[Output], target: Target, file: WholeFile) -> None:
+    write_output(target.open(), pieces, lambda: file.times, lambda: file.report.as_text())
 
 
-def _save_steps(conversion: StepConversion, target: Target, _: str) -> None:
+def _save_steps(pieces: Iterable[bytes | Note], target: Target, _: WholeFile) -> None:
     """Write the step file and, next to a regular file, the file of its events."""
     out = target.open()
     if target.path is None:
-        out.writelines(inlined(conversion))
+        out.writelines(inlined(pieces))
         return
     events = target.open(".events")
     events.write(EVENTS_HEADER)
     with compressing(out, _suffixes(target.path)[1]) as packed:
-        for piece in conversion:
+        for piece in pieces:
             if isinstance(piece, bytes):
                 packed.write(piece)
             else:
                 events.write(piece.line())
 
 
-def _save_samples(conversion: SampleConversion, target: Target, made_by: str) -> None:
+def _save_samples(tables: Iterable[Array], target: Target, file: WholeFile) -> None:
     kind, packing = _suffixes(target.path)
     out = target.open()
     if target.path is not None and kind == ".npz":
-        write_npz(out, conversion, COLUMNS, made_by, target.path.resolve().parent)
+        made_by = stamp(file.printer, file.chain.options)
+        write_npz(out, tables, COLUMNS, made_by, target.path.resolve().parent)
     else:
         with compressing(out, packing) as packed:
-            for piece in as_csv(conversion):
-                packed.write(piece)
+            packed.writelines(as_csv(tables))
 
 
 TABLES = (".npz",)  # of samples, which are CSV under any other suffix
 FORMATS: dict[Kind, Format] = {
-    "gcode": Format(GcodeConversion, _save_gcode),
-    "steps": Format(StepConversion, _save_steps, (".csv",)),
-    "samples": Format(SampleConversion, _save_samples, TABLES),
+    "gcode": Format(WholeFile.gcode, _save_gcode),
+    "steps": Format(WholeFile.steps, _save_steps, (".csv",)),
+    "samples": Format(WholeFile.rows, _save_samples, TABLES),
 }

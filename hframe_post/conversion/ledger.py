@@ -223,3 +223,9 @@ class SampleNotes:
             if chunk.ends_stretch:
                 self._last = None
             yield chunk
+
+
+def percent(share: float) -> str:
+    """Return a share as text: whole from 10 % on, below with two digits."""
+    value = 100.0 * share
+    return f"{value:.0f} %" if value >= 10.0 else f"{value:.2g} %"

@@ -83,6 +83,16 @@ class Chain:
         """Return the compensator, its windows certified. Raises PrinterError."""
         return prepared(self.printer)
 
+    @cached_property
+    def at_stops(self) -> StopModels:
+        """Return what the stops of the options' strategies have in common."""
+        return self.stop_models(self.compensator, self.options.strategies)
+
+    def stop_models(self, compensator: Compensator, names: tuple[str, ...]) -> StopModels:
+        """Return what the stops of these strategies have in common, which takes a while."""
+        own = self.printer
+        return StopModels(compensator, names, own.travel, own.motors, own.kinematics)
+
     def read(self, lines: Iterable[bytes], notes: FileNotes | None = None) -> Iterator[Item]:
         """Read G-code. notes: take what is strange in it. Raises HframeError."""
         options = self.options
@@ -166,22 +176,23 @@ def read_ahead(items: Iterator[Item]) -> Iterator[Item]:
 class Stages:
     """The stages from planned motion to checked commands, and a ledger of what they did.
 
-    strategies: to compute; the options' by default. beginning: of a span that becomes lines; None:
-    commands become samples, whose errors are judged in the same way for all of the print. at_stops:
-    models reused from other stages with the same chain, because they take a while to compute.
+    strategies, compensator: to compute, and by which; the options' and the chain's by default.
+    beginning: of a span that becomes lines; None: commands become samples, whose errors are judged
+    in the same way for all of the print.
     """
 
     def __init__(
-        self, chain: Chain, compensator: Compensator | None = None,
-        strategies: tuple[str, ...] = (), beginning: Beginning | None = None,
-        at_stops: StopModels | None = None,
+        self, chain: Chain, strategies: tuple[str, ...] = (),
+        compensator: Compensator | None = None, beginning: Beginning | None = None,
     ) -> None:  # fmt: skip
         printer, options, own = chain.printer, chain.options, chain.firmware
         start = beginning or Beginning(advance=own.advance())
         self._chain, self._compensator = chain, compensator or chain.compensator
         self._lines = beginning is not None
         self._strategies = strategies or options.strategies
-        self._at_stops = at_stops or stop_models(chain, self._compensator, self._strategies)
+        self._at_stops = chain.at_stops
+        if strategies or compensator is not None:
+            self._at_stops = chain.stop_models(self._compensator, self._strategies)
         # without compensation a file moves as the firmware plays it today
         motors = printer.motors if options.strategy != "none" else Motors()
         checked = (printer.travel, motors, printer.kinematics)
@@ -240,14 +251,6 @@ class Stages:
             advancing=self._advancing.summary, contour=errors.contour,
             width=errors.width, picture=errors.picture,
         )  # fmt: skip
-
-
-def stop_models(
-    chain: Chain, compensator: Compensator, strategies: tuple[str, ...] = ()
-) -> StopModels:
-    """Return what the stops of these strategies have in common; the options' by default."""
-    printer, names = chain.printer, strategies or chain.options.strategies
-    return StopModels(compensator, names, printer.travel, printer.motors, printer.kinematics)
 
 
 def _picture(printing: Place) -> Picture:

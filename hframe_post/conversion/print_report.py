@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, NamedTuple, Self
 
 from hframe_post.compensation.shape import SHAPER
-from hframe_post.conversion.ledger import Ledger
+from hframe_post.conversion.ledger import Ledger, percent
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.print_warnings import warnings
-from hframe_post.conversion.rows import Row, percent, range_as_text
 from hframe_post.firmware.base import Firmware
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
@@ -24,6 +23,18 @@ NO_GAIN = 0.9  # share of the best shaper's error from which on compensation is 
 FASTER = 0.02  # of the print's time: won by a speed that was asked for, and so is worth a stream
 WORTH_SAYING = 5e-3  # of the print's time, which no owner notices
 OUTRUN = 1.05  # times its limit, the acceleration of an extruder is worth a line
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A figure of the report. label, text: its line, if any; keys: of the JSON, None for none."""
+
+    label: str
+    text: str = ""
+    keys: Mapping[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return f"{self.label:17s}{self.text}"
 
 
 class PrintTime(NamedTuple):
@@ -122,7 +133,7 @@ class Report(Ledger):
             result = "nothing is compensated (-c none)"
         elif {"none", self.strategy} <= found.keys():
             result = f"{self.label(self.strategy)} {1e3 * found['none'].expected:.1f} → "
-            result += range_as_text(found[self.strategy])
+            result += found[self.strategy].as_text()
             if SHAPER in found:
                 result += f"; the best input shaper would leave {1e3 * found[SHAPER].expected:.1f}"
         return [Row("result", result), self._print_time(), self._uncompensated()]

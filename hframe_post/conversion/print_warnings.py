@@ -6,8 +6,7 @@ import re
 from collections.abc import Iterator
 from fnmatch import fnmatchcase
 
-from hframe_post.conversion.ledger import Ledger
-from hframe_post.conversion.rows import percent
+from hframe_post.conversion.ledger import Ledger, percent
 from hframe_post.gcode.reader import CHANGE_OF_OBJECT, START_OF_FILE
 
 TOOL = re.compile(r"T[1-9]\d*")

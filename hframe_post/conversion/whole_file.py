@@ -1,4 +1,4 @@
-"""A whole file: its spans of planned motion, commands for all of it, and the report."""
+"""A whole file: its spans of planned motion, what it becomes, and the report."""
 
 from __future__ import annotations
 
@@ -6,31 +6,35 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cached_property
-from typing import ClassVar
 
+from hframe_post.arrays import Array
 from hframe_post.compensation.guard import check_prediction
-from hframe_post.conversion.ledger import FileNotes, Ledger
-from hframe_post.conversion.options import Options
+from hframe_post.conversion.ledger import FileNotes, Ledger, StepTally
+from hframe_post.conversion.options import Options, first_line
 from hframe_post.conversion.pipeline import Chain, Stages, read_ahead
 from hframe_post.conversion.print_report import Report
 from hframe_post.conversion.sliced_errors import SlicedFile
 from hframe_post.conversion.spans import Spans
-from hframe_post.errors import HframeError
+from hframe_post.conversion.workers import written
+from hframe_post.errors import HframeError, PrinterError
+from hframe_post.firmware.base import Firmware
 from hframe_post.gcode.limits import with_motors
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.tally import joined
 from hframe_post.stream.types import Samples
+from hframe_post.version import __version__
+from hframe_post.writers.gcode import GcodeSummary
+from hframe_post.writers.print_time import SUMMARY, Output, after_head, later
+from hframe_post.writers.steps import StepGenerator
+from hframe_post.writers.tables import MOTORS, Header, Note, StepFileWriter, tabulate
 
 
 class WholeFile:
-    """A file as spans of planned motion, what is noted of it, and the report of its conversion.
+    """A file as spans of planned motion, and what it becomes: one of its generators is used up.
 
-    spans: use up each before taking the next; they raise HframeError. done: what later stages have
-    noted so far. played: whether a firmware plays the output.
+    They raise HframeError. done: what the stages after planning have noted so far.
     """
-
-    played: ClassVar[bool] = False
 
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         lines, self.printer = with_motors(lines, printer, options.limits)
@@ -42,21 +46,93 @@ class WholeFile:
         plans = chain.scheduled(items, self._following, self._within)
         self.spans = Spans(plans, chain.firmware.advance())
         self.done = Ledger()
+        self._player: Firmware | None = None  # which plays what it becomes
+
+    # ------------------------------------------------------------------ what it becomes
+
+    def gcode(self) -> Iterator[Output]:
+        """Return G-code for the printer's firmware, written span by span."""
+        self._player = self.chain.sliced
+        stamped = first_line(self.printer, self.chain.options)
+        return after_head(self._spans_as_gcode(), stamped, SUMMARY)
+
+    def _spans_as_gcode(self) -> Iterator[Output]:
+        for span in written(self.chain, self.spans):
+            begun = self.done.duration
+            for piece in span.output:
+                yield later(piece, begun)
+            self.done = joined(self.done, span.ledger)
+        self.check_filament(self.done.written.filament)
+
+    def commands(
+        self, strategies: tuple[str, ...] = (), compensator: Compensator | None = None
+    ) -> Iterator[Samples]:
+        """Return safe commands for the motors alone: no prediction, no print time.
+
+        strategies, compensator: the options' and the printer's by default.
+        """
+        return Stages(self.chain, strategies, compensator).whole(self.spans)
+
+    def samples(self, strategies: tuple[str, ...] = ()) -> Iterator[Samples]:
+        """Yield safe commands, with the errors that are predicted for them."""
+        stages = Stages(self.chain, strategies)
+        yield from stages.predicted(stages.whole(self.spans))
+        self.done = stages.ledger
+
+    def rows(self) -> Iterator[Array]:
+        """Yield tables of path, command and predicted motion, one row a millisecond."""
+        chain, count = self.chain, 0
+        for table in tabulate(self.samples(), chain.options.strategy, chain.printer.plant):
+            count += len(table)
+            yield table
+        filament = self.done.filament_out
+        self.done = replace(self.done, written=GcodeSummary(count, 0, filament))
+        self.check_filament(filament)
+
+    def steps(self) -> Iterator[bytes | Note]:
+        """Yield text of a step file, and notes for its events.
+
+        Raises PrinterError if the profile does not say how the motors step.
+        """
+        printer, options = self.printer, self.chain.options
+        table, kinematics = printer.steps, printer.kinematics
+        if table is None:
+            cause = "the table is missing; step timing needs it"
+            raise PrinterError(cause, "steps", printer.name)
+        if not kinematics.z_is_separate:
+            cause = (
+                f"the motor of z moves with x on a {kinematics.type}: its steps cannot be written"
+            )
+            raise PrinterError(cause, "kinematics.type", printer.name)
+        stepper = StepGenerator(options.strategy, kinematics, table)
+        writer = StepFileWriter(Header(
+            __version__, printer.name, options.digest(printer.digest), table.clock_hz,
+            (table.belt, table.belt, table.z, table.e), kinematics.matrix,
+        ))  # fmt: skip
+        yield from writer.write(stepper.step(self.samples()))
+        counts = stepper.counts
+        filament = float(counts.net[MOTORS.index("E")] * table.e + counts.passed)
+        motors = dict(zip(MOTORS, counts.steps.tolist(), strict=True))
+        self.done = replace(
+            self.done, written=GcodeSummary(writer.lines, 0, filament),
+            steps=StepTally(writer.rows, counts.ticks, table.clock_hz, motors),
+        )  # fmt: skip
+        # a step that is not due at the end of a stretch is made in the next one
+        self.check_filament(filament, late=counts.starts * table.e)
+
+    # ------------------------------------------------------------------ what is said of it
 
     @property
     def times(self) -> tuple[float, float]:
         """Return the duration of the print so far as sliced and as converted, s."""
         return self._sliced.own.seconds, self.done.duration
 
+    @cached_property
     def report(self) -> Report:
-        """Return the report, once the output was used up.
+        """Return the report, once a generator was used up.
 
         Raises HframeError if the model predicts an error that no working printer has.
         """
-        return self._report
-
-    @cached_property
-    def _report(self) -> Report:
         printer, options, caps = self.printer, self.chain.options, self.chain.caps
         notes, own, slowed = self._notes, self._sliced.own, self._following
         planned = Ledger(
@@ -76,11 +152,10 @@ class WholeFile:
         if "none" in ledger.contour:
             check_prediction(ledger.contour["none"].rms)
         asked = caps.velocity, caps.acceleration, caps.square_corner_velocity
-        player = self.chain.sliced if self.played else None
         notices = printer.warnings() if options.strategy != "none" else []
         return Report.from_ledger(
-            ledger, printer=printer, options=options, player=player, shaping=shaping,
-            notices=(*notices, *(player.code().notices if player else ())),
+            ledger, printer=printer, options=options, player=self._player, shaping=shaping,
+            notices=(*notices, *(self._player.code().notices if self._player else ())),
             capped=any(map(math.isfinite, asked)), predicted_sliced=share,
         )  # fmt: skip
 
@@ -92,33 +167,3 @@ class WholeFile:
         lost = self._notes.read.filament - written
         if abs(lost) > 1e-3 + late:
             raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")
-
-
-class Commands(WholeFile):
-    """Safe commands for the motors of a whole file, streamed in constant memory.
-
-    strategies: to compute; the options' by default.
-    """
-
-    def __init__(
-        self, lines: Iterable[bytes], printer: Printer, options: Options,
-        strategies: tuple[str, ...] = (), compensator: Compensator | None = None,
-    ) -> None:  # fmt: skip
-        super().__init__(lines, printer, options)
-        self._stages = Stages(self.chain, compensator or self.chain.compensator, strategies)
-
-    def computed(self) -> Iterator[Samples]:
-        """Yield the commands alone: no prediction, no print time. Raises HframeError."""
-        return self._stages.whole(self.spans)
-
-    def predicted(self) -> Iterator[Samples]:
-        """Yield the commands with prediction. Raises HframeError."""
-        yield from self._stages.predicted(self.computed())
-        self.done = self._stages.ledger
-
-
-class SampleStream(Commands):
-    """Commands with prediction; the report is complete once all were taken."""
-
-    def __iter__(self) -> Iterator[Samples]:
-        return self.predicted()

@@ -14,8 +14,8 @@ from math import dist, pi
 
 import numpy as np
 
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.errors import HframeError
 from hframe_post.firmware.code import Code, plain
 from hframe_post.firmware.registry import firmware
@@ -188,9 +188,9 @@ def _squares(
         walls = _square(printer, at, side, speed, range(LOW))
         text = (f"{line}\n".encode() for line in ("G90", "M83", above, *walls, above))
         own = replace(printer, plant=plant, limits=limits)
-        conversion = GcodeConversion(text, own, Options("racking", clamp=True))
-        for piece in conversion:
+        conversion = WholeFile(text, own, Options("racking", clamp=True))
+        for piece in conversion.gcode():
             if isinstance(piece, bytes) and not piece.startswith(STAMP):
                 pieces.append(piece)
-        clamped |= conversion.report().clamped.samples > 0
+        clamped |= conversion.report.clamped.samples > 0
     return [*pieces, "\n".join([*COLD, ""]).encode()], clamped

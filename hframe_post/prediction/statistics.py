@@ -210,6 +210,13 @@ class ContourErrors:
     def expected(self) -> float:
         return self.shown.expected
 
+    def as_text(self) -> str:
+        """Return the RMS error in µm, with its range if it has one."""
+        text = f"{1e3 * self.expected:.1f} µm RMS"
+        if (known := self.range) is None:
+            return text
+        return f"{text} ({1e3 * known.low:.1f} to {1e3 * known.high:.1f} as the printer changes)"
+
     def micrometres(self) -> dict[str, Any]:
         return {**self.shown.micrometres(), "all": self.all.micrometres()}
 

@@ -16,7 +16,7 @@ from hframe_post.compensation.shape import LIVE, Shapes, shape
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SlicedFile
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.klipper.live import by_itself
@@ -96,11 +96,12 @@ def compare_shapers(
     today = shape(sliced.samples(stages.read(lines())), by_firmware)
     if firmware.steps is not None:
         today = quantise(today, printer.kinematics, firmware.steps)
-    ours = SampleStream(lines(), printer, options, tuple(STRATEGIES)[1:])
-    written = (as_written(chunk, rules) for chunk in on_a_grid(ours, WINDOW))
+    ours = WholeFile(lines(), printer, options)
+    commands = ours.samples(tuple(STRATEGIES)[1:])
+    written = (as_written(chunk, rules) for chunk in on_a_grid(commands, WINDOW))
     for _ in chain(meter.samples(today), meter.samples(written)):
         pass
-    durations = dict.fromkeys(STRATEGIES, ours.report().time.after) | {"none": sliced.seconds}
+    durations = dict.fromkeys(STRATEGIES, ours.report.time.after) | {"none": sliced.seconds}
     durations |= {name: sliced.seconds + TS * one.reach for name, one in by_firmware.items()}
     compared = (
         ShaperComparison(name, shapings.get(name), contour, meter.width[name], durations[name])

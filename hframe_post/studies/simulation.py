@@ -19,8 +19,7 @@ from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.print_report import Report
-from hframe_post.conversion.rows import range_as_text
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.model.kinematics import Differences
 from hframe_post.model.plant import Plant
@@ -147,7 +146,7 @@ class SimulationReport(Report):
     def _ranges(self) -> list[str]:
         """Return the ranges of the errors of the whole print, which the table does not hold."""
         return [
-            f"{'expected':17s}{STRATEGIES[name].label}: contour error {range_as_text(contour)}"
+            f"{'expected':17s}{STRATEGIES[name].label}: contour error {contour.as_text()}"
             for name in self.strategies
             if (contour := self.parts.whole[name].contour).range is not None
         ]
@@ -270,12 +269,12 @@ def simulate(
     steps = study.steps or (None if study.exact else chain.firmware.steps)
     today = _Judged(shape(motion, shapings), printer, study, steps)
     strategies = tuple(name for name in options.strategies if name != "none")
-    ours = SampleStream(lines(), printer, replace(options, predict=()), strategies)
+    ours = WholeFile(lines(), printer, replace(options, predict=()))
     parts, picture = Parts(), Picture(Labels()) if options.picture else None
     if "none" in (options.predict or ()):
         today.run(parts)
     rules = None if study.exact else chain.firmware.motion(options.tolerance)
-    judged = _Judged(ours, printer, study, study.steps, rules)
+    judged = _Judged(ours.samples(strategies), printer, study, study.steps, rules)
     judged.run(parts, picture, shapings)
     off = {
         share: [{**own, **before} for own, before in zip(judged.off[share], found, strict=True)]
@@ -285,7 +284,7 @@ def simulate(
     if "none" in contour:
         check_prediction(contour["none"].rms)
     width = {name: figures.width for name, figures in parts.whole.items()}
-    report = replace(ours.report(), contour=contour, width=width, picture=picture)
+    report = replace(ours.report, contour=contour, width=width, picture=picture)
     return SimulationReport.from_ledger(
         report, plant=study.name, quantised=study.steps is not None, parts=parts,
         model_error=tuple(Uncertainty(*each) for each in off.items()),

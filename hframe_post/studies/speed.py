@@ -12,8 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.print_report import Report
-from hframe_post.conversion.rows import Row
+from hframe_post.conversion.print_report import Report, Row
 from hframe_post.errors import HframeError
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.printer.settings import Speed

@@ -155,7 +155,7 @@ def _tried(
     trial: Trial, compensator: Compensator, samples: Iterable[Samples], printer: Printer,
     drawn: list[Plant],
 ) -> Iterator[None]:  # fmt: skip
-    commands = Stages(Chain(printer, RACKING), compensator).compensated(samples)
+    commands = Stages(Chain(printer, RACKING), compensator=compensator).compensated(samples)
     doubts = None if drawn else Doubts.from_plant(printer.plant)
     meters = [ErrorMeter(printer.plant, doubts=doubts), *map(ErrorMeter, drawn)]
     streams = branches(_rated(commands, trial, printer.kinematics), len(meters))

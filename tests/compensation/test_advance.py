@@ -10,7 +10,7 @@ import pytest
 from hframe_post.arrays import Array
 from hframe_post.compensation.advance import Advancing
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.firmware.dialect import Advance, ExtruderLimits, klipper_advance, marlin_advance
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Extruder
@@ -34,8 +34,8 @@ def chunks() -> list[Samples]:
         (120, b"M900 K0\n"), (120, b"SET_PRESSURE_ADVANCE ADVANCE=0\n"),
     ):  # fmt: skip
         lines.insert(at, text)
-    source = SampleStream(iter(lines), load("paper"), Options("none", limits="printer"))
-    return list(source.computed())
+    source = WholeFile(iter(lines), load("paper"), Options("none", limits="printer"))
+    return list(source.commands())
 
 
 def advances(chunks: Iterable[Samples], name: str) -> tuple[Array, Advancing]:

@@ -9,7 +9,7 @@ import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import stretches
@@ -74,9 +74,9 @@ def hardest(chunks: Iterable[Samples]) -> float:
 def test_a_slice_is_compensated_within_any_motors(owner: str, limit: float) -> None:
     """Moves become slower, so that nothing has to be compensated less."""
     options = Options("racking", ("none", "racking"), limits="printer", clamp=False)
-    stream = SampleStream(iter(layers("cube.gcode", 5)), weak(owner, limit), options)
-    below(hardest(stream), limit, "acceleration of a motor, mm/s²")
-    report = stream.report()
+    stream = WholeFile(iter(layers("cube.gcode", 5)), weak(owner, limit), options)
+    below(hardest(stream.samples()), limit, "acceleration of a motor, mm/s²")
+    report = stream.report
     below(report.contour["racking"].rms, 0.3 * report.contour["none"].rms, "RMS error, mm")
 
 
@@ -84,5 +84,5 @@ def test_a_slice_is_compensated_within_any_motors(owner: str, limit: float) -> N
 @pytest.mark.parametrize("limit", [500.0, 2_000.0])
 def test_a_slice_is_converted_where_motors_are_far_too_weak(limit: float) -> None:
     options = Options("racking", ("none", "racking"), limits="printer", clamp=True)
-    stream = SampleStream(iter(layers("cube.gcode", 5)), weak("corexy-10000", limit), options)
-    below(hardest(stream), limit, "acceleration of a motor, mm/s²")
+    stream = WholeFile(iter(layers("cube.gcode", 5)), weak("corexy-10000", limit), options)
+    below(hardest(stream.samples()), limit, "acceleration of a motor, mm/s²")

@@ -3,9 +3,9 @@
 import re
 from dataclasses import replace
 
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.print_report import Report
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.printer.settings import Printer
 from hframe_post.writers.print_time import Deferred
 from tests.gcode_tools import follow
@@ -22,14 +22,12 @@ LAYER = r"\s*;.*layer|\(Slice"
 def converted(each: Slice, printer: Printer) -> tuple[list[bytes], list[bytes], Report]:
     """Lines of the output, those of them that tell of time, and the report."""
     firmware = replace(printer.firmware, harmless=each.harmless, returns=each.returns)
-    conversion = GcodeConversion(
-        each.lines, replace(printer, firmware=firmware), Options("racking")
-    )
-    pieces = list(conversion)
+    conversion = WholeFile(each.lines, replace(printer, firmware=firmware), Options("racking"))
+    pieces = list(conversion.gcode())
     text = b"".join(p.text if isinstance(p, Deferred) else p for p in pieces)
     with_times = (p for p in pieces if isinstance(p, Deferred) and not p.summary)
     deferred = [p.text[a:b] for p in with_times for a, b in p.at.tolist()]
-    return text.splitlines(), deferred, conversion.report()
+    return text.splitlines(), deferred, conversion.report
 
 
 def filament(lines: list[bytes], relative: bool) -> list[float]:

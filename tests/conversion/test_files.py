@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.conversion.conversions import SampleConversion, StepConversion
 from hframe_post.conversion.files import Target, convert, with_format
 from hframe_post.conversion.options import Kind, Options
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.gcode import batching
 from hframe_post.planner import sampling
 from hframe_post.printer.settings import Printer
@@ -30,9 +30,10 @@ TURN = [
 def converted(lines: list[bytes], printer: Printer, kind: Kind, strategy: str = "racking") -> bytes:
     """The file of a format; events of step files are inline."""
     options = Options(strategy, clamp=False, format=kind)
+    whole = WholeFile(iter(lines), printer, options)
     if kind == "samples":
-        return b"".join(as_csv(SampleConversion(iter(lines), printer, options)))
-    return b"".join(inlined(StepConversion(iter(lines), printer, options)))
+        return b"".join(as_csv(whole.rows()))
+    return b"".join(inlined(whole.steps()))
 
 
 FORMATS = ["steps", "samples"]
@@ -64,9 +65,9 @@ def test_events_stand_in_order_of_time_among_the_steps(paper: Printer) -> None:
 
 
 def test_report_counts_what_is_in_the_file(paper: Printer) -> None:
-    pieces = StepConversion(iter(layers("cube.gcode", 1)), paper, Options("racking"))
-    rows = b"".join(piece for piece in pieces if isinstance(piece, bytes)).splitlines()
-    report = pieces.report()
+    whole = WholeFile(iter(layers("cube.gcode", 1)), paper, Options("racking"))
+    rows = b"".join(piece for piece in whole.steps() if isinstance(piece, bytes)).splitlines()
+    report = whole.report
     steps = [row.split(b",") for row in rows if row[:1].isdigit()]
     assert report.steps is not None
     assert report.written.lines == len(rows)

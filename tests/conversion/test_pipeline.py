@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion import whole_file
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.ledger import FileNotes
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.errors import HframeError, LimitError
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -90,17 +90,17 @@ def test_no_filament_is_lost_in_many_releases(paper: Printer, strategy: str) -> 
     for k in range(40):
         x = 100 + 20 * (k % 2)
         text += b"G1 X%d E0.8 F1800\nUNHEARD_OF\nG1 X%d Y100 F6000\n" % (x, x)
-    output = GcodeConversion(iter(text.splitlines(keepends=True)), paper, Options(strategy))
-    assert sum(piece.count(b"\n") for piece in output if isinstance(piece, bytes)) > 40
-    assert output.report().filament_after == pytest.approx(32.0, abs=1e-4)
+    output = WholeFile(iter(text.splitlines(keepends=True)), paper, Options(strategy))
+    assert sum(piece.count(b"\n") for piece in output.gcode() if isinstance(piece, bytes)) > 40
+    assert output.report.filament_after == pytest.approx(32.0, abs=1e-4)
 
 
 @pytest.mark.parametrize("strategy", ["none", "racking"])
 def test_extrusion_on_less_than_a_micrometre(paper: Printer, strategy: str) -> None:
     text = b"M83\nG1 X100 Y100 F1200\nG1 X120 Y110 E95\n;HERE\nG1 X121 Y110.5 E900\n"
-    output = GcodeConversion(iter(text.splitlines(keepends=True)), paper, Options(strategy))
-    assert b"".join(piece for piece in output if isinstance(piece, bytes)).count(b"G1") > 2
-    assert output.report().filament_after == pytest.approx(995.0, abs=1e-3)
+    output = WholeFile(iter(text.splitlines(keepends=True)), paper, Options(strategy))
+    assert b"".join(piece for piece in output.gcode() if isinstance(piece, bytes)).count(b"G1") > 2
+    assert output.report.filament_after == pytest.approx(995.0, abs=1e-3)
 
 
 def test_a_fault_at_the_end_comes_before_the_work(paper: Printer) -> None:
@@ -149,4 +149,4 @@ def test_filament_is_never_fed_in_one_place(shape: str, speed: float) -> None:
 def test_a_path_beyond_the_bed_is_an_error_always(clamp: bool) -> None:
     lines = [*outline(SHAPES["along"], 50), b"G1 X-0.002 E1\n"]
     with pytest.raises(LimitError, match=r"line 10: x of the path \(mm\)"):
-        list(GcodeConversion(iter(lines), load("paper"), Options("racking", clamp=clamp)))
+        list(WholeFile(iter(lines), load("paper"), Options("racking", clamp=clamp)).gcode())

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.gcode.reader import CHANGE_OF_OBJECT
 from hframe_post.prediction.statistics import BEFORE
 from hframe_post.printer.settings import Printer
@@ -60,25 +60,25 @@ def test_macros_that_return_keep_their_place(paper: Printer) -> None:
         b"G1 X140 E1\n",
     ]  # fmt: skip
     firmware = replace(paper.firmware, returns=("TIMELAPSE_*",))
-    conversion = GcodeConversion(lines, replace(paper, firmware=firmware), Options("racking"))
-    text = b"".join(p for p in conversion if isinstance(p, bytes)).splitlines()
+    conversion = WholeFile(lines, replace(paper, firmware=firmware), Options("racking"))
+    text = b"".join(p for p in conversion.gcode() if isinstance(p, bytes)).splitlines()
     frame = text.index(b"TIMELAPSE_TAKE_FRAME")
     assert any(line.startswith(b"SET_VELOCITY_LIMIT VELOCITY=") for line in text[frame - 4 : frame])
-    assert not conversion.report().path.uncompensated
+    assert not conversion.report.path.uncompensated
 
 
 def test_filament_that_a_lost_g92_takes_back_is_a_warning(paper: Printer) -> None:
     lines = [b"M82\n", b"G92 E0\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X150 E9.5\n"]
-    conversion = GcodeConversion([*lines, b"G1 X100 E.5\n"], paper, Options("racking"))
-    list(conversion)
-    assert any("line 5 takes back 9.0 mm" in text for text in conversion.report().warnings())
-    conversion = GcodeConversion([*lines, b"G92 E0\n", b"G1 X100 E.5\n"], paper, Options("racking"))
-    list(conversion)
-    assert not any("takes back" in text for text in conversion.report().warnings())
+    conversion = WholeFile([*lines, b"G1 X100 E.5\n"], paper, Options("racking"))
+    list(conversion.gcode())
+    assert any("line 5 takes back 9.0 mm" in text for text in conversion.report.warnings())
+    conversion = WholeFile([*lines, b"G92 E0\n", b"G1 X100 E.5\n"], paper, Options("racking"))
+    list(conversion.gcode())
+    assert not any("takes back" in text for text in conversion.report.warnings())
 
 
 def test_a_print_from_an_unknown_place_is_told_to_begin_with_a_move(paper: Printer) -> None:
     lines = [b"M83\n", b"G0 Y10 F6000\n", *[b"G1 X100 E1\n", b"G1 X120 E1\n"] * 3]
-    conversion = GcodeConversion(lines[:3], paper, Options("racking"))
-    list(conversion)
-    assert any("begin with a move to X, Y and Z" in each for each in conversion.report().warnings())
+    conversion = WholeFile(lines[:3], paper, Options("racking"))
+    list(conversion.gcode())
+    assert any("begin with a move to X, Y and Z" in each for each in conversion.report.warnings())

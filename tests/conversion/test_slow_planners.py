@@ -10,7 +10,7 @@ import pytest
 from hframe_post import library
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.print_report import Report
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.command_line import run
@@ -58,10 +58,10 @@ def errors(report: Report) -> tuple[float, float]:
 def test_setup_leaves_what_compensation_needs(tmp_path: Path, kind: str, acceleration: int) -> None:
     own = measured(set_up(tmp_path, kind, acceleration), acceleration)
     assert own.limits.acceleration == acceleration
-    commands = SampleStream(LAYER, own, Options(clamp=False).resolved(own))  # not yet whole steps
-    for _ in commands:
+    commands = WholeFile(LAYER, own, Options(clamp=False).resolved(own))  # not yet whole steps
+    for _ in commands.samples():
         pass
-    none, compensated = errors(commands.report())
+    none, compensated = errors(commands.report)
     below(compensated, 0.25 * none, "contour error, µm RMS")
 
 

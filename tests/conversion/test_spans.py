@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from hframe_post.conversion import spans, workers
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.spans import Span, Spans
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
@@ -26,9 +27,9 @@ from tests.gcode_tools import follow, layers
 OPTIONS = Options("racking", ("none", "racking"))
 
 
-def converted(lines: list[bytes], printer: Printer, jobs: int) -> tuple[bytes, GcodeConversion]:
-    conversion = GcodeConversion(iter(lines), printer, replace(OPTIONS, jobs=jobs))
-    pieces = [with_elapsed(o) if isinstance(o, Deferred) else o for o in conversion]
+def converted(lines: list[bytes], printer: Printer, jobs: int) -> tuple[bytes, WholeFile]:
+    conversion = WholeFile(iter(lines), printer, replace(OPTIONS, jobs=jobs))
+    pieces = [with_elapsed(o) if isinstance(o, Deferred) else o for o in conversion.gcode()]
     return b"".join(pieces), conversion
 
 
@@ -70,7 +71,7 @@ def test_processes_change_no_byte_and_figure(profile: str, monkeypatch: pytest.M
     text, conversion = converted(lines, printer, 1)
     other, again = converted(lines, printer, 3)
     assert other == text
-    assert again.report().as_json() == conversion.report().as_json()
+    assert again.report.as_json() == conversion.report.as_json()
     monkeypatch.setattr(spans, "MAX_ITEMS", 30)  # some are too long for a worker
     assert converted(lines, printer, 2)[0] == text
 
@@ -83,7 +84,7 @@ def test_nothing_is_lost_between_spans(paper: Printer) -> None:
     text, conversion = converted(lines, paper, 1)
     before, after = follow(b"".join(lines)), follow(text)
     np.testing.assert_allclose(np.diff(after.at_layer), np.diff(before.at_layer), atol=1e-4)
-    assert conversion.report().filament_after == pytest.approx(before.filament, abs=1e-5)
+    assert conversion.report.filament_after == pytest.approx(before.filament, abs=1e-5)
     assert after.filament == pytest.approx(before.filament, abs=1e-5)
     times = [line for line in text.splitlines() if line.startswith(b";TIME_ELAPSED:")]
     elapsed = [float(line.split()[-1]) for line in times]
@@ -118,9 +119,9 @@ def test_the_first_error_in_the_file_is_raised(paper: Printer, jobs: int) -> Non
 
 @pytest.mark.usefixtures("short")
 def test_a_killed_worker_is_an_error(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
-    def killed(self: workers.SpanWriter, span: Span) -> None:
+    def killed(chain: Chain, span: Span) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
-    monkeypatch.setattr(workers.SpanWriter, "streamed", killed)
+    monkeypatch.setattr(workers, "streamed", killed)
     with pytest.raises(HframeError, match="jobs 1"):
         converted(layers("cube.gcode", 3), paper, 2)

@@ -12,7 +12,7 @@ from hframe_post.arrays import Z
 from hframe_post.conversion import pipeline
 from hframe_post.conversion.files import Target, convert
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import load
 from hframe_post.stream.marks import Marks
@@ -118,8 +118,8 @@ def test_filament_that_is_not_where_it_was(
 
 
 def test_steps_and_samples_count_their_filament_too() -> None:
-    commands = SampleStream(iter(LINES), PRINTER, Options("racking"))
-    assert sum(len(chunk) for chunk in commands)
+    commands = WholeFile(iter(LINES), PRINTER, Options("racking"))
+    assert sum(len(chunk) for chunk in commands.samples())
     filament = 2.0 + 2.0 + 0.7 + 4.0
     commands.check_filament(filament)
     with pytest.raises(HframeError, match=r"0\.0020 mm of filament would be lost"):

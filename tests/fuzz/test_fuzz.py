@@ -17,8 +17,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.errors import GcodeError, HframeError, LimitError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import KlipperSource
@@ -97,7 +97,7 @@ def test_output_is_a_file_like_any_other(text: bytes) -> None:
 def test_profiles(text: bytes) -> None:
     def use(path: Path) -> None:
         printer = replace(parse(path.read_text("latin-1"), "own"), name="own", invented=False)
-        list(GcodeConversion(RECTANGLE[:40], printer, Options("fbs", clamp=True)))
+        list(WholeFile(RECTANGLE[:40], printer, Options("fbs", clamp=True)).gcode())
 
     taken(text, "toml", use)
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.printer.profile import load
 from tests import gcode_tools
 from tests.conftest import few
@@ -174,8 +174,8 @@ def test_labels_cost_hardly_any_time() -> None:
     seconds = []
     for text in (SLICES["M486"], re.sub("(?m)^M486.*\n", "", SLICES["M486"])):
         lines = [line.encode() + b"\n" for line in text.splitlines()]
-        conversion = GcodeConversion(lines, load("paper"), Options("racking"))
-        for _ in conversion:
+        conversion = WholeFile(lines, load("paper"), Options("racking"))
+        for _ in conversion.gcode():
             pass
         seconds.append(conversion.times[1])
     assert seconds[0] == pytest.approx(seconds[1], rel=0.005)

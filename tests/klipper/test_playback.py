@@ -11,7 +11,7 @@ from hframe_post.arrays import TS, Array
 from hframe_post.conversion import spans
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.print_report import Report
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.firmware.klipper.klipper_code import StreamLimits
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer import profile
@@ -51,7 +51,7 @@ def lines_played(
     lines: list[bytes], folder: Path, options: Options, printer: Printer | None = None
 ) -> Played:
     printer = printer or profile.load("paper")
-    blocks = list(SampleStream(iter(lines), printer, options).computed())
+    blocks = list(WholeFile(iter(lines), printer, options).commands())
     text, report = converted(lines, printer, options)
     file = folder / "converted.gcode"
     file.write_bytes(text)
@@ -215,7 +215,7 @@ def test_pressure_advance_is_what_the_width_is_predicted_with(tmp_path: Path) ->
     lines += lines[-4:] * 2
     run = lines_played(lines, tmp_path, Options("racking"), printer)
     _, offset = first_offset(run)
-    chunks = list(SampleStream(iter(lines), printer, Options("racking")))
+    chunks = list(WholeFile(iter(lines), printer, Options("racking")).samples())
     ahead = np.concatenate([b.advance[:, 0] for b in chunks if b.advance is not None])
     filament = run.z_e[:, 1]
     assert len(ahead) == len(filament)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hframe_post.arrays import TS, Array, E, Z
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.firmware_tables import MARLIN_PLANNERS
 from hframe_post.printer.profile import load
@@ -81,7 +81,7 @@ def built(printer: Printer, **how: object) -> Build:
 def intended(lines: list[bytes], printer: Printer) -> Array:
     """Return the command (n, 2) that is to be played."""
     options = Options(printer.compensation.strategy)
-    blocks = SampleStream(iter(lines), printer, options).computed()
+    blocks = WholeFile(iter(lines), printer, options).commands()
     return np.concatenate([b.commands[options.strategy] for b in blocks])
 
 
@@ -303,17 +303,17 @@ def contour(block: Samples, printer: Printer, name: str) -> float:
 def test_the_predicted_error_includes_whole_steps(marlin: Printer, lines: list[bytes]) -> None:
     options = Options("racking", ("none", "racking"))
     predicted = converted(lines, marlin, options)[1].contour["racking"]
-    commands = SampleStream(iter(lines), marlin, options)
+    commands = WholeFile(iter(lines), marlin, options)
     one = played(lines, marlin)
     first, late, _ = one.track()
-    whole = join([b for b in commands if len(b)])
+    whole = join([b for b in commands.samples() if len(b)])
     n, fed = len(whole), np.flatnonzero(np.diff(whole.xyze[:, E]) > 0.0)
     part = slice(int(first[0]), int(fed[-1]))  # after it, windows in which only z moves
     t = np.arange(n) * TS + np.interp(np.arange(n), first + WINDOW / 2, late)
     both = {"exact": whole.commands["racking"][part], "played": one.at(t)[part]}
     block = Samples(0, whole.xyze[part], whole.line[part], (), both)
     exact, theirs = (contour(block, marlin, name) ** 2 for name in both)
-    told = 1e6 * (predicted.rms**2 - commands.report().contour["racking"].rms ** 2)
+    told = 1e6 * (predicted.rms**2 - commands.report.contour["racking"].rms ** 2)
     near(np.sqrt(theirs - exact), np.sqrt(told), 0.1 * np.sqrt(told), "error of steps, µm RMS")
 
 
@@ -322,7 +322,7 @@ def test_the_predicted_error_includes_whole_steps(marlin: Printer, lines: list[b
 
 def asked_of_the_extruder(lines: list[bytes], printer: Printer) -> tuple[Array, Array]:
     """Return filament along the path (n,), and how far the extruder is to be ahead of it, (n,)."""
-    found = [b for b in SampleStream(iter(lines), printer, Options("racking")) if len(b)]
+    found = [b for b in WholeFile(iter(lines), printer, Options("racking")).samples() if len(b)]
     none = np.zeros((1, 2))
     ahead = [none.repeat(len(b), axis=0) if b.advance is None else b.advance for b in found]
     return np.concatenate([b.xyze[:, E] for b in found]), np.concatenate(ahead)[:, 0]

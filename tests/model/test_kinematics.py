@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hframe_post.conversion.conversions import StepConversion
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.errors import PrinterError
 from hframe_post.model.kinematics import TYPES, Kinematics
 from hframe_post.prediction.predict import judge
@@ -64,7 +63,7 @@ def test_corexz_plays_as_cartesian_but_its_z_steps_with_x() -> None:
     )
     assert plays == cartesian
     with pytest.raises(PrinterError, match="the motor of z moves with x"):
-        StepConversion(iter(lines), parse(text.format("corexz"), "mine"), Options("fbs"))
+        next(WholeFile(iter(lines), parse(text.format("corexz"), "mine"), Options("fbs")).steps())
 
 
 def test_bed_slinger_is_compensated_in_x_and_y_each_by_its_own_resonance() -> None:
@@ -73,7 +72,7 @@ def test_bed_slinger_is_compensated_in_x_and_y_each_by_its_own_resonance() -> No
     right_plant = printer.plant
     wrong_plant = replace(right_plant, Gxx=right_plant.Gyy, Gyy=right_plant.Gxx)
     lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
-    command = join(list(SampleStream(iter(lines), printer, Options("fbs")).computed()))
+    command = join(list(WholeFile(iter(lines), printer, Options("fbs")).commands()))
     errors = [
         np.concatenate([j.contour["fbs"] for j in judge([command], plant, 1)])
         for plant in (right_plant, wrong_plant)

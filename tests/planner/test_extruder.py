@@ -7,7 +7,7 @@ import pytest
 
 from hframe_post.arrays import E, X
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.firmware.dialect import Advance, ExtruderLimits, marlin_advance
 from hframe_post.planner.extruder import LOWEST, FollowedAdvance
 from hframe_post.printer.profile import load
@@ -68,6 +68,6 @@ def test_lines_of_the_file_change_it() -> None:
 @pytest.mark.parametrize("K", [0.05, 0.1])
 def test_the_line_is_even_where_the_extruder_would_be_outrun(K: float) -> None:
     printer = replace(load("paper-marlin"), extruder=Extruder(K))
-    stream = SampleStream(rectangle(printer), printer, Options("racking", ("racking",)))
-    assert len(list(stream))
-    below(stream.report().width["racking"].rms, 0.05, "RMS error of the width")
+    stream = WholeFile(rectangle(printer), printer, Options("racking", ("racking",)))
+    assert len(list(stream.samples()))
+    below(stream.report.width["racking"].rms, 0.05, "RMS error of the width")

@@ -9,7 +9,7 @@ import pytest
 
 from hframe_post.arrays import Array, X, Y
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.model.error_range import SUMS, error_range, products
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.nozzle import nozzle
@@ -117,10 +117,10 @@ def as_measured(drift: float) -> Printer:
 
 def predicted(printer: Printer) -> tuple[ContourErrors, Samples]:
     """Return the error of a rectangle, and the commands that make it."""
-    commands = SampleStream(rectangle(printer), printer, Options("fbs", ("fbs",), clamp=True))
-    chunks = list(commands)
+    commands = WholeFile(rectangle(printer), printer, Options("fbs", ("fbs",), clamp=True))
+    chunks = list(commands.samples())
     (chunk,) = [each for each in chunks if len(each) > 1000]
-    return commands.report().contour["fbs"], chunk
+    return commands.report.contour["fbs"], chunk
 
 
 @pytest.mark.parametrize("drift", [0.01, 0.03])

@@ -5,7 +5,7 @@ import pytest
 
 from hframe_post.arrays import TS, Array, E, X, Y, Z
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.whole_file import SampleStream
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.native.judging import line_pieces
 from hframe_post.prediction.error_meter import PIECE_MM, Melt
 from hframe_post.printer.settings import Printer
@@ -77,9 +77,9 @@ def test_where_a_piece_ends_does_not_depend_on_chunks() -> None:
 @pytest.mark.paper
 def test_compensation_keeps_the_line_even(paper: Printer) -> None:
     """The rectangle on an exact model, without pressure: 22 % without compensation."""
-    commands = SampleStream(rectangle(paper), paper, Options("racking", ("none", "racking")))
-    assert len(list(commands))
-    width = commands.report().width
+    commands = WholeFile(rectangle(paper), paper, Options("racking", ("none", "racking")))
+    assert len(list(commands.samples()))
+    width = commands.report.width
     assert 0.20 < width["none"].rms < 0.24
     assert width["racking"].rms < 0.15 * width["none"].rms
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array, E
-from hframe_post.conversion.conversions import GcodeConversion
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.firmware.code import Code
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.firmware.registry import firmware as firmware_of
@@ -240,7 +240,7 @@ def test_reader_and_writer_read_modes_alike(profile: str, spelling: str) -> None
     ]  # fmt: skip
     printer = load(profile)
     text = b"".join(
-        piece for piece in GcodeConversion(lines, printer, Options("none"))
+        piece for piece in WholeFile(lines, printer, Options("none")).gcode()
         if isinstance(piece, bytes)
     )  # fmt: skip
     written = text.splitlines()
