@@ -51,12 +51,6 @@ class Filter:
         return np.asarray(y)
 
 
-def as_response(G: TransferFunction | ImpulseResponse, rest: float = 1.0) -> ImpulseResponse:
-    if isinstance(G, ImpulseResponse):
-        return G
-    return ImpulseResponse.from_transfer_function(G, rest)
-
-
 def at(G: TransferFunction, hz: Array, delay: float = 0.0) -> Complex:
     return np.asarray(G.response(2e-3 * np.pi * hz) * np.exp(-2j * np.pi * hz * delay))
 

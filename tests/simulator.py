@@ -24,9 +24,8 @@ from scipy.spatial.transform import Rotation
 
 from hframe_post.arrays import TS, Array
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
+from hframe_post.model.impulse_response import ENDED, LONGEST, ImpulseResponse
 from hframe_post.model.plant import Plant
-from hframe_post.model.transfer_function import TransferFunction
-from tests.plants import as_response
 
 RATE = 20000
 STEPS = 20  # a millisecond
@@ -116,17 +115,6 @@ class Axis:
     def linear(self) -> bool:
         return not any((self.friction, self.play, self.second, self.third))
 
-    def response(self) -> signal.StateSpace:
-        """Return the continuous response without the delay."""
-        total = None
-        for mode in self.modes:
-            w = 2.0 * np.pi * mode.hz
-            one = signal.TransferFunction(
-                [mode.share * w * w], [1.0, 2.0 * mode.damping * w, w * w]
-            )
-            total = one if total is None else _sum(total, one)
-        return total
-
 
 @dataclass(frozen=True)
 class Machine:
@@ -149,16 +137,13 @@ class Machine:
         return self.x.linear and self.y.linear and self.along == 0.0
 
     def exact(self) -> Plant:
-        """Return the plant of a linear machine, exactly discretised for straight lines of 1 ms."""
-        Gxx, Gyy = (_discrete(axis.response(), axis.delay) for axis in (self.x, self.y))
+        """Return the plant of a linear machine, by what one pulse of acceleration does to it."""
+        u = np.arange(LONGEST, dtype=np.float64)  # mm: at 1 mm/ms from the first sample on
+        along_x, along_y = (self.played(np.outer(u, way)) for way in np.eye(2))
+        Gxx, Gyy = (_axis(moved - u[1:]) for moved in (along_x[:, 0], along_y[:, 1]))
         if not self.racking:
-            return Plant(as_response(Gxx), as_response(Gyy), None, self.x_c)
-        w, x = 2.0 * np.pi * self.racking_mode.hz, self.x.response()
-        mode = [1.0, 2.0 * self.racking_mode.damping * w, w * w]
-        num = np.polymul(x.num, [self.racking * w * w, 0.0, 0.0])
-        both = signal.TransferFunction(num, np.polymul(x.den, mode))
-        Gxtheta = as_response(_discrete(both, self.x.delay, True), 0.0)
-        return Plant(as_response(Gxx), as_response(Gyy), Gxtheta, self.x_c)
+            return Plant(Gxx, Gyy, None, self.x_c)
+        return Plant(Gxx, Gyy, ImpulseResponse(_ended(along_x[:, 4]), 0, 0.0), self.x_c)
 
     def played(self, command: Array, keep: int = STEPS, step: float = 0.0) -> Array:
         """Return x, y, their accelerations, θ and θ″ (n, 6) of the nozzle, every ``keep`` / 20 kHz.
@@ -298,45 +283,13 @@ def compiled(source: str) -> ctypes.CDLL:
     return ctypes.CDLL(str(target))
 
 
-def _sum(one: signal.TransferFunction, other: signal.TransferFunction) -> signal.TransferFunction:
-    num = np.polyadd(np.polymul(one.num, other.den), np.polymul(other.num, one.den))
-    return signal.TransferFunction(num, np.polymul(one.den, other.den))
+def _axis(off: Array) -> ImpulseResponse:
+    """Return the response of an axis that is off its command by so much, mm, from 1 ms on."""
+    lag = -float(off[-1])
+    return ImpulseResponse(_ended(off + lag), 0, lag=lag)
 
 
-def _discrete(G: signal.TransferFunction, delay: float, racks: bool = False) -> TransferFunction:
-    """Return the first-order hold of G with its delay: whole samples and an all-pass."""
-    A, B, C, D, _ = _foh(G)
-    zeros, poles, _ = signal.ss2zpk(A, B, C, D)
-    zeros = zeros[np.abs(zeros) < 1e4]
-    if racks:
-        near = np.argsort(np.abs(zeros - 1.0))[:2]
-        zeros = np.append(np.delete(zeros, near), [1.0, 1.0])
-    samples = delay / TS
-    if samples > 1e-6:
-        whole = int(max(np.floor(samples - 0.5), 0.0))
-        rest = samples - whole  # 0.5 … 1.5, or less below half a sample
-        a = (1.0 - rest) / (1.0 + rest)
-        poles = np.concatenate([poles, [-a], np.zeros(whole)])
-        zeros = np.append(zeros, -1.0 / a) if abs(a) > 1e-9 else zeros
-    z0 = np.exp(1j * 2.0 * np.pi * 10.0 * TS)
-    wanted = np.polyval(G.num, 2j * np.pi * 10.0) / np.polyval(G.den, 2j * np.pi * 10.0)
-    wanted *= np.sinc(10.0 * TS) ** 2
-    if racks:
-        size = abs(wanted) / abs(np.prod(z0 - zeros) / np.prod(z0 - poles))
-        sign = np.sign(
-            (
-                wanted
-                * np.exp(-2j * np.pi * 10.0 * delay)
-                / (np.prod(z0 - zeros) / np.prod(z0 - poles))
-            ).real
-        )
-        return TransferFunction(zeros, poles, float(size * sign))
-    return TransferFunction(zeros, poles, float((np.prod(1.0 - poles) / np.prod(1.0 - zeros)).real))
-
-
-def _foh(G: signal.TransferFunction) -> tuple[Array, Array, Array, Array, float]:
-    s = G.to_ss()
-    discrete: tuple[Array, Array, Array, Array, float] = signal.cont2discrete(
-        (s.A, s.B, s.C, s.D), TS, method="foh"
-    )
-    return discrete
+def _ended(deviation: Array) -> Array:
+    """Return a deviation from its pulse on, without the end in which hardly anything moves."""
+    size = np.abs(deviation)
+    return np.append(0.0, deviation[: int(np.flatnonzero(size > ENDED * size.max())[-1]) + 1])

@@ -25,15 +25,15 @@ from tests.gcode_tools import planned
 from tests.gcode_tools import strokes as printed_strokes
 from tests.modes import axis_mode, coupling_mode, damped_by_the_frame, deviation_of_mode
 from tests.paths import ORIGIN, strokes
-from tests.plants import as_response
 
 
 def measured() -> Plant:
     """Return an H-bot that racks; y and racking lag."""
     theta = coupling_mode(38.0, 0.08, 4e-4)
     theta = replace(theta, zeros=theta.zeros[:1], gain=0.1 * theta.gain)  # by velocity, too
-    x, y = as_response(axis_mode(43.0, 0.08)), as_response(damped_by_the_frame(31.0, 0.09))
-    return Plant(x, y, as_response(theta, 0.0), 140.0)
+    response = ImpulseResponse.from_transfer_function
+    x, y = axis_mode(43.0, 0.08), damped_by_the_frame(31.0, 0.09)
+    return Plant(response(x, 1.0), response(y, 1.0), response(theta, 0.0), 140.0)
 
 
 def two_sided(hz: float, damping: float, m: int = 300, lead: int = 32) -> ImpulseResponse:

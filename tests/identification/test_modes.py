@@ -20,10 +20,11 @@ TWO = Machine(
 
 
 def continuous(axis: Axis, hz: Array) -> Complex:
-    s = 2j * np.pi * hz
-    G = axis.response()
-    played = np.polyval(G.num, s) / np.polyval(G.den, s)
-    return np.asarray(played * np.exp(-s * axis.delay) * np.sinc(hz * TS) ** 2)
+    s, G = 2j * np.pi * hz, np.zeros(len(hz), dtype=complex)
+    for mode in axis.modes:
+        w = 2.0 * np.pi * mode.hz
+        G += mode.share * w * w / (s * s + 2.0 * mode.damping * w * s + w * w)
+    return np.asarray(G * np.exp(-s * axis.delay) * np.sinc(hz * TS) ** 2)
 
 
 MODES = [

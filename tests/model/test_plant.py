@@ -17,7 +17,7 @@ from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Printer
 from tests.modes import axis_mode, damped_by_the_frame, deviation_of_mode
 from tests.paths import walk
-from tests.plants import Filter, as_response
+from tests.plants import Filter
 
 ALL = pytest.mark.parametrize("G", [*transfer_functions().values()], ids=[*transfer_functions()])
 
@@ -42,7 +42,7 @@ def test_eq_4_impulse_response(G: TransferFunction) -> None:
 def test_the_response_of_a_transfer_function_moves_the_nozzle_alike(G: TransferFunction) -> None:
     """It ends where its rest is below 0.01 µm of a motion at 10 000 mm/s²."""
     u = np.cumsum(np.cumsum(np.random.default_rng(0).uniform(-0.01, 0.01, 4000)))
-    response = as_response(G, float(round(G.dc_gain)))
+    response = ImpulseResponse.from_transfer_function(G, float(round(G.dc_gain)))
     scale = 140.0 if G.dc_gain < 0.5 else 1.0  # mm of lever arm
     assert np.abs(Filter(response).run(u) - by_scipy(G, u)).max() * scale < 1e-4  # mm, of random
 
