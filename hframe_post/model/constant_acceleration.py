@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.native.planning import distance
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,7 @@ class Trapezoid:
 
     @property
     def row(self) -> Array:
-        """Return it as ``native.planning`` takes it, (7,)."""
+        """Return length, v_s, acceleration, peak, both ramps' and all of the seconds, (7,)."""
         way = self.length, self.v_s, self.acceleration, self.peak, *self.ramps, self.seconds
         return np.array(way)
 
@@ -61,4 +60,9 @@ class Trapezoid:
 
     def distance(self, t: Array) -> Array:
         """Return the distance done (n,), mm, at times t (n,), s, after its beginning."""
-        return distance(self.row, t)
+        up, down = self.ramps
+        t = np.clip(t, 0.0, self.seconds)
+        begun, ending = np.minimum(t, up), np.maximum(t - (self.seconds - down), 0.0)
+        lost = self.acceleration * ending * ending / 2.0
+        gained = begun * (self.v_s + self.acceleration * begun / 2.0)
+        return np.asarray(gained + self.peak * (t - begun) - lost)

@@ -1,11 +1,12 @@
-/* How Python calls a loop. A row below its C function names the arguments in order:
+/* How Python calls a loop. A row below its C function says what it gets:
  *
- *     LOOP(smooth, FLOATS(0, COUNT(1) + 2), COUNT(1), REAL(2), OUT_FLOATS(3, COUNT(1)))
+ *     LOOP(smooth, FLOATS(0, 3), ITEMS(0) - 2, REAL(1), NEW_FLOATS(0, ITEMS(0) - 2))
  *
- * Argument 0 is an array of float64 with at least n + 2 items, where n is argument 1, an integer from
- * 0 on; argument 2 is a number, and argument 3 an array with n items to write to. All that a loop
- * needs in order to stay within its arrays, and to end, is in its row; the loop itself checks nothing.
- * It runs without the global interpreter lock. module.c lists the names of all loops. */
+ * Argument 0 of Python's is an array of float64 with at least 3 items, argument 1 a number. The loop
+ * gets how many items the array has, less 2, and a new array of that length, which Python gets: all
+ * new arrays, in order, are what a loop returns to it; if it makes none, its result is. All that a
+ * loop needs in order to stay within its arrays, and to end, is in its row; the loop itself checks
+ * nothing. It runs without the global interpreter lock. module.c lists the names of all loops. */
 
 #ifndef HFRAME_ARGUMENTS_H
 #define HFRAME_ARGUMENTS_H
@@ -22,6 +23,11 @@ void *array_argument(struct call *call, int k, int64_t items, const char *format
 const int64_t *indices_argument(struct call *call, int k, int64_t items, int64_t least, int64_t end);
 const int64_t *parts_argument(struct call *call, int k, int64_t items, int64_t whole);
 int64_t items_of(const struct call *call, int k);
+
+/* Return new array k, (rows, columns), or (rows,) if columns is 0. */
+enum extent { ALL, UP_TO_RESULT, ROOM_ONLY }; /* what of it Python gets: as many rows as the result */
+void *new_array(struct call *call, int k, const char *type, int64_t rows, int64_t columns,
+                enum extent extent);
 
 #define MOST_ITEMS ((int64_t)1 << 31) /* the product of two does not overflow, nor of three FEW */
 #define MOST_FEW ((int64_t)1 << 20)
@@ -43,6 +49,14 @@ int64_t items_of(const struct call *call, int k);
 #define OUT_FLOATS(k, n) ((double *)array_argument(call, k, n, "d", 1))
 #define OUT_INTEGERS(k, n) ((int64_t *)array_argument(call, k, n, "lq", 1))
 #define OUT_BYTES(k, n) ((uint8_t *)array_argument(call, k, n, "B?", 1))
+#define NEW_FLOATS(k, n) ((double *)new_array(call, k, "f8", n, 0, ALL))
+#define NEW_ROWS(k, n, columns) ((double *)new_array(call, k, "f8", n, columns, ALL))
+#define NEW_INTEGERS(k, n) ((int64_t *)new_array(call, k, "i8", n, 0, ALL))
+#define NEW_FLAGS(k, n) ((uint8_t *)new_array(call, k, "?", n, 0, ALL))
+#define UP_TO_FLOATS(k, n) ((double *)new_array(call, k, "f8", n, 0, UP_TO_RESULT)) /* cut to the result */
+#define UP_TO_INTEGERS(k, n) ((int64_t *)new_array(call, k, "i8", n, 0, UP_TO_RESULT))
+#define UP_TO_FLAGS(k, n) ((uint8_t *)new_array(call, k, "?", n, 0, UP_TO_RESULT))
+#define ROOM(k, n) ((double *)new_array(call, k, "f8", n, 0, ROOM_ONLY)) /* for the loop alone */
 
 /* All arguments are evaluated, and thereby checked, before the loop is called with them. */
 #define LOOP(name, ...)                                 \

@@ -23,6 +23,7 @@
 #endif
 
 enum { X, Y, Z, E, COLUMNS }; /* of a position */
+#define TS 1e-3 /* s from sample to sample, as in arrays.py */
 
 static inline double greater(double a, double b) { return a > b ? a : b; }
 static inline double lesser(double a, double b) { return a < b ? a : b; }

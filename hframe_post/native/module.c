@@ -1,6 +1,6 @@
-/* The loops as functions of the Python module _kernels, through the limited API. Numbers and arrays
- * are passed without conversion. An argument of the wrong type or layout is a TypeError, one of the
- * wrong length or range a ValueError. */
+/* The loops as functions of the Python module _kernels, through the limited API. A loop gets its
+ * arguments as they are, but contiguous copies of arrays with gaps. An argument of the wrong type or
+ * layout is a TypeError, one of the wrong length or range a ValueError. */
 
 #define PY_SSIZE_T_CLEAN
 #if defined(_WIN32) || __has_include(<Python.h>)
@@ -19,18 +19,16 @@
     EACH(deviation)                                                                           \
     EACH(farthest)                                                                            \
     EACH(find_runs)                                                                           \
+    EACH(finite_filter)                                                                       \
     EACH(fitted)                                                                              \
     EACH(follow)                                                                              \
+    EACH(greatest_speeds)                                                                     \
     EACH(joined_pieces)                                                                       \
-    EACH(junctions)                                                                           \
     EACH(klipper_durations)                                                                   \
     EACH(klipper_feeds)                                                                       \
-    EACH(finite_filter)                                                                       \
     EACH(limit_moves)                                                                         \
-    EACH(lower_moves)                                                                         \
-    EACH(smoothed_runs)                                                                       \
-    EACH(solve_stops)                                                                         \
     EACH(line_pieces)                                                                         \
+    EACH(lower_moves)                                                                         \
     EACH(marlin_block_times)                                                                  \
     EACH(marlin_blocks)                                                                       \
     EACH(marlin_feed_rates)                                                                   \
@@ -47,15 +45,18 @@
     EACH(path_lengths)                                                                        \
     EACH(phases)                                                                              \
     EACH(plain_lines)                                                                         \
-    EACH(profiles)                                                                            \
     EACH(product)                                                                             \
+    EACH(profiles)                                                                            \
     EACH(progress_lines)                                                                      \
     EACH(recursion)                                                                           \
     EACH(safe)                                                                                \
+    EACH(samples_until)                                                                       \
     EACH(sliding_sums)                                                                        \
+    EACH(smoothed_runs)                                                                       \
+    EACH(solve_stops)                                                                         \
     EACH(too_thick)
 
-enum { MOST_ARGUMENTS = 32 };
+enum { MOST_ARGUMENTS = 32, MOST_NEW = 8, CONTIGUOUS = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT };
 
 struct call {
     Py_ssize_t count, used;
@@ -68,8 +69,15 @@ struct call {
         double real;
         int64_t whole;
         Py_buffer view;
+        int copied;
     } of[MOST_ARGUMENTS];
+    struct {
+        enum extent extent;
+        Py_buffer view; /* its object is NULL if it was not made */
+    } new[MOST_NEW];
 };
+
+static PyObject *empty; /* numpy's */
 
 static int note(struct call *call, int k, int right, const char *cause)
 {
@@ -127,7 +135,8 @@ void *array_argument(struct call *call, int k, int64_t items, const char *format
     const char *format = view->format ? view->format : "B";
     int right = note(call, k, strlen(format) == 1 && strchr(formats, *format), "an array of the right type")
         && note(call, k, (uintptr_t)view->buf % (size_t)view->itemsize == 0, "an aligned array")
-        && note(call, k, !written || !view->readonly, "an array that can be written to")
+        && note(call, k, !written || !(view->readonly || call->of[k].copied),
+                "a contiguous array that can be written to")
         && note_range(call, k, items_of(call, k) >= items, items, INT64_MAX);
     return right ? view->buf : NULL;
 }
@@ -156,7 +165,24 @@ const int64_t *parts_argument(struct call *call, int k, int64_t items, int64_t w
     return part;
 }
 
-/* Take one argument; return whether it is a number or a contiguous array. */
+void *new_array(struct call *call, int k, const char *type, int64_t rows, int64_t columns,
+                enum extent extent)
+{
+    Py_buffer *view = &call->new[k].view;
+    if (call->checked || call->wrong >= 0) /* made, or never used */
+        return call->checked ? view->buf : NULL;
+    if (!note(call, (int)call->count, rows >= 0, "longer arrays"))
+        return NULL;
+    PyObject *array = columns ? PyObject_CallFunction(empty, "(LL)s", (long long)rows, (long long)columns, type)
+                              : PyObject_CallFunction(empty, "(L)s", (long long)rows, type);
+    call->new[k].extent = extent;
+    if (array && PyObject_GetBuffer(array, view, PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE) < 0)
+        view->obj = NULL;
+    Py_XDECREF(array);
+    return note(call, (int)call->count, view->obj != NULL, "room for new arrays") ? view->buf : NULL;
+}
+
+/* Take one argument; return whether it is a number or an array. */
 static int taken(PyObject *value, struct call *call, int k)
 {
     if (PyFloat_Check(value)) {
@@ -172,17 +198,68 @@ static int taken(PyObject *value, struct call *call, int k)
         return !PyErr_Occurred();
     } else {
         call->of[k].kind = PyBytes_Check(value) ? BYTES_OBJECT : ARRAY;
-        return PyObject_GetBuffer(value, &call->of[k].view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT) == 0;
+        call->of[k].copied = 0;
+        if (PyObject_GetBuffer(value, &call->of[k].view, CONTIGUOUS) == 0)
+            return 1;
+        PyErr_Clear();
+        PyObject *copy = PyObject_CallMethod(value, "copy", NULL); /* of numpy's: contiguous */
+        call->of[k].copied = copy && PyObject_GetBuffer(copy, &call->of[k].view, CONTIGUOUS) == 0;
+        Py_XDECREF(copy);
+        return call->of[k].copied;
     }
     return 1;
+}
+
+/* Return the new arrays, in order, those UP_TO the result as long as that; without any, the result. */
+static PyObject *returned(struct call *call, int64_t result)
+{
+    PyObject *arrays[MOST_NEW], *all;
+    Py_ssize_t count = 0, failed = 0;
+    for (int k = 0; k < MOST_NEW; k++) {
+        PyObject *array = call->new[k].view.obj;
+        if (array == NULL || call->new[k].extent == ROOM_ONLY)
+            continue;
+        arrays[count] = call->new[k].extent == ALL ? (Py_IncRef(array), array)
+                                                   : PySequence_GetSlice(array, 0, (Py_ssize_t)result);
+        failed += arrays[count++] == NULL;
+    }
+    if (count == 0)
+        return PyLong_FromLongLong(result);
+    if (count == 1)
+        return arrays[0];
+    all = PyTuple_New(count);
+    for (Py_ssize_t k = 0; k < count; k++)
+        if (all)
+            PyTuple_SetItem(all, k, arrays[k]); /* takes the reference */
+        else
+            Py_XDECREF(arrays[k]);
+    if (failed)
+        Py_CLEAR(all);
+    return all;
+}
+
+static PyObject *refused(const struct call *call, const char *name)
+{
+    if (PyErr_Occurred() && PyErr_ExceptionMatches(PyExc_MemoryError))
+        return NULL;
+    PyErr_Clear();
+    if (call->cause)
+        return PyErr_Format(PyExc_TypeError, "argument %d of %s must be %s", call->wrong, name, call->cause);
+    if (call->most == INT64_MAX)
+        return PyErr_Format(PyExc_ValueError, "argument %d of %s must have %lld items or more", call->wrong,
+                            name, (long long)call->least);
+    return PyErr_Format(PyExc_ValueError, "argument %d of %s must be from %lld to %lld", call->wrong, name,
+                        (long long)call->least, (long long)call->most);
 }
 
 static PyObject *called(const char *name, int64_t (*loop)(struct call *, int),
                         PyObject *const *arguments, Py_ssize_t given_count)
 {
     struct call call;
-    int64_t result = 0;
-    call.used = 0, call.checked = 0, call.wrong = -1, call.cause = "a number or a contiguous array";
+    PyObject *result = NULL;
+    call.used = 0, call.checked = 0, call.wrong = -1, call.cause = "a number or an array";
+    for (int k = 0; k < MOST_NEW; k++)
+        call.new[k].view.obj = NULL;
     for (call.count = 0; call.count < given_count; call.count++)
         if (call.count == MOST_ARGUMENTS || !taken(arguments[call.count], &call, (int)call.count)) {
             call.wrong = (int)call.count;
@@ -193,24 +270,22 @@ static PyObject *called(const char *name, int64_t (*loop)(struct call *, int),
         note(&call, (int)call.used, call.used == call.count, "left out");
     }
     if (call.wrong < 0) {
+        int64_t count;
         call.checked = 1;
         Py_BEGIN_ALLOW_THREADS
-        result = loop(&call, 1);
+        count = loop(&call, 1);
         Py_END_ALLOW_THREADS
+        result = returned(&call, count);
+    } else {
+        refused(&call, name);
     }
     for (Py_ssize_t k = 0; k < call.count; k++)
         if (call.of[k].kind >= ARRAY)
             PyBuffer_Release(&call.of[k].view);
-    if (call.wrong < 0)
-        return PyLong_FromLongLong(result);
-    PyErr_Clear();
-    if (call.cause)
-        return PyErr_Format(PyExc_TypeError, "argument %d of %s must be %s", call.wrong, name, call.cause);
-    if (call.most == INT64_MAX)
-        return PyErr_Format(PyExc_ValueError, "argument %d of %s must have %lld items or more", call.wrong,
-                            name, (long long)call.least);
-    return PyErr_Format(PyExc_ValueError, "argument %d of %s must be from %lld to %lld", call.wrong, name,
-                        (long long)call.least, (long long)call.most);
+    for (int k = 0; k < MOST_NEW; k++)
+        if (call.new[k].view.obj)
+            PyBuffer_Release(&call.new[k].view);
+    return result;
 }
 
 #define FUNCTION(name)                                                                        \
@@ -231,8 +306,10 @@ static struct PyModuleDef definition = {
 
 PyMODINIT_FUNC PyInit__kernels(void)
 {
-    PyObject *module = PyModule_Create(&definition);
-    if (module && PyModule_AddIntConstant(module, "BUILT_FOR", BUILT_FOR) < 0)
+    PyObject *module = PyModule_Create(&definition), *numpy = PyImport_ImportModule("numpy");
+    empty = numpy ? PyObject_GetAttrString(numpy, "empty") : NULL;
+    Py_XDECREF(numpy);
+    if (module && (!empty || PyModule_AddIntConstant(module, "BUILT_FOR", BUILT_FOR) < 0))
         Py_CLEAR(module);
     return module;
 }

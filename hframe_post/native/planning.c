@@ -1,3 +1,5 @@
+#include <string.h>
+
 #include "kernels.h"
 
 struct limited { /* a move; the deviation is that of its junctions; alone: x and y rest; REST: so does
@@ -29,6 +31,7 @@ static double find_shares(const double *points, const double belts[2][2], double
 struct shared { /* limits of motors A and B, z and e, and of the path */
     double velocity[COLUMNS], acceleration[COLUMNS], belts[2][2], path;
 };
+enum { RULES = sizeof(struct rules) / sizeof(double), SHARED = sizeof(struct shared) / sizeof(double) };
 
 /* Lower speed and acceleration (n) of moves between points (n + 1, 4); return how many were. */
 static int64_t lower_moves(const double *points, int64_t n, const struct shared *to, double *speed,
@@ -48,9 +51,8 @@ static int64_t lower_moves(const double *points, int64_t n, const struct shared 
     return count;
 }
 
-LOOP(lower_moves, FLOATS(0, COLUMNS * (COUNT(1) + 1)), COUNT(1),
-     (const struct shared *)FLOATS(2, sizeof(struct shared) / sizeof(double)), OUT_FLOATS(3, COUNT(1)),
-     OUT_FLOATS(4, COUNT(1)))
+LOOP(lower_moves, FLOATS(0, COLUMNS * (ITEMS(2) + 1)), ITEMS(2), (const struct shared *)FLOATS(1, SHARED),
+     OUT_FLOATS(2, 0), OUT_FLOATS(3, ITEMS(2)))
 
 /* points (n + 1, 4); asked (n) for speed, acceleration and speed of corners. */
 static int64_t limit_moves(const double *points, const double *speed, const double *acceleration,
@@ -78,19 +80,25 @@ static int64_t limit_moves(const double *points, const double *speed, const doub
     return n;
 }
 
-LOOP(limit_moves, FLOATS(0, COLUMNS * (COUNT(4) + 1)), FLOATS(1, COUNT(4)), FLOATS(2, COUNT(4)),
-     FLOATS(3, COUNT(4)), COUNT(4), (const struct rules *)FLOATS(5, sizeof(struct rules) / sizeof(double)),
-     (struct limited *)OUT_FLOATS(6, OF_MOVE * COUNT(4)))
+LOOP(limit_moves, FLOATS(0, COLUMNS * (ITEMS(1) + 1)), FLOATS(1, 0), FLOATS(2, ITEMS(1)),
+     FLOATS(3, ITEMS(1)), ITEMS(1), (const struct rules *)FLOATS(4, RULES),
+     (struct limited *)NEW_ROWS(0, ITEMS(1), OF_MOVE))
 
 /* cosine of the turns with which an arc must fit into short moves: Marlin takes √½, with which rounding
  * decides at the 45° of infill */
 #define GENTLE 0.71
 #define STRAIGHT 0.999999 /* cosine; moves back within it stop */
+#define SHORT 1.0 /* mm; only into shorter moves must an arc fit, on a board with junction deviation */
+#define CREEP 0.01 /* mm/s; a junction that allows less is a stop */
+/* shares of acceleration and jerk, and of the cruise speed at vertices, that keep Ruckig off the edge of
+ * what is feasible */
+#define FEASIBLE (1.0 - 1e-6)
+#define BELOW_CRUISE (1.0 - 1e-4)
 
 /* Return the greatest speed between two moves, as a board with junction deviation finds it: their
  * directions are those of all motors, and the corner has an acceleration that none exceeds. */
 static double deviation_speed(const double *one, const double *other, struct limited to,
-                              const struct rules *rules, double shorter)
+                              const struct rules *rules)
 {
     double unit[2][COLUMNS], size[2], turn[COLUMNS], cosine = 0.0, squared = 0.0, a = to.acceleration;
     for (int k = 0; k < 2; k++) {
@@ -115,7 +123,7 @@ static double deviation_speed(const double *one, const double *other, struct lim
         if (fabs(turn[c]) * a > rules->axis_acceleration[c] * sqrt(squared))
             a = rules->axis_acceleration[c] * sqrt(squared) / fabs(turn[c]);
     double sin_half = sqrt(0.5 * (1.0 - cosine)), v2 = a * to.deviation * sin_half / (1.0 - sin_half);
-    if (to.length < shorter && cosine < -GENTLE)
+    if (to.length < SHORT && cosine < -GENTLE)
         v2 = lesser(v2, to.length * a / acos(-cosine));
     return sqrt(v2);
 }
@@ -141,36 +149,38 @@ static int is_steep(const double *delta, double steep)
     return delta[Z] * delta[Z] > steep * steep * (delta[X] * delta[X] + delta[Y] * delta[Y]);
 }
 
-/* Fill caps (n + 1), the greatest speed at each vertex of points (n + 1, 4). shorter: finite for a board
- * with junction deviation, which passes from motion into moves while x and y rest. */
-static int64_t junctions(const double *points, const struct limited *moves, int64_t n,
-                         const struct rules *rules, double extruder_corner, double shorter,
-                         double below_cruise, double steep, double creep, double *caps)
+/* Fill corners (n + 1), the greatest speed at each vertex of points (n + 1, 4), and caps, those that
+ * braking ``late`` by some mm leads to. joins: for a board with junction deviation, which passes from
+ * motion into moves while x and y rest. */
+static int64_t greatest_speeds(const double *points, const struct limited *moves, int64_t n,
+                               const struct rules *rules, double extruder_corner, int64_t joins,
+                               double steep, double late, double *corners, double *caps)
 {
     double delta[2][COLUMNS];
     for (int64_t k = 0; k < n; k++, points += COLUMNS) {
-        double *now = delta[k % 2], *before = delta[1 - k % 2], cruise = below_cruise * moves[k].cruise;
+        double *now = delta[k % 2], *before = delta[1 - k % 2], cruise = BELOW_CRUISE * moves[k].cruise;
         for (int c = 0; c < COLUMNS; c++)
             now[c] = points[COLUMNS + c] - points[c];
-        caps[k] = caps[k + 1] = cruise;
+        caps[k] = caps[k + 1] = corners[k] = corners[k + 1] = cruise;
         if (k == 0)
             continue;
-        int joins = shorter < INFINITY;
-        double v = joins ? deviation_speed(before, now, moves[k], rules, shorter)
+        double v = joins ? deviation_speed(before, now, moves[k], rules)
                          : junction_speed(before, now, moves[k - 1], moves[k], extruder_corner);
         int stops = (!(joins && moves[k - 1].alone) && is_steep(before, steep)) ||
                     (!(joins && moves[k].alone) && is_steep(now, steep));
-        if (stops || moves[k - 1].alone == REST || moves[k].alone == REST || v < creep)
+        if (stops || moves[k - 1].alone == REST || moves[k].alone == REST || v < CREEP)
             v = 0.0;
-        caps[k] = lesser(v, lesser(below_cruise * moves[k - 1].cruise, cruise));
+        cruise = lesser(BELOW_CRUISE * moves[k - 1].cruise, cruise);
+        corners[k] = caps[k] = lesser(v, cruise);
+        if (late > 0.0 && corners[k] > 0.0)
+            caps[k] = lesser(sqrt(corners[k] * corners[k] + 2.0 * late * moves[k].acceleration), cruise);
     }
     return n;
 }
 
-LOOP(junctions, FLOATS(0, COLUMNS * (COUNT(2) + 1)),
-     (const struct limited *)FLOATS(1, OF_MOVE * COUNT(2)), COUNT(2),
-     (const struct rules *)FLOATS(3, sizeof(struct rules) / sizeof(double)), REAL(4), REAL(5), REAL(6),
-     REAL(7), REAL(8), OUT_FLOATS(9, COUNT(2) + 1))
+LOOP(greatest_speeds, FLOATS(0, ITEMS(1) / OF_MOVE * COLUMNS + COLUMNS), (const struct limited *)FLOATS(1, 0),
+     ITEMS(1) / OF_MOVE, (const struct rules *)FLOATS(2, RULES), REAL(3), WITHIN(4, 0, 1), REAL(5), REAL(6),
+     NEW_FLOATS(0, ITEMS(1) / OF_MOVE + 1), NEW_FLOATS(1, ITEMS(1) / OF_MOVE + 1))
 
 /* Return the greatest speed reached from v0 within a length. */
 static double reachable(double v0, double length, double a, double jerk)
@@ -230,10 +240,12 @@ static void fit_squares(const double *caps2, const double *reach2, int64_t n, do
     v2[0] = caps2[0];
 }
 
-/* As find_runs, for moves in which the machine does not rest. */
-static int64_t runs_between_rests(const struct limited *moves, const double *caps, int64_t n, double jerk,
-                                 double last, double feasible, int64_t plateau, double *room, double *s,
-                                 int64_t *ends, double *speed)
+enum { PLATEAU = 256 }; /* moves at cruise speed in a run */
+
+/* As find_runs, for moves in which the machine does not rest, from a speed to another. */
+static int64_t runs_between_rests(const struct limited *moves, const double *caps, int64_t n, double first,
+                                  double last, double jerk, double *room, double *s, int64_t *ends,
+                                  double *speed)
 {
     double *caps2 = room, *reach2 = caps2 + n + 1, *v2 = reach2 + n + 1;
     struct run *runs = (struct run *)(v2 + n + 1);
@@ -241,16 +253,16 @@ static int64_t runs_between_rests(const struct limited *moves, const double *cap
     s[0] = reach2[0] = 0.0;
     for (int64_t k = 0; k < n; k++) {
         s[k + 1] = s[k] + moves[k].length;
-        reach2[k + 1] = reach2[k] + 2.0 * (feasible * moves[k].acceleration) * moves[k].length;
+        reach2[k + 1] = reach2[k] + 2.0 * (FEASIBLE * moves[k].acceleration) * moves[k].length;
         caps2[k] = caps[k] * caps[k];
     }
-    caps2[n] = last * last;
+    caps2[0] = first * first, caps2[n] = last * last;
     fit_squares(caps2, reach2, n, v2);
     double rounding = 1e-15 * reach2[n];
     for (int64_t k = 0; k <= n; k++) {
         if (k > 0 && k < n) {
             struct limited one = moves[k - 1], other = moves[k];
-            int slowed = k % plateau == 0 || caps[k] < (1.0 - 2e-4) * lesser(one.cruise, other.cruise);
+            int slowed = k % PLATEAU == 0 || caps[k] < (1.0 - 2e-4) * lesser(one.cruise, other.cruise);
             int reached = v2[k] >= (1.0 - 1e-6) * caps2[k] - rounding;
             int change = one.cruise != other.cruise || one.acceleration != other.acceleration;
             change |= one.alone || other.alone;
@@ -260,22 +272,22 @@ static int64_t runs_between_rests(const struct limited *moves, const double *cap
         if (r > 0)
             runs[r - 1].length = s[k] - s[ends[r - 1]];
         if (k < n)
-            runs[r].acceleration = feasible * moves[k].acceleration;
+            runs[r].acceleration = FEASIBLE * moves[k].acceleration;
         speed[r] = sqrt(v2[k]), ends[r++] = k;
     }
     uint8_t *new = (uint8_t *)(runs + n + 1);
     lower(speed, runs, r - 1, jerk, 1, new);
-    speed[0] = caps[0]; /* final before, with the share of feasible to spare */
+    speed[0] = first; /* final before, with the share of feasible to spare */
     lower(speed, runs, r - 1, jerk, 0, new);
     return r - 1;
 }
 
-/* Find the vertices that end runs, and the speeds there; return the number of runs. s, ends and speed
- * (n + 1); s: path length at the vertices, from 0 on again after a move at which the machine rests: that
- * is a run by itself. room (6, n + 1). */
-static int64_t find_runs(const struct limited *moves, const double *caps, int64_t n, double jerk,
-                         double last, double feasible, int64_t plateau, double *room, double *s,
-                         int64_t *ends, double *speed)
+/* Find the vertices that end runs, and the speeds there; return how many. caps (n): greatest speeds at
+ * which moves begin, but the first at a given one. rolling: the last ends at its own speed, not in a stop.
+ * s, ends and speed (n + 1); s: path length at the vertices, from 0 on again after a move at which the
+ * machine rests: that is a run by itself. room (6, n + 1). */
+static int64_t find_runs(const struct limited *moves, const double *caps, int64_t n, double begin,
+                         int64_t rolling, double jerk, double *room, double *s, int64_t *ends, double *speed)
 {
     int64_t r = 0;
     for (int64_t from = 0, to = 0; from <= n; from = ++to) {
@@ -286,17 +298,18 @@ static int64_t find_runs(const struct limited *moves, const double *caps, int64_
             continue;
         }
         int64_t first = r;
-        r += 1 + runs_between_rests(moves + from, caps + from, to - from, jerk, to < n ? 0.0 : last,
-                                    feasible, plateau, room, s + from, ends + r, speed + r);
+        double last = to == n && rolling ? BELOW_CRUISE * moves[n - 1].cruise : 0.0;
+        r += 1 + runs_between_rests(moves + from, caps + from, to - from, from ? caps[from] : begin, last,
+                                    FEASIBLE * jerk, room, s + from, ends + r, speed + r);
         for (int64_t i = first; i < r; i++)
             ends[i] += from;
     }
-    return r - 1;
+    return r;
 }
 
-LOOP(find_runs, (const struct limited *)FLOATS(0, OF_MOVE * COUNT(2)), FLOATS(1, COUNT(2) + 1), COUNT(2),
-     REAL(3), REAL(4), REAL(5), WITHIN(6, 1, MOST_ITEMS), OUT_FLOATS(7, 6 * (COUNT(2) + 1)),
-     OUT_FLOATS(8, COUNT(2) + 1), OUT_INTEGERS(9, COUNT(2) + 1), OUT_FLOATS(10, COUNT(2) + 1))
+LOOP(find_runs, (const struct limited *)FLOATS(0, OF_MOVE * ITEMS(1)), FLOATS(1, 1), ITEMS(1), REAL(2),
+     WITHIN(3, 0, 1), REAL(4), ROOM(0, 6 * (ITEMS(1) + 1)), NEW_FLOATS(1, ITEMS(1) + 1),
+     UP_TO_INTEGERS(2, ITEMS(1) + 1), UP_TO_FLOATS(3, ITEMS(1) + 1))
 
 struct planned { /* a run, without a limit on jerk */
     double length, begun2, ended2, acceleration; /* speeds squared */
@@ -369,13 +382,13 @@ static int64_t smoothed_between_rests(const double *s, const int64_t *ends, cons
     return r;
 }
 
-/* Lower the speeds (r + 1) of runs, and find the greatest speed and the time of each, (r), as Klipper
- * plays them; 0 for runs in which s begins again. room (4, r + 1). */
-static int64_t smoothed_runs(const double *s, int64_t m, const int64_t *ends, const double *cruise,
-                             const double *acceleration, const double *ratios, int64_t r, double *room,
-                             double *speed, double *top, double *seconds)
+/* Find the speeds (r + 1) of runs, none above those that are planned, and the greatest speed and the time
+ * of each, (r), as Klipper plays them; 0 for runs in which s begins again. room (4, r + 1). */
+static int64_t smoothed_runs(const double *s, const int64_t *ends, const double *highest,
+                             const double *cruise, const double *acceleration, const double *ratios,
+                             int64_t r, double *room, double *speed, double *top, double *seconds)
 {
-    (void)m;
+    memcpy(speed, highest, sizeof(double) * (size_t)(r + 1));
     for (int64_t from = 0, to = 0; from < r; from = ++to) {
         while (to < r && s[ends[to + 1]] > s[ends[to]])
             to++;
@@ -388,12 +401,14 @@ static int64_t smoothed_runs(const double *s, int64_t m, const int64_t *ends, co
     return r;
 }
 
-LOOP(smoothed_runs, FLOATS(0, COUNT(1)), COUNT(1), INDICES(2, COUNT(6) + 1, 0, COUNT(1)),
-     FLOATS(3, COUNT(6)), FLOATS(4, COUNT(6)), FLOATS(5, COUNT(6)), COUNT(6),
-     OUT_FLOATS(7, 4 * (COUNT(6) + 1)), OUT_FLOATS(8, COUNT(6) + 1), OUT_FLOATS(9, COUNT(6)),
-     OUT_FLOATS(10, COUNT(6)))
+LOOP(smoothed_runs, FLOATS(0, 0), INDICES(1, ITEMS(3) + 1, 0, ITEMS(0)), FLOATS(2, ITEMS(3) + 1),
+     FLOATS(3, 0), FLOATS(4, ITEMS(3)), FLOATS(5, ITEMS(3)), ITEMS(3), ROOM(0, 4 * (ITEMS(3) + 1)),
+     NEW_FLOATS(1, ITEMS(3) + 1), NEW_FLOATS(2, ITEMS(3)), NEW_FLOATS(3, ITEMS(3)))
 
 enum { PHASES = 7 }; /* of a run; t, j (r, 7) are their durations and jerks */
+#define ALMOST 0.999 /* share of a limit that counts as all of it */
+#define DRIFT 1e-6 /* mm by which a profile may miss its run's end through rounding */
+#define FORGIVEN 1e-9 /* of a sample, by which a time may be after it */
 
 struct wanted { /* a run: from speed v0 to v1 over a length */
     double v0, v1, length, cruise, most;
@@ -443,17 +458,17 @@ static double peak_of(struct wanted run, double jerk)
 
 /* Fill the phases of r runs whose fastest profile has a closed form: at one speed, one change of speed, up
  * to cruise and down, or up and down with the acceleration reached. Note the others, which are one change
- * of speed until they are solved; return how many. ``almost``: share of a limit that counts as all of it. */
+ * of speed until they are solved; return how many. */
 static int64_t profiles(const double *v0, const double *v1, const double *length, const double *cruise,
-                        const double *most, int64_t r, double jerk, double almost, double *t,
-                        double *j, int64_t *others)
+                        const double *most, int64_t r, double jerk, double *t, double *j,
+                        int64_t *others)
 {
     int64_t count = 0;
     for (int64_t i = 0; i < r; i++, t += PHASES, j += PHASES) {
         struct wanted run = {v0[i], v1[i], length[i], cruise[i], most[i]};
         double taken = ramp(run, jerk, t, j), found[PHASES];
-        int even = run.v0 == run.v1 && run.v0 >= almost * run.cruise;
-        if (even || taken >= almost * run.most)
+        int even = run.v0 == run.v1 && run.v0 >= ALMOST * run.cruise;
+        if (even || taken >= ALMOST * run.most)
             continue;
         if (!peaked(run, run.cruise, jerk, found)) {
             double peak = peak_of(run, jerk);
@@ -470,9 +485,9 @@ static int64_t profiles(const double *v0, const double *v1, const double *length
     return count;
 }
 
-LOOP(profiles, FLOATS(0, COUNT(5)), FLOATS(1, COUNT(5)), FLOATS(2, COUNT(5)), FLOATS(3, COUNT(5)),
-     FLOATS(4, COUNT(5)), COUNT(5), REAL(6), REAL(7), OUT_FLOATS(8, PHASES * COUNT(5)),
-     OUT_FLOATS(9, PHASES * COUNT(5)), OUT_INTEGERS(10, COUNT(5)))
+LOOP(profiles, FLOATS(0, ITEMS(4)), FLOATS(1, ITEMS(4)), FLOATS(2, ITEMS(4)), FLOATS(3, ITEMS(4)),
+     FLOATS(4, 0), ITEMS(4), REAL(5), NEW_ROWS(0, ITEMS(4), PHASES), NEW_ROWS(1, ITEMS(4), PHASES),
+     UP_TO_INTEGERS(2, ITEMS(4)))
 
 /* Acceleration, speed, path length from the start, and time from the start, when a phase begins. */
 struct phase {
@@ -493,35 +508,44 @@ static void integrate(const double *t, const double *j, double v0, struct phase 
     }
 }
 
-/* Note which runs go backwards or miss their length by more than ``drift``; return how many. */
-static int64_t misses(const double *t, const double *j, const double *v0, const double *length,
-                      int64_t r, double drift, uint8_t *missed)
+/* Note which runs go backwards or miss their length. */
+static int64_t misses(const double *t, const double *j, const double *v0, const double *length, int64_t r,
+                      uint8_t *missed)
 {
-    int64_t count = 0;
     for (int64_t i = 0; i < r; i++) {
         struct phase phase[PHASES + 1];
         integrate(t + PHASES * i, j + PHASES * i, v0[i], phase);
-        missed[i] = fabs(phase[PHASES].s - length[i]) > drift;
+        missed[i] = fabs(phase[PHASES].s - length[i]) > DRIFT;
         for (int k = 0; k < PHASES; k++)
-            missed[i] |= phase[k].v < -drift;
-        count += missed[i];
+            missed[i] |= phase[k].v < -DRIFT;
     }
+    return r;
+}
+
+LOOP(misses, FLOATS(0, PHASES * ITEMS(3)), FLOATS(1, PHASES * ITEMS(3)), FLOATS(2, ITEMS(3)),
+     FLOATS(3, 0), ITEMS(3), NEW_FLAGS(0, ITEMS(3)))
+
+/* Return the first whole sample at or after a time. */
+static int64_t samples_until(double seconds) { return (int64_t)ceil(seconds / TS - FORGIVEN); }
+
+LOOP(samples_until, REAL(0))
+
+/* Return how many of n phases take time. */
+static int64_t lasting(const double *t, int64_t n)
+{
+    int64_t count = 0;
+    for (int64_t i = 0; t && i < n; i++)
+        count += t[i] > 0.0;
     return count;
 }
 
-LOOP(misses, FLOATS(0, PHASES * COUNT(4)), FLOATS(1, PHASES * COUNT(4)), FLOATS(2, COUNT(4)),
-     FLOATS(3, COUNT(4)), COUNT(4), REAL(5), OUT_BYTES(6, COUNT(4)))
-
-/* speed (r + 1) and s (r + 1) at the ends of runs; samples of ``interval`` s, by a share of which a
- * point of rest may be late. Fill table (6, p) with
- * the phases as below, and end with the time of the end; return p. */
+/* speed (r + 1) and s (r + 1) at the ends of runs. Fill table (6, p) with the phases as below, and end
+ * with the time of the end. */
 static int64_t phases(const double *t, const double *j, const double *speed, const double *s, int64_t r,
-                      double start, double interval, double forgiven, double *table, double *end)
+                      double start, double *table, int64_t p, double *end)
 {
-    int64_t p = 0, row = 0;
+    int64_t row = 0;
     double spent = 0.0, waited = 0.0, begin = start;
-    for (int64_t i = 0; i < PHASES * r; i++)
-        p += t[i] > 0.0;
     for (int64_t i = 0; i < r; i++, t += PHASES, j += PHASES) {
         struct phase phase[PHASES + 1];
         integrate(t, j, speed[i], phase);
@@ -536,27 +560,26 @@ static int64_t phases(const double *t, const double *j, const double *speed, con
         spent += phase[PHASES].time;
         double arrival = start + spent + waited;
         if (speed[i + 1] == 0.0)
-            waited += greater(ceil(arrival / interval - forgiven) - arrival / interval, 0.0) * interval;
+            waited += greater(ceil(arrival / TS - FORGIVEN) - arrival / TS, 0.0) * TS;
         begin = start + spent + waited;
     }
     *end = begin;
     return p;
 }
 
-LOOP(phases, FLOATS(0, PHASES * COUNT(4)), FLOATS(1, PHASES * COUNT(4)), FLOATS(2, COUNT(4) + 1),
-     FLOATS(3, COUNT(4) + 1), COUNT(4), REAL(5), REAL(6), REAL(7),
-     OUT_FLOATS(8, 6 * PHASES * COUNT(4)), OUT_FLOATS(9, 1))
+LOOP(phases, FLOATS(0, 0), FLOATS(1, ITEMS(0)), FLOATS(2, ITEMS(0) / PHASES + 1),
+     FLOATS(3, ITEMS(0) / PHASES + 1), ITEMS(0) / PHASES, REAL(4),
+     NEW_ROWS(0, 6, lasting(FLOATS(0, 0), ITEMS(0))), lasting(FLOATS(0, 0), ITEMS(0)), NEW_FLOATS(1, 1))
 
 /* phases (6, p): start time, duration, path length, speed, acceleration, jerk. Path lengths s (n)
- * at samples first, first + 1, … of ``interval`` s, within 0 … end. */
-static int64_t path_lengths(const double *phases, int64_t p, int64_t first, int64_t n,
-                              double interval, double end, double *s)
+ * at samples first, first + 1, …, within 0 … end. */
+static int64_t path_lengths(const double *phases, int64_t p, int64_t first, int64_t n, double end, double *s)
 {
     const double *time = phases, *duration = phases + p, *s0 = phases + 2 * p,
                  *v = phases + 3 * p, *a = phases + 4 * p, *j = phases + 5 * p;
     int64_t k = 0;
     for (int64_t i = 0; i < n; i++) {
-        double t = interval * (double)(first + i);
+        double t = TS * (double)(first + i);
         while (k + 1 < p && time[k + 1] <= t)
             k++;
         double dt = lesser(t - time[k], duration[k]);
@@ -566,8 +589,7 @@ static int64_t path_lengths(const double *phases, int64_t p, int64_t first, int6
     return n;
 }
 
-LOOP(path_lengths, FLOATS(0, 6 * COUNT(1)), WITHIN(1, COUNT(3) > 0, MOST_ITEMS), WHOLE(2), COUNT(3),
-     REAL(4), REAL(5), OUT_FLOATS(6, COUNT(3)))
+LOOP(path_lengths, FLOATS(0, 6), ITEMS(0) / 6, WHOLE(1), COUNT(2), REAL(3), NEW_FLOATS(0, COUNT(2)))
 
 /* lengths (m + 1): path length at the vertices, points (m + 1, 4). Places xyze (n, 4) at s (n) and
  * the move (n) that each lies on. */
@@ -589,20 +611,19 @@ static int64_t follow(const double *lengths, const double *points, int64_t m, co
     return n;
 }
 
-LOOP(follow, FLOATS(0, COUNT(2) + 1), FLOATS(1, COLUMNS * (COUNT(2) + 1)),
-     WITHIN(2, COUNT(4) > 0, MOST_ITEMS), FLOATS(3, COUNT(4)), COUNT(4),
-     OUT_FLOATS(5, COLUMNS * COUNT(4)), OUT_INTEGERS(6, COUNT(4)))
+LOOP(follow, FLOATS(0, 2), FLOATS(1, COLUMNS * ITEMS(0)), ITEMS(0) - 1, FLOATS(2, 0), ITEMS(2),
+     NEW_ROWS(0, ITEMS(2), COLUMNS), NEW_INTEGERS(1, ITEMS(2)))
 
 /* way: length, speed at the start, acceleration, peak speed, how long it speeds up and slows down, and
  * seconds in all. Places xyze (n, 4) after ``first``, first + 1, … samples of a move between the ends
  * (2, 4), which is done after ``samples``. */
 static int64_t move_at_rest(const double *way, const double *ends, int64_t first, int64_t n, int64_t samples,
-                     double interval, double *xyze)
+                            double *xyze)
 {
     double length = way[0], v_s = way[1], a = way[2], peak = way[3], up = way[4], down = way[5],
            seconds = way[6];
     for (int64_t i = 0; i < n; i++, xyze += COLUMNS) {
-        double t = lesser(greater((double)(first + i) * interval, 0.0), seconds);
+        double t = lesser(greater((double)(first + i) * TS, 0.0), seconds);
         double begun = lesser(t, up), ending = greater(t - (seconds - down), 0.0);
         double done = begun * (v_s + a * begun / 2.0) + peak * (t - begun) - a * ending * ending / 2.0;
         double share = first + i < samples ? done / length : 1.0;
@@ -612,5 +633,5 @@ static int64_t move_at_rest(const double *way, const double *ends, int64_t first
     return n;
 }
 
-LOOP(move_at_rest, FLOATS(0, 7), FLOATS(1, 2 * COLUMNS), WHOLE(2), COUNT(3), WHOLE(4), REAL(5),
-     OUT_FLOATS(6, COLUMNS * COUNT(3)))
+LOOP(move_at_rest, FLOATS(0, 7), FLOATS(1, 2 * COLUMNS), WHOLE(2), COUNT(3), WHOLE(4),
+     NEW_ROWS(0, COUNT(3), COLUMNS))

@@ -27,8 +27,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Flags, Integers
-from hframe_post.native import kernels
+from hframe_post.arrays import Array, Flags, Integers
+from hframe_post.native import compiled
 
 
 def junction_deviation(square_corner_velocity: Array | float, acceleration: Array | float) -> Array:
@@ -47,13 +47,6 @@ def square_corner_velocity(deviation: float, acceleration: float) -> float:
 #
 # Moves are a table (n, 5). See ``planner.lookahead`` for the rules.
 
-PLATEAU = 256  # moves at cruise speed in a run
-# Shares of acceleration and jerk, and of the cruise speed at vertices, that keep Ruckig off the
-# edge of what is feasible
-FEASIBLE, BELOW_CRUISE = 1.0 - 1e-6, 1.0 - 1e-4
-STEEP = 1.0  # rise over run above which a move starts and ends at rest
-CREEP = 0.01  # mm/s; a junction that allows less is a stop
-
 Runs = tuple[Array, Integers, Array]
 
 
@@ -71,8 +64,9 @@ class Column(IntEnum):
     ALONE = 4
 
 
+@compiled
 def limit_moves(
-    points: Array, speed: Array, acceleration: Array, corner: Array, rules: Array
+    points: Array, speed: Array, acceleration: Array, corner: Array, rules: Array, /
 ) -> Array:
     """Return the table (n, 5) of moves between points (n + 1, 4) with limits.
 
@@ -81,51 +75,44 @@ def limit_moves(
     speed through a square corner, junction deviation; then speed and acceleration of motors A and
     B, z and e, and the matrix from x, y to A and B.
     """
-    table = np.empty((len(speed), 5))
-    kernels.limit_moves(points, speed, acceleration, corner, len(table), rules, table)
-    return table
 
 
-def lower_moves(points: Array, limits: Array, speed: Array, acceleration: Array) -> int:
+@compiled
+def lower_moves(points: Array, limits: Array, speed: Array, acceleration: Array, /) -> int:
     """Lower speed and acceleration (n,) of moves between points (n + 1, 4); return how many were.
 
     limits (13,): speed and acceleration of motors A and B, z and e, the matrix from x, y to A and
     B, and speed along the path.
     """
-    lowered: int = kernels.lower_moves(points, len(speed), limits, speed, acceleration)
-    return lowered
 
 
+@compiled
 def greatest_speeds(
-    points: Array, moves: Array, rules: Array, extruder_corner_velocity: float,
-    shorter: float = math.inf, steep: float = STEEP,
-) -> Array:  # fmt: skip
-    """Return the greatest speed at each vertex, (n + 1,), without limits at the ends.
+    points: Array, moves: Array, rules: Array, extruder_corner_velocity: float, joins: bool,
+    steep: float, late: float, /,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return the greatest speeds at the vertices, and those that count, (n + 1,) each.
 
-    rules: see ``limit_moves``. shorter: mm; arcs must fit into shorter moves on a board with
-    junction deviation; inf: it has none. steep: rise over run above which a move is made from rest.
+    At the ends nothing but the cruise speed limits them. rules: see ``limit_moves``. joins: whether
+    its junctions are those of a board with junction deviation. steep: rise over run above which a
+    move is made from rest. late: mm by which the firmware brakes late, so that it reaches corners
+    faster than it means to.
     """
-    caps = np.empty(len(points))
-    constants = rules, extruder_corner_velocity, shorter, BELOW_CRUISE, steep, CREEP
-    kernels.junctions(points, moves, len(moves), *constants, caps)
-    return caps
 
 
-def find_runs(moves: Array, caps: Array, jerk: float, last: float) -> Runs:
+@compiled
+def find_runs(moves: Array, caps: Array, speed: float, rolling: bool, jerk: float, /) -> Runs:
     """Return the path length at each vertex, which vertices end runs, and the speeds there.
 
-    caps (n + 1,): greatest speeds at the vertices; last: speed at the last vertex, mm/s. A move at
-    which the machine rests is a run; after it, lengths begin again at 0.
+    caps (n,): greatest speeds at which moves begin; the first begins at ``speed``. rolling: the
+    last ends at its own speed, instead of in a stop. A move at which the machine rests is a run;
+    after it, lengths begin again at 0.
     """
-    n = len(moves)
-    (s, speed), ends = np.empty((2, n + 1)), np.empty(n + 1, np.int64)
-    constants = FEASIBLE * jerk, last, FEASIBLE, PLATEAU
-    r = kernels.find_runs(moves, caps, n, *constants, np.empty(6 * (n + 1)), s, ends, speed)
-    return s, ends[: r + 1], speed[: r + 1]
 
 
+@compiled
 def smoothed_runs(
-    s: Array, ends: Integers, speed: Array, cruise: Array, most: Array, ratios: Array
+    s: Array, ends: Integers, speed: Array, cruise: Array, most: Array, ratios: Array, /
 ) -> tuple[Array, Array, Array]:
     """Return speeds at the ends of runs, (r + 1,), top speeds and seconds (r,), as Klipper's.
 
@@ -133,12 +120,6 @@ def smoothed_runs(
     greatest speed and acceleration; ratios (r,): see ``FileLimits.cruise_ratio``. Runs in which s
     begins again take no time.
     """
-    r = len(cruise)
-    speed, top, seconds = speed.copy(), np.empty(r), np.empty(r)
-    room = np.empty(4 * (r + 1))
-    n = len(s)
-    kernels.smoothed_runs(s, n, ends, cruise, most, ratios, r, room, speed, top, seconds)
-    return speed, top, seconds
 
 
 # ----------------------------------------------------------------------
@@ -146,88 +127,57 @@ def smoothed_runs(
 #
 # A profile has seven phases of constant jerk for each of r runs: durations t and jerks j, (r, 7).
 
-DRIFT = 1e-6  # mm by which a profile may miss its run's end through rounding
-ALMOST = 0.999  # share of a limit that counts as all of it
-FORGIVEN = 1e-9  # of a sample, by which a time may be after it
 
-
-def samples_until(seconds: float) -> int:
+@compiled
+def samples_until(seconds: float, /) -> int:
     """Return the first whole sample at or after a time, forgiving a billionth of a sample."""
-    return math.ceil(seconds / TS - FORGIVEN)
 
 
+@compiled
 def profiles(
-    v0: Array, v1: Array, length: Array, cruise: Array, most: Array, jerk: float
+    v0: Array, v1: Array, length: Array, cruise: Array, most: Array, jerk: float, /
 ) -> tuple[Array, Array, Integers]:
     """Return durations and jerks of the fastest runs, (r, 7), and which have no closed form.
 
     All (r,): speeds at both ends, length, greatest speed and acceleration. Those without a closed
     form are filled with one change of speed along all of the length, with the least acceleration.
     """
-    (t, j), r = np.empty((2, len(v0), 7)), len(v0)
-    others = np.empty(r, np.int64)
-    limits = v0, v1, length, cruise, most, r, jerk, ALMOST
-    return t, j, others[: kernels.profiles(*limits, t, j, others)]
 
 
-def misses(t: Array, j: Array, v0: Array, length: Array) -> Flags:
+@compiled
+def misses(t: Array, j: Array, v0: Array, length: Array, /) -> Flags:
     """Return which runs have a profile that goes backwards or misses their length, (r,)."""
-    missed = np.empty(len(t), bool)
-    kernels.misses(t, j, v0, length, len(t), DRIFT, missed)
-    return missed
 
 
-def phases(t: Array, j: Array, speed: Array, s: Array, start: float) -> tuple[Array, float]:
-    """Return the phases of runs that begin at time ``start``, s, and the time of their end.
+@compiled
+def phases(t: Array, j: Array, speed: Array, s: Array, start: float, /) -> tuple[Array, Array]:
+    """Return the phases of runs that begin at time ``start``, s, and the time of their end, (1,).
 
     speed, s (r + 1,): speed and path length at the ends of runs. The phases (6, p): start time,
     duration, and path length, speed, acceleration, jerk at the start. Points of rest are put on
     whole samples.
     """
-    room, last = np.empty(6 * t.size), np.empty(1)
-    p = kernels.phases(t, j, speed, s, len(t), start, TS, FORGIVEN, room, last)
-    return room[: 6 * p].reshape(6, p), float(last[0])
 
 
-def path_lengths(table: Array, first: int, n: int, end: float) -> Array:
+@compiled
+def path_lengths(table: Array, first: int, n: int, end: float, /) -> Array:
     """Return the path length (n,) at samples first, first + 1, …, within 0 … ``end``.
 
     table (6, p): see ``phases``. Between two phases the path rests where the earlier one ended.
     """
-    s = np.empty(n)
-    kernels.path_lengths(table, table.shape[1], first, n, TS, end, s)
-    return s
 
 
-def follow(lengths: Array, points: Array, s: Array) -> tuple[Array, Integers]:
+@compiled
+def follow(lengths: Array, points: Array, s: Array, /) -> tuple[Array, Integers]:
     """Return x, y, z, e at path lengths ``s`` (n,), and the move that each lies on.
 
     lengths (m + 1,): path length at the vertices points (m + 1, 4) of m moves.
     """
-    n, moves = len(s), len(lengths) - 1
-    xyze, move = np.empty((n, 4)), np.empty(n, dtype=np.int64)
-    kernels.follow(lengths, np.ascontiguousarray(points), moves, s, n, xyze, move)
-    return xyze, move
 
 
-def move_at_rest(way: Array, ends: Array, first: int, n: int, samples: int) -> Array:
+@compiled
+def move_at_rest(way: Array, ends: Array, first: int, n: int, samples: int, /) -> Array:
     """Return x, y, z, e (n, 4) after ``first``, first + 1, … samples of a move in z and e.
 
-    way: see ``distance``; ends (2, 4): where it begins and ends; samples: when it is done.
+    way: see ``Trapezoid.row``; ends (2, 4): where it begins and ends; samples: when it is done.
     """
-    xyze = np.empty((n, 4))
-    kernels.move_at_rest(way, ends, first, n, samples, TS, xyze)
-    return xyze
-
-
-def distance(way: Array, t: Array) -> Array:
-    """Return the distance done (n,), mm, at times t (n,), s, after the start of a trapezoid.
-
-    way (7,): its length, speed at the start, acceleration, peak speed, how long it speeds up and
-    how long it slows down, and its seconds in all.
-    """
-    _, v_s, a, peak, up, down, seconds = way.tolist()
-    t = np.clip(t, 0.0, seconds)
-    begun, ending = np.minimum(t, up), np.maximum(t - (seconds - down), 0.0)
-    lost = a * ending * ending / 2.0
-    return np.asarray(begun * (v_s + a * begun / 2.0) + peak * (t - begun) - lost)

@@ -47,12 +47,13 @@ struct PyModuleDef {
     void *m_slots, *m_traverse, *m_clear, *m_free;
 };
 
-enum { METH_FASTCALL = 0x80, PyBUF_C_CONTIGUOUS = 0x38, PyBUF_FORMAT = 0x4, ABI_VERSION = 3 };
+enum { METH_FASTCALL = 0x80, PyBUF_C_CONTIGUOUS = 0x38, PyBUF_FORMAT = 0x4,
+       PyBUF_WRITABLE = 0x1, ABI_VERSION = 3 };
 #define PyModuleDef_HEAD_INIT {{1, NULL}, NULL, 0, NULL}
 #define PyMODINIT_FUNC __attribute__((visibility("default"))) PyObject *
 
 extern PyTypeObject PyFloat_Type;
-extern PyObject *PyExc_TypeError, *PyExc_ValueError;
+extern PyObject *PyExc_MemoryError, *PyExc_TypeError, *PyExc_ValueError;
 unsigned long PyType_GetFlags(PyTypeObject *);
 int PyType_IsSubtype(PyTypeObject *, PyTypeObject *);
 double PyFloat_AsDouble(PyObject *);
@@ -61,13 +62,22 @@ double PyLong_AsDouble(PyObject *);
 PyObject *PyLong_FromLongLong(long long);
 int PyObject_GetBuffer(PyObject *, Py_buffer *, int);
 void PyBuffer_Release(Py_buffer *);
+PyObject *PyImport_ImportModule(const char *);
+PyObject *PyObject_GetAttrString(PyObject *, const char *);
+PyObject *PyObject_CallFunction(PyObject *, const char *, ...);
+PyObject *PyObject_CallMethod(PyObject *, const char *, const char *, ...);
+PyObject *PySequence_GetSlice(PyObject *, Py_ssize_t, Py_ssize_t);
+PyObject *PyTuple_New(Py_ssize_t);
+int PyTuple_SetItem(PyObject *, Py_ssize_t, PyObject *);
 PyObject *PyErr_Occurred(void);
 void PyErr_Clear(void);
+int PyErr_ExceptionMatches(PyObject *);
 PyObject *PyErr_Format(PyObject *, const char *, ...);
 void *PyEval_SaveThread(void);
 void PyEval_RestoreThread(void *);
 PyObject *PyModule_Create2(struct PyModuleDef *, int);
 int PyModule_AddIntConstant(PyObject *, const char *, long);
+void Py_IncRef(PyObject *);
 void Py_DecRef(PyObject *);
 
 #define PyFloat_Check(object) \
@@ -75,6 +85,7 @@ void Py_DecRef(PyObject *);
 #define PyLong_Check(object) ((PyType_GetFlags((object)->ob_type) >> 24) & 1)
 #define PyBytes_Check(object) ((PyType_GetFlags((object)->ob_type) >> 27) & 1)
 #define PyModule_Create(definition) PyModule_Create2(definition, ABI_VERSION)
+#define Py_XDECREF(object) Py_DecRef(object)
 #define Py_CLEAR(object) (Py_DecRef(object), (object) = NULL)
 #define Py_BEGIN_ALLOW_THREADS { void *_save = PyEval_SaveThread();
 #define Py_END_ALLOW_THREADS PyEval_RestoreThread(_save); }

@@ -28,8 +28,6 @@ import numpy as np
 
 from hframe_post.arrays import Array, Integers, Z
 from hframe_post.native.planning import (
-    BELOW_CRUISE,
-    STEEP,
     Column,
     Runs,
     find_runs,
@@ -54,7 +52,7 @@ BATCH = 4096  # moves planned at once; more if none of their speeds is final
 LONGEST_QUEUE = 16 * BATCH
 MELTED = 50.0  # mm/s of filament, more than any hot end melts
 AT_REST = 2.0  # of ALONE: the machine rests before and after the move
-SHORT = 1.0  # mm; only into shorter moves must an arc fit, on a board with junction deviation
+STEEP = 1.0  # rise over run above which a move starts and ends at rest
 # of the accelerations in z, and in filament taken back, while x and y move: what compensation adds
 # needs the rest. On a host's steps of a slice, the nozzle was off by 5 % more with all of them
 Z_SHARE = 0.8
@@ -160,7 +158,7 @@ class Lookahead:
         table = limit_moves(moves.points, moves.speed, moves.acceleration, moves.corner, rules)
         table[rests, Column.ALONE] = AT_REST
         corners, caps = self._caps(moves.points, table, rules)
-        self._moves.append(Limited(moves.line, moves.points, table, caps[:-1], corners[:-1]))
+        self._moves.append(Limited(moves.line, moves.points, table, caps, corners))
 
     def _as_moves(self, items: list[Moves | MoveAtRest]) -> tuple[Moves, list[int]]:
         """Return items as one, and the numbers of the moves at which the machine rests."""
@@ -221,7 +219,7 @@ class Lookahead:
         moves, n = self._limited(), self._closed
         closed = moves.part(0, n)
         self._moves = [moves.part(n, len(moves.line))] if n < len(moves.line) else []
-        runs = self._runs(closed, self._joints(closed), 0.0)
+        runs = self._runs(closed, rolling=False)
         self._closed, self._want = 0, self._batch
         return self._take(closed, *runs)
 
@@ -232,9 +230,7 @@ class Lookahead:
                 return self._take_closed()
             moves = self._limited()
             batch = moves.part(0, self._want)
-            caps = self._joints(batch)
-            stopping = self._runs(batch, caps, 0.0)
-            rolling = self._runs(batch, caps, float(caps[-1]))
+            stopping, rolling = (self._runs(batch, rolling) for rolling in (False, True))
             final = self._separable(batch, stopping[1], _agreement(stopping, rolling))
             if final or self._want >= self._longest:
                 s, ends, speed = stopping
@@ -265,38 +261,22 @@ class Lookahead:
         return self._moves[0]
 
     def _caps(self, points: Array, table: Array, rules: Array) -> tuple[Array, Array]:
-        """Return the firmware's corner speeds and those that count, (n + 1,) each.
+        """Return the firmware's corner speeds and those that count, (n,) each.
 
-        They are at the ends of moves that follow the latest.
+        They are at the beginnings of moves that follow the latest.
         """
         n, own = len(table), (points, table)
         if self._last is not None:
             points, table = (np.concatenate(both) for both in zip(self._last, own, strict=True))
         self._last = points[-2:-1], table[-1:]
-        extruder = self._limits.extruder_corner_velocity
-        shorter = SHORT if self.joins else math.inf
-        caps = greatest_speeds(points, table, rules, extruder, shorter, self._steep)
-        raised = caps.copy()
-        if self._late:
-            self._brake_late(raised[1:-1], table)
-        return caps[-n - 1 :], raised[-n - 1 :]
+        corners, caps = greatest_speeds(
+            points, table, rules, self._limits.extruder_corner_velocity, self.joins, self._steep,
+            self._late,
+        )  # fmt: skip
+        return corners[-n - 1 : -1], caps[-n - 1 : -1]
 
-    def _brake_late(self, caps: Array, table: Array) -> None:
-        """Raise the speeds (n − 1,) between moves to those that braking late leads to."""
-        late = np.sqrt(np.square(caps) + 2.0 * self._late * table[1:, Column.ACCELERATION])
-        slower = BELOW_CRUISE * np.minimum(table[:-1, Column.CRUISE], table[1:, Column.CRUISE])
-        caps[:] = np.where(caps > 0.0, np.minimum(late, slower), 0.0)
-
-    def _joints(self, moves: Limited) -> Array:
-        """Return the greatest speeds (n + 1,) at the ends of moves; at the first, the speed."""
-        caps = np.empty(len(moves.caps) + 1)
-        caps[:-1], caps[-1] = moves.caps, BELOW_CRUISE * moves.limits[-1, Column.CRUISE]
-        caps[0] = self._speed
-        return caps
-
-    def _runs(self, moves: Limited, caps: Array, last: float) -> Runs:
-        limits = self._limits
-        return find_runs(moves.limits, caps, limits.jerk, last)
+    def _runs(self, moves: Limited, rolling: bool) -> Runs:
+        return find_runs(moves.limits, moves.caps, self._speed, rolling, self._limits.jerk)
 
     def _take(self, moves: Limited, s: Array, ends: Integers, speed: Array) -> Plan:
         """Return a plan of the moves up to the last of ``ends``, where the queue begins then."""

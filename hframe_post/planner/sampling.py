@@ -125,7 +125,8 @@ class _Sampler:
     def run(self, plan: Plan) -> Iterator[Samples]:
         yield from self._set_out(plan)
         profile, at_ends = self._profiles.popleft(), plan.s[plan.ends]
-        motion, self._clock = phases(*profile, plan.speed, at_ends, self._clock)
+        motion, end = phases(*profile, plan.speed, at_ends, self._clock)
+        self._clock = float(end[0])
         stops = plan.rests or plan.speed[-1] == 0.0
         since = samples_until(self._clock) if stops else math.floor(self._clock / TS)
         last, marks = self._section + since, plan.marks

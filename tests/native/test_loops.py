@@ -16,6 +16,7 @@ from hframe_post.firmware.marlin.planner import SteppedPlanner, make_planner
 from hframe_post.native import kernels
 from hframe_post.native.block_times import Timer, block_times, step_times
 from hframe_post.native.linear import product, pseudo_inverse, recursion
+from hframe_post.native.planning import follow, profiles
 from hframe_post.native.whole_steps import Blocks
 from tests.marlin.planner import Block, Build, development, released
 
@@ -103,28 +104,45 @@ def test_steps_are_made_when_a_board_makes_them(build: str, other: float) -> Non
 
 
 def test_an_argument_of_another_kind_layout_or_length_is_an_error() -> None:
-    s, points, room = np.arange(3.0), np.zeros((3, 4)), (np.empty((2, 4)), np.empty(2, np.int64))
-    right = [s, points, 2, s[:2], 2, *room]
-    frozen = room[0].copy()
+    xyze, path, text = np.zeros((2, 4)), np.zeros((2, 2)), np.zeros(4, np.uint8)
+    right = [xyze, path, 2, path, np.zeros(8), np.eye(2), 1.0, np.zeros(4)]
+    frozen = np.zeros(4)
     frozen.flags.writeable = False
     of_another_kind = {
-        0: (s[::2], s.astype(np.float32), s.tolist(), 1.0, None, b"0"),
-        2: (2.0, s),
-        5: (frozen, room[1]),
+        0: (xyze.astype(np.float32), xyze.tolist(), 1.0, None, b"0", text),
+        2: (2.0, path),
+        7: (frozen, np.zeros(8)[::2], np.zeros(4, np.int64)),
     }
-    of_another_length = {0: (s[:2],), 2: (0, -1, 1 << 40, 1 << 70, -(1 << 70)), 5: (room[0][:1],)}
-    assert kernels.follow(*right) == 2
+    of_another_length = {
+        0: (xyze[:1],), 2: (0, -1, 1 << 40, 1 << 70, -(1 << 70)), 7: (np.zeros(3),)
+    }  # fmt: skip
+    assert kernels.safe(*right) == 1
     for error, wrong in ((TypeError, of_another_kind), (ValueError, of_another_length)):
         for k, values in wrong.items():
             for value in values:
-                with pytest.raises(error, match=f"argument {k} of follow"):
-                    kernels.follow(*right[:k], value, *right[k + 1 :])
+                with pytest.raises(error, match=f"argument {k} of safe"):
+                    kernels.safe(*right[:k], value, *right[k + 1 :])
     for count in (0, len(right) - 1):
         with pytest.raises(TypeError, match="must be given"):
-            kernels.follow(*right[:count])
+            kernels.safe(*right[:count])
     for more in (1, 100):
         with pytest.raises(TypeError, match="argument"):
-            kernels.follow(*right, *[1] * more)
+            kernels.safe(*right, *[1] * more)
+
+
+def test_new_arrays_are_as_long_as_the_arguments_and_the_result_ask() -> None:
+    """Arrays with gaps are read, too."""
+    s, points = np.array([0.0, 1.0, 2.0]), np.arange(24.0).reshape(3, 8)[:, ::2]
+    xyze, move = follow(s, points, np.array([0.5, 0.0, 1.5, 2.0]))
+    np.testing.assert_array_equal(move, [0, 0, 1, 1])
+    np.testing.assert_allclose(xyze, points[0] + np.outer([4.0, 0.0, 12.0, 16.0], np.ones(4)))
+    assert [each.shape for each in follow(s, points, s[:0])] == [(0, 4), (0,)]
+    v, length, cruise, most = np.array([[5.0, 5.0], [9.0, 0.02], [5.0, 100.0], [1e3, 1e5]])
+    t, j, others = profiles(v, v, length, cruise, most, 1e7)
+    assert t.shape == j.shape == (2, 7)
+    assert others.tolist() == [1]
+    with pytest.raises(ValueError, match="argument 0 of follow must have 2 items or more"):
+        follow(s[:1], points, s)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="gcc's warnings")

@@ -255,6 +255,8 @@ def test_boards_fit_arcs_into_short_gentle_turns_only(turn: float, fits: bool) -
     arc = np.sqrt(deviation * a * np.sin(half) / (1.0 - np.sin(half)))
     within = np.sqrt(0.5 * length * a * np.tan(half))
     assert within < arc
-    assert greatest_speeds(points, table, rules, 1.0)[1] == pytest.approx(within)
-    marlin = greatest_speeds(points, table, rules, 1.0, shorter=1.0)[1]
+    klipper, marlin = (
+        greatest_speeds(points, table, rules, 1.0, joins, 1.0, 0.0)[0][1] for joins in (False, True)
+    )
+    assert klipper == pytest.approx(within)
     assert marlin == pytest.approx(np.sqrt(length * a / angle) if fits else arc)
