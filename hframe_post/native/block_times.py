@@ -21,8 +21,7 @@ motion of such builds, with the trapezoidal trajectory and no shaper; its times 
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,45 +35,35 @@ FASTEST = 3.0  # times a block's mean rate, the most that is asked for to make u
 ROUNDS = 3  # of the rates' dependence on their neighbours'
 
 
-@dataclass(frozen=True, slots=True)
-class Timer:
-    """Timer of the steppers.
+@dataclass(frozen=True)
+class Stepper:
+    """The stepper interrupt of a build, and where its blocks begin.
 
-    extra_tick: it counts one tick more than it is set to. smoothing_hz: interrupts a second up to
-    which ADAPTIVE_STEP_SMOOTHING makes 2, 4, 8 … of each step; 0: it is off.
+    hz: of its timer. extra_tick: that counts one tick more than it is set to. smoothing_hz:
+    interrupts a second up to which ADAPTIVE_STEP_SMOOTHING makes 2, 4, 8 … of each step; 0: off.
+    ahead: share of the first interval by which a rising ramp is ahead. development: 2.1-dev.
+    s_curve: ramps are those of S_CURVE_ACCELERATION. False for 2.1-dev: its profile is refused.
+    free_entry: blocks begin at their own speed if their corners allow it, as with CLASSIC_JERK.
     """
 
     hz: float
-    extra_tick: bool = False
-    smoothing_hz: float = 0.0
-
-
-UNROUNDED = Timer(1e15)  # with ticks too short for rounding to matter
-
-
-@dataclass(frozen=True)
-class Stepper:
-    """The stepper interrupt of a build.
-
-    ahead: share of the first interval by which a rising ramp is ahead. development: 2.1-dev.
-    s_curve: ramps are those of S_CURVE_ACCELERATION. False for 2.1-dev: its profile is refused.
-    """
-
-    timer: Timer
+    extra_tick: bool
+    smoothing_hz: float
     ahead: float
     development: bool = False
     s_curve: bool = False
+    free_entry: bool = False
 
     @cached_property
     def row(self) -> Array:
         """Return it as the compiled loops take it, (7,)."""
-        t = self.timer
-        own = self.ahead, self.development, self.s_curve
-        return np.array([t.hz, t.extra_tick, t.smoothing_hz, *own, SLOWEST])
+        *own, _ = astuple(self)
+        return np.array([*own, SLOWEST])
 
     @cached_property
     def unrounded(self) -> Stepper:
-        return replace(self, timer=UNROUNDED)
+        """Return it with ticks too short for rounding to matter."""
+        return replace(self, hz=1e15, extra_tick=False, smoothing_hz=0.0)
 
 
 def block_times(blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper) -> Array:
@@ -95,34 +84,22 @@ def step_times(blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: S
     return t
 
 
-def joined_times(
-    blocks: Blocks, v: Array, rate: Array, before: float, free_entry: bool, stepper: Stepper
-) -> Array:
+def joined_times(blocks: Blocks, v: Array, rate: Array, before: float, stepper: Stepper) -> Array:
     """Return the seconds (k,) of successive blocks at speeds v (k,) and their rates, as rounded.
 
-    before: speed of the block that precedes; free_entry: they begin at their own speed, if their
-    corners allow it. The last ends at its own speed.
+    before: speed of the block that precedes. The last ends at its own speed.
     """
     n, d, a, corners = blocks
-    k, taken, own = len(v), np.empty(len(v)), (before, free_entry, stepper.row)
+    k, taken, own = len(v), np.empty(len(v)), (before, stepper.free_entry, stepper.row)
     kernels.marlin_times(k, n, d, a, _at_ends(corners, k), v, rate, *own, taken)
     return taken
 
 
-def least_entry(blocks: Blocks, free_entry: bool, development: bool) -> Array:
-    """Return the least speeds (k,), mm/s, at which blocks begin."""
-    if development:
-        return np.sqrt(blocks.a / 2.0) * blocks.d / blocks.n
-    return np.full(len(blocks.n), math.inf if free_entry else 0.0)
-
-
-def feed_rates(
-    blocks: Blocks, T: Array, before: float, free_entry: bool, stepper: Stepper
-) -> Array:
+def feed_rates(blocks: Blocks, T: Array, before: float, stepper: Stepper) -> Array:
     """Return speeds (k,), mm/s, at which blocks take the time T (k,); see ``joined_times``."""
     n, d, a, corners = blocks
     k, v, room = len(T), np.empty(len(T)), np.empty(3 * len(T))
-    own = before, free_entry, stepper.row
+    own = before, stepper.free_entry, stepper.row
     kernels.marlin_feed_rates(k, n, d, a, _at_ends(corners, k), T, *own, ROUNDS, FASTEST, room, v)
     return v
 

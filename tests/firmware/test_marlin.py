@@ -119,7 +119,7 @@ def test_blocks_reach_what_their_acceleration_allows(marlin: Printer, planner: s
     """Three of 1 mm at 1000 mm/s² and 60 mm/s, from rest to rest."""
     blocks = Blocks(np.full(3, 80.0), np.ones(3), np.full(3, 80_000.0))
     joint, v = np.array([0.0, 60.0, 60.0, 0.0]), np.full(3, 60.0)
-    v_s, v_e, _ = motion(with_marlin(marlin, planner=planner)).planner.stroke(blocks, joint, v)
+    v_s, v_e = motion(with_marlin(marlin, planner=planner)).planner.reachable(blocks, joint, v)
     reached = np.sqrt(2.0 * 1000.0)
     np.testing.assert_allclose(v_e[:2], reached, rtol=0.03)
     np.testing.assert_allclose(v_s[1:], reached, rtol=0.03)

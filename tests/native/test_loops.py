@@ -12,9 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post import native
-from hframe_post.firmware.marlin.planner import SteppedPlanner, make_planner
 from hframe_post.native import kernels
-from hframe_post.native.block_times import Timer, block_times, step_times
+from hframe_post.native.block_times import Stepper, block_times, step_times
 from hframe_post.native.linear import product, pseudo_inverse, recursion
 from hframe_post.native.planning import follow, profiles
 from hframe_post.native.whole_steps import Blocks
@@ -86,9 +85,9 @@ def test_steps_are_made_when_a_board_makes_them(build: str, other: float) -> Non
         timer = bool(rng.random() < 0.5), float(rng.choice([0.0, 4e4]))
         board = Build(1.0, 1.0, 1.0, planner=generation, s_curve=bool(curved))
         board.extra_tick, board.smoothing_hz = timer
-        planner = make_planner(generation, Timer(board.timer_hz, *timer), False, bool(curved))
-        assert isinstance(planner, SteppedPlanner)
-        drawn = blocks, begin, rate, end, planner.stepper
+        ahead = {"2.0": 0.0, "2.1": 1.0, "2.1-dev": 0.5}[generation]
+        stepper = Stepper(board.timer_hz, *timer, ahead, ahead == 0.5, bool(curved))
+        drawn = blocks, begin, rate, end, stepper
         steps = step_times(*drawn)
         ends = steps[np.cumsum(n).astype(int) - 1]
         np.testing.assert_allclose(ends, np.cumsum(block_times(*drawn)), 1e-10)

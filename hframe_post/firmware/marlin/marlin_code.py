@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -11,7 +12,6 @@ import numpy as np
 from hframe_post.arrays import Array, E, Z
 from hframe_post.firmware.code import Code, coordinates, plain
 from hframe_post.firmware.marlin.planner import BRAKES_LATE_STEPS, Planner, make_planner
-from hframe_post.native.block_times import Timer
 from hframe_post.native.whole_steps import Blocks
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import VELOCITY_HEADROOM, Limits, Motors, Printer, Steps
@@ -36,7 +36,7 @@ def motion_limits(v: str, a: str, corners: str, filament: str = "") -> list[str]
     ]  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class MarlinCode(Code):
     """Marlin's G-code. limits: the user's."""
 
@@ -70,17 +70,18 @@ class MarlinCode(Code):
     def after_homing(self) -> list[str]:
         return ["M420 S1"] if self.table.bed_levelling else []
 
-    @property
+    @cached_property
     def planner(self) -> Planner:
-        t = self.table
-        timer = Timer(t.timer_hz, t.timer_extra_tick, t.adaptive_step_smoothing)
-        return make_planner(t.planner, timer, t.classic_jerk, t.s_curve_acceleration)
+        return make_planner(self.table)
 
     def durations(self, lead: Array, d: Array, v_s: Array, v_e: Array, v: Array, a: Array) -> Array:
         """Return the seconds (n,) of moves as the board steps them; see ``Durations``."""
         steps = np.maximum(np.rint(lead), 1.0)
         blocks = Blocks(steps, d, np.floor(a * steps / d))
-        return self.planner.reached(blocks, v_s, v_e, v)
+        if self.table.planner == "2.1-dev":
+            least = np.minimum(self.planner.least_entry(blocks), v)
+            v_s, v_e = np.maximum(v_s, least), np.maximum(v_e, least)
+        return self.planner.seconds(blocks, v_s, v_e, v)
 
     @property
     def brakes_late(self) -> float:

@@ -150,7 +150,9 @@ class MarlinMotion(MotionRules):
             v = max(v, leaving)
         v = math.ceil(60.0 * v) / 60.0  # F is whole, else its rounding may change a tick
         left = min(leaving, v)
-        taken = self.planner.stroke(blocks, np.array([entry, left]), np.array([v]))[2]
+        own = np.array([v])
+        between = self.planner.reachable(blocks, np.array([entry, left]), own)
+        taken = self.planner.seconds(blocks, *between, own)
         words = (self.code.stroke_corners(users, lifts) for users in (True, False))
         before, after = (f"M205 {word}\n".encode() if word else b"" for word in words)
         limit = self.code.stroke_limit(way.acceleration, lifts)
@@ -259,4 +261,5 @@ class MarlinMoves(WrittenMoves):
         n = most_steps(motor_steps(cells, self.kinematics.matrix)).astype(np.float64)
         d, at = self._along(cells)
         blocks = Blocks(n, d, np.floor(acceleration * n / d))
-        return np.interp(self.code.planner.travelled(blocks, turns, v), *at)
+        planner = self.code.planner
+        return np.interp(planner.travelled(blocks, *planner.reachable(blocks, turns, v), v), *at)
