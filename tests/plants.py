@@ -1,16 +1,19 @@
-"""Transfer functions and a sweep for the tests of identification."""
+"""Transfer functions of printers and of single modes, their impulse responses, and a sweep."""
 
 import numpy as np
 from scipy.signal import sosfilt
 
 from examples.paper.tables import transfer_functions
-from hframe_post.arrays import Array, Complex
+from hframe_post.arrays import TS, Array, Complex
 from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.model.transfer_function import TransferFunction
 
 
 def resonant(hz: float, damping: float, *real: float, moving: bool = False) -> TransferFunction:
-    """Return a resonance and real poles at ``real`` Hz; 1 at rest, or 0 with ``moving``."""
+    """Return a resonance and real poles at ``real`` Hz; 1 at rest, or 0 with ``moving``.
+
+    It lags, as a mode whose damper is between axis and frame, and by a delay of 1 ms a pole.
+    """
     s = 2.0 * np.pi * hz * (-damping + 1j * np.sqrt(1.0 - damping**2))
     poles = np.exp(1e-3 * np.array([s, s.conjugate(), *(-2.0 * np.pi * np.array(real))]))
     zeros = np.ones(int(moving), complex)
@@ -61,3 +64,35 @@ def sweep(rate: float = 1.0) -> Array:
     t = np.arange(0.0, seconds, 1e-3)
     taper = np.clip(np.minimum(t, seconds - t) / 0.5, 0.0, 1.0)
     return np.pad(3000.0 * taper * np.sin(2.0 * np.pi * (2.0 * t + rate * t * t / 2.0)), 2000)
+
+
+def deviation_of_mode(hz: float, damping: float, m: int) -> Array:
+    """Return what a mode adds to an axis after a pulse of acceleration, m samples in µm."""
+    w = 2.0 * np.pi * hz * TS
+    ringing, j = w * np.sqrt(1.0 - damping**2), np.arange(m)
+    return np.asarray(-np.exp(-damping * w * j) * np.sin(ringing * j) / ringing)
+
+
+def axis_mode(hz: float, damping: float) -> TransferFunction:
+    """Return a mode without lag at constant speed, 1 + (z − 2 + 1/z)·Q(z)."""
+    denominator, size = _resonance(hz, damping)
+    numerator = denominator - size * np.array([1.0, -2.0, 1.0])
+    return TransferFunction(_roots(numerator), _roots(denominator), float(numerator[0]))
+
+
+def coupling_mode(hz: float, damping: float, gain: float) -> TransferFunction:
+    """Return gain times what that mode adds to an axis."""
+    denominator, size = _resonance(hz, damping)
+    return TransferFunction(np.ones(2, complex), _roots(denominator), -gain * size)
+
+
+def _roots(polynomial: Array) -> Complex:
+    return np.roots(polynomial).astype(complex)
+
+
+def _resonance(hz: float, damping: float) -> tuple[Array, float]:
+    w = 2.0 * np.pi * hz * TS
+    ringing = w * np.sqrt(1.0 - damping**2)
+    radius = np.exp(-damping * w)
+    denominator = np.array([1.0, -2.0 * radius * np.cos(ringing), radius**2])
+    return denominator, float(radius * np.sin(ringing) / ringing)

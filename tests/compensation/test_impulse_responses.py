@@ -23,8 +23,8 @@ from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
 from tests.gcode_tools import planned
 from tests.gcode_tools import strokes as printed_strokes
-from tests.modes import axis_mode, coupling_mode, damped_by_the_frame, deviation_of_mode
 from tests.paths import ORIGIN, strokes
+from tests.plants import axis_mode, coupling_mode, deviation_of_mode, resonant
 
 
 def measured() -> Plant:
@@ -32,7 +32,7 @@ def measured() -> Plant:
     theta = coupling_mode(38.0, 0.08, 4e-4)
     theta = replace(theta, zeros=theta.zeros[:1], gain=0.1 * theta.gain)  # by velocity, too
     response = ImpulseResponse.from_transfer_function
-    x, y = axis_mode(43.0, 0.08), damped_by_the_frame(31.0, 0.09)
+    x, y = axis_mode(43.0, 0.08), resonant(31.0, 0.09)
     return Plant(response(x, 1.0), response(y, 1.0), response(theta, 0.0), 140.0)
 
 

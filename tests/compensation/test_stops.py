@@ -9,26 +9,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array
-from hframe_post.compensation.compensate import compensate
+from hframe_post.compensation.compensate import SETTLED, compensate, settling_samples
 from hframe_post.compensation.stops import LONGEST, StopModels, dwell_at_stops, stop_rules
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
+from hframe_post.model.strategies import Compensator
 from hframe_post.planner.lookahead import plan
 from hframe_post.planner.sampling import sample
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
-from hframe_post.printer.settings import STOPS, Printer
+from hframe_post.printer.settings import STOPS, Printer, Travel
 from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.types import Dwell, Samples, StopRules
 from tests.gcode_tools import HEAD, planned, strokes
+from tests.paths import stroke
 
 NAMES = ("fbs", "racking")
-
-
-@pytest.fixture(scope="module")
-def paper() -> Printer:
-    return load("paper")
 
 
 def models(printer: Printer, names: tuple[str, ...] = NAMES) -> StopModels:
@@ -205,3 +202,17 @@ def test_a_wait_of_hours_is_not_kept_in_memory(paper: Printer) -> None:
         buffered = max(buffered, taken - returned)
     assert returned == taken > 1_800_000
     assert buffered < 200_000
+
+
+def test_settling_covers_the_fastest_stop(compensator: Compensator) -> None:
+    limits = replace(load("paper").limits, velocity=150.0, acceleration=5000.0)
+    reached = Travel((140.0, 280.0), (0.0, 280.0))  # x_c is 140: a lever arm of 140 mm
+    r = settling_samples(compensator, limits, reached)
+    x = stroke(75, 150, 1000)
+    path = np.column_stack([280.0 - x.max() + x, x, np.zeros((len(x), 2))])
+    samples = Samples(0, path, np.zeros(len(x), dtype=np.int64))
+    done = join(list(compensate([samples], compensator, ("racking",))))
+    off = np.abs(done.commands["racking"] - path[:, :2]).max(axis=1)
+    assert (off[-1000 + r + 5 :] < 1.2 * SETTLED).all(), "mm"
+    assert (off[: 1000 - r - 5] < 1.2 * SETTLED).all(), "mm"
+    assert off[-1000 + r - 20] > 0.8 * SETTLED, "mm"

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hframe_post.conversion.options import Options
-from hframe_post.conversion.whole_file import WholeFile
+from hframe_post.conversion.print_report import Report
 from hframe_post.gcode.reader import CHANGE_OF_OBJECT
 from hframe_post.prediction.statistics import BEFORE
+from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
+from tests import gcode_tools
 from tests.conversion.slice_tools import carried, converted, filament
 from tests.prediction.label_tools import block, names, printing
 from tests.quantities import below
@@ -60,25 +61,62 @@ def test_macros_that_return_keep_their_place(paper: Printer) -> None:
         b"G1 X140 E1\n",
     ]  # fmt: skip
     firmware = replace(paper.firmware, returns=("TIMELAPSE_*",))
-    conversion = WholeFile(lines, replace(paper, firmware=firmware), Options("racking"))
-    text = b"".join(p for p in conversion.gcode() if isinstance(p, bytes)).splitlines()
+    output, report = gcode_tools.converted(lines, replace(paper, firmware=firmware))
+    text = output.splitlines()
     frame = text.index(b"TIMELAPSE_TAKE_FRAME")
     assert any(line.startswith(b"SET_VELOCITY_LIMIT VELOCITY=") for line in text[frame - 4 : frame])
-    assert not conversion.report.path.uncompensated
+    assert not report.path.uncompensated
 
 
 def test_filament_that_a_lost_g92_takes_back_is_a_warning(paper: Printer) -> None:
     lines = [b"M82\n", b"G92 E0\n", b"G1 X100 Y100 Z1 F6000\n", b"G1 X150 E9.5\n"]
-    conversion = WholeFile([*lines, b"G1 X100 E.5\n"], paper, Options("racking"))
-    list(conversion.gcode())
-    assert any("line 5 takes back 9.0 mm" in text for text in conversion.report.warnings())
-    conversion = WholeFile([*lines, b"G92 E0\n", b"G1 X100 E.5\n"], paper, Options("racking"))
-    list(conversion.gcode())
-    assert not any("takes back" in text for text in conversion.report.warnings())
+    for more, told in (([], True), ([b"G92 E0\n"], False)):
+        report = gcode_tools.converted([*lines, *more, b"G1 X100 E.5\n"], paper)[1]
+        assert any("line 5 takes back 9.0 mm" in text for text in report.warnings()) == told
 
 
 def test_a_print_from_an_unknown_place_is_told_to_begin_with_a_move(paper: Printer) -> None:
     lines = [b"M83\n", b"G0 Y10 F6000\n", *[b"G1 X100 E1\n", b"G1 X120 E1\n"] * 3]
-    conversion = WholeFile(lines[:3], paper, Options("racking"))
-    list(conversion.gcode())
-    assert any("begin with a move to X, Y and Z" in each for each in conversion.report.warnings())
+    report = gcode_tools.converted(lines[:3], paper)[1]
+    assert any("begin with a move to X, Y and Z" in each for each in report.warnings())
+
+
+PROFILE = 'extends = "paper"\n[plant]\ninvented = false\n[firmware]\n'
+HALF = [f"G1 X{80 + 40 * (k % 2)} Y{80 + 5 * k} E{k + 1} F6000" for k in range(4)]
+OTHER = [line.replace("X1", "X3") for line in HALF]  # beyond the bed of the first carriage
+
+
+def with_tools(settings: str, lines: list[str]) -> tuple[str, Report]:
+    """Return what a file becomes on a profile with these settings of [firmware]."""
+    text = ["G90", "M82", "G1 X80 Y80 Z1 F3000", *lines]
+    printer = parse(PROFILE + settings, "own")
+    output, report = gcode_tools.converted([f"{line}\n".encode() for line in text], printer)
+    return output.decode(), report
+
+
+@pytest.mark.parametrize("tool", ["T1", "T3 ; the fourth"])
+def test_a_file_that_changes_tools_gets_a_warning(tool: str) -> None:
+    _, report = with_tools("", [*HALF, "G92 E0", tool, "G92 E0", *HALF])
+    (warning,) = [w for w in report.warnings() if "changes tools" in w]
+    assert f"changes tools ({tool[:2]}), and all are compensated with the model of" in warning
+    for settings, lines in (
+        ("", [*HALF, "T0"]),
+        ("other_tools = []", [*HALF, tool, "G92 E0", *HALF]),
+        ('harmless = ["T*"]', [*HALF, tool, "G92 E0", *HALF]),
+    ):
+        _, report = with_tools(settings, lines)
+        assert "tool" not in "".join(report.warnings())
+
+
+def test_what_another_tool_prints_is_left_to_the_firmware() -> None:
+    lines = [*HALF, "T1", "G92 E0", *OTHER, "G1 Z2", *OTHER[::-1], "T0", "G92 E0", *HALF]
+    text, report = with_tools('other_tools = ["T1"]', lines)
+    before, _, rest = text.partition("\nT1\n")
+    others, _, after = rest.partition("\nT0\n")
+    assert [line for line in OTHER if line not in others] == []
+    assert others.count("\nG1 X") == 2 * len(OTHER)
+    assert all(part.count("\nG1 ") > 20 * len(HALF) for part in (before, after)), "lines"
+    shares = report.as_json()["uncompensated"]["by_cause"]
+    assert shares["T1"]["moves"] == 2 * len(OTHER) + 1
+    (warning,) = [w for w in report.warnings() if "not compensated" in w]
+    assert "the profile has no model of T1 (other_tools in the profile)" in warning

@@ -2,14 +2,61 @@
 
 Run as ``python -m tests.hosts.klipper_server KLIPPY_ARGUMENT...``. In batch mode klippy opens no
 socket and ends with its input; here it opens one and stays.
+
+A section [adxl345] answers with the motion of a simulated printer, along the moves in the host's
+queue. It is described in the file that the option ``machine`` names, as JSON, and read for each
+recording: {"kinematics": "corexy", "x": [Hz, damping], "y": [Hz, damping]}. Without the file the
+sensor does not answer.
 """
 
 import importlib
+import json
 import sys
+import tempfile
+from array import array
+from pathlib import Path
 from typing import Any
 
-from tests.hosts.accelerometer import answer_with_a_machine
-from tests.klipper.batch import compile_helper, record_moves
+import numpy as np
+
+from hframe_post.arrays import TS, Array
+from tests.klipper.batch import Sensed, compile_helper, record_moves, stand_in_for_accelerometers
+from tests.klipper.host import MOVE, evaluated
+from tests.simulator import BEGUN, Axis, Chip, Machine, Mode
+
+SETTLE = 1.0  # s before and after a recording, from which on the printer is simulated
+
+
+def machine_of(path: Path) -> Machine:
+    """Return the printer that a file describes."""
+    found = json.loads(path.read_text())
+    x, y = (Axis((Mode(*found[axis]),)) for axis in "xy")
+    return Machine(x, y, 0.0, kinematics=found["kinematics"])
+
+
+def answer_with_a_machine(module: Any, moves: "array[float]") -> None:
+    """Let klippy's ``adxl345`` record a simulated printer. moves: numbers of the motion queue."""
+
+    def sensor(config: Any) -> Sensed:
+        path = Path(config.get("machine"))
+
+        def sensed(first: float, last: float) -> list[Any] | None:
+            if path.exists():
+                return list(recorded(machine_of(path), moves, first, last).tolist())
+            return None
+
+        return sensed
+
+    stand_in_for_accelerometers(module, Path(tempfile.gettempdir()), sensor)
+
+
+def recorded(machine: Machine, moves: "array[float]", first: float, last: float) -> Array:
+    """Return time and acceleration (n, 4) between two print times, s and mm/s²."""
+    begin = first - SETTLE
+    t = begin + TS * np.arange(int((last - first + 2.0 * SETTLE) / TS))
+    command = evaluated(np.frombuffer(moves.tobytes(), MOVE), t)[:, :2]
+    made = Chip().record(machine, command, len(moves))
+    return np.column_stack([made.t - BEGUN + begin, made.a])
 
 
 def main() -> None:

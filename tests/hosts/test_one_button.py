@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from hframe_post.printer.profile import load
-from tests.hosts.accelerometer import machine_of
+from tests.hosts.klipper_server import machine_of
 from tests.hosts.moonraker import Printer, until
 from tests.quantities import below
 from tests.random_printers import Errors, judged

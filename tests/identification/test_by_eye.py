@@ -1,22 +1,30 @@
 """A model without a sensor: what a tower shows, the form, and squares to compare."""
 
 import re
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import find_peaks
 
 from hframe_post.arrays import TS
 from hframe_post.errors import HframeError, IdentificationError
-from hframe_post.identification.by_eye import Filled, Reading, filled, form, printed_mode
+from hframe_post.identification.by_eye import (
+    Filled,
+    Reading,
+    corner_path,
+    filled,
+    form,
+    printed_mode,
+)
 from hframe_post.identification.tower import SIDE, Band, bands, squares, tower
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from tests import ruler
 from tests.command_line import run
-from tests.ruler import read
+from tests.simulator import Axis, Machine, Mode
 
 A = 1500.0
 HEAT = (210.0, 60.0)  # °C of nozzle and bed
@@ -204,7 +212,7 @@ def written_form(own: Path) -> Path:
     )
     assert asked.returncode == 0, asked.stderr
     sheet = own.with_name("tower.form.toml")
-    sheet.write_text(ruler.filled(sheet.read_text(), {"x": 40.0, "y": 28.0}))
+    sheet.write_text(filled_in(sheet.read_text(), {"x": 40.0, "y": 28.0}))
     return sheet
 
 
@@ -257,3 +265,36 @@ def test_mistakes_are_errors(tmp_path: Path) -> None:
         assert done.returncode == status
         assert message in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def read(
+    hz: float, damping: float, band: Band, acceleration: float, seen_from: float = 0.015
+) -> Reading:
+    """Return what an owner reads who does as the form says, measures to a tenth and counts halves.
+
+    Crests are those on one side of the wall, from the corner on, of a printer in continuous time.
+    """
+    path, corner = corner_path(band, acceleration, SIDE)
+    still = np.repeat(path[:1], 300, axis=0)
+    axis = Axis((Mode(hz, damping),))
+    moved = Machine(axis, axis, kinematics="cartesian").played(np.vstack([still, path]))
+    across, along = moved[300 + corner :, :2].T
+    half_waves, _ = find_peaks(np.abs(across))
+    heights = np.abs(across[half_waves])
+    crests = along[half_waves[::2]]
+    seen = float((heights > seen_from).sum() / 2.0)
+    waves = min(int((heights[::2] > seen_from).sum()) - 2, 5)
+    if waves < 1:
+        return Reading(band, 0.0, 0.0, seen)
+    return Reading(band, round(float(crests[1 + waves] - crests[1]), 1), waves, seen)
+
+
+def filled_in(form: str, hz: dict[str, float], damping: float = 0.06) -> str:
+    """Return an empty form as filled_in in by the owner of a printer with a mode in x and in y."""
+    printed = tomllib.loads(form)["print"]
+    for k, (speed, corner) in enumerate(zip(printed["speeds"], printed["corners"], strict=True), 1):
+        for axis, its_hz in hz.items():
+            one = read(its_hz, damping, Band(speed, corner), printed["acceleration"])
+            row = f"{axis}{k} = [{one.distance}, {one.waves:g}, {one.seen:g}]"
+            form = form.replace(f"{axis}{k} = [0, 0, 0]", row)
+    return form

@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from datetime import UTC, date, datetime
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from hframe_post.arrays import TS
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.folder import Aside, Measurement, contents
 from hframe_post.identification.recordings.formats import command_csv
-from hframe_post.identification.recordings.names import RecordingName, parsed
+from hframe_post.identification.recordings.names import RecordingName, day_of, parsed, stem
 
 Contents = tuple[list[Measurement], list[Aside]]
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -256,3 +257,45 @@ def test_an_unreadable_file_is_left_aside(tmp_path: Path, monkeypatch: pytest.Mo
     with not_root():
         found = contents([Path()])
     assert reason(found, "raw_data_x") == "Permission denied"
+
+
+COPIED = date(2026, 2, 3)
+
+
+def dated(folder: Path, name: str, content: bytes) -> Path:
+    """Write a file and let it be one that was copied on COPIED."""
+    path = folder / name
+    path.write_bytes(content)
+    at = datetime(COPIED.year, COPIED.month, COPIED.day, 12, tzinfo=UTC).timestamp()
+    os.utime(path, (at, at))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "day"),
+    [
+        ("raw_data_x_20250526_101500.csv", date(2025, 5, 26)),
+        ("raw_data_x_adxl345_100.000_110.000_20.000_20250526_101500.csv", date(2025, 5, 26)),
+        ("0_2025-05-26_10.15.00.csv", date(2025, 5, 26)),
+        ("20240101_backup_of_raw_data_x_20250526_101500.csv", date(2025, 5, 26)),
+        ("raw_data_x_20251345_101500.csv", COPIED),  # no such day
+        ("raw_data_x_20980526_101500.csv", COPIED),  # a clock that was wrong
+        ("raw_data_x_1.csv", COPIED),
+        ("adxl345-measure-at-140-t2025111512.csv", COPIED),  # 34 minutes
+    ],
+)
+def test_the_date_in_the_name_counts_first(tmp_path: Path, name: str, day: date) -> None:
+    """Else that of the last copy; none is in the numbers of a recording, or in a print time."""
+    assert day_of(parsed(name), dated(tmp_path, name, b"#time\n1.0,20200101.0\n")) == day
+
+
+def test_then_the_date_of_the_measurement_in_the_file(tmp_path: Path) -> None:
+    ((found,), _) = contents([dated(tmp_path, "x.stdata", stdata("axis_X_20250526_101500"))])
+    assert found.day == date(2025, 5, 26)
+
+
+def test_a_print_time_is_no_date() -> None:
+    found = parsed("adxl345-measure-at-140-t2025111512.csv")
+    assert found.ended == pytest.approx(2025.111512)
+    assert found.date == ""
+    assert stem("adxl345-measure-at-140-t2025111512.csv") == "adxl345-measure-at-140"

@@ -1,4 +1,4 @@
-"""Drawn printers identified from strokes: linear ones are as good as by their exact model."""
+"""Drawn printers identified from strokes and tests: linear ones as by their exact model."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,17 +9,32 @@ from click.testing import CliRunner
 
 from hframe_post.arrays import TS
 from hframe_post.cli.main import main
+from hframe_post.identification.gather import Gathered
 from hframe_post.identification.recordings.formats import command_csv
 from hframe_post.identification.recordings.strokes import runs
+from hframe_post.identification.report import IdentificationReport
+from hframe_post.model.plant import Plant
 from hframe_post.printer.profile import load
 from tests.quantities import below
-from tests.random_printers import drawn, identified, judged, printer, struck
+from tests.random_printers import Errors, drawn, identified, judged, printer, struck
 from tests.recordings import write_klipper
+from tests.resonance_recordings import MOTIONS, SENSORS, drawn_sensor, linear_printer, runs_of_tests
 from tests.simulator import Axis, Chip, Machine, Mode
 
 STEP = 0.0206  # mm of belt
-LINEAR, MOVING = (2, 6), (19,)
+LINEAR, MOVING = (2, 6), (19, 199)
 FRICTION, PLAY, SECOND, THIRD = 1, 3, 5, 7
+PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)  # mm of x, of an H-bot that racks
+
+
+def errors(machine: Machine, plant: Plant) -> Errors:
+    """Return the errors of the rectangle on the machine, by that model."""
+    return judged(machine, replace(printer(machine), plant=plant))
+
+
+def as_good_as_exact(machine: Machine, own: Errors) -> None:
+    best = errors(machine, machine.exact()).compensated
+    below(own.compensated, max(1.3 * best, 1.0), "error of the rectangle, µm RMS")
 
 
 @pytest.mark.slow
@@ -29,15 +44,15 @@ def test_drawn_printers_become_better(seed: int) -> None:
     machine, chip, fault = drawn(seed)
     found = identified(machine, struck(machine, chip, seed, step=STEP))
     assert found.refusal is None
-    profile = printer(machine)
-    own = replace(profile, plant=found.plant(machine.x_c))
-    error = judged(machine, own)
-    assert error.compensated < error.none
+    own = errors(machine, plant := found.plant(machine.x_c))
+    assert own.compensated < own.none
     if fault == "linear":
-        best = judged(machine, replace(profile, plant=machine.exact())).compensated
-        below(error.compensated, max(1.3 * best, 1.0), "error of the rectangle, µm RMS")
+        as_good_as_exact(machine, own)
         for axis, gain in zip("xy", chip.gains, strict=False):
             assert found.gains[axis] == pytest.approx(gain, abs=0.01)
+    if seed == MOVING[-1]:  # its modes move far as the gantry does
+        text = IdentificationReport(found, plant, None, Gathered([], [])).remarks()
+        assert any("cannot describe all of them" in line for line in text)
 
 
 def test_the_command_line_makes_a_profile_of_strokes(tmp_path: Path) -> None:
@@ -57,3 +72,25 @@ def test_the_command_line_makes_a_profile_of_strokes(tmp_path: Path) -> None:
     omega = 2.0 * np.pi * TS * np.arange(10.0, 80.0)
     found, exact = (G.response(omega) for G in (load(str(new)).plant.Gxx, machine.exact().Gxx))
     below(float(np.linalg.norm(found - exact) / np.linalg.norm(exact)), 0.03, "relative error")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4, 8, 18])
+def test_resonance_tests_show_modes_and_make_a_printer_as_good_as_its_exact_model(
+    seed: int,
+) -> None:
+    """Each sensor and each motion, and an H-bot.
+
+    Clocks 2 % and gains 10 % off, left-handed mountings, unknown starts.
+    """
+    machine = linear_printer(seed)
+    chip = drawn_sensor(seed, tuple(SENSORS)[seed % 3])
+    places = PLACES if machine.kinematics == "hbot" else (140.0,)
+    motion = tuple(MOTIONS)[seed // 3 % 3]
+    found = identified(machine, runs_of_tests(machine, chip, motion, seed, places, (140.0,)))
+    assert found.refusal is None
+    for name, axis in (("Gxx", machine.x), ("Gyy", machine.y)):
+        modes = [hz for hz, _ in found.fits[name].modes]
+        for mode in axis.modes:
+            assert min(abs(hz / mode.hz - 1.0) for hz in modes) < 0.01, (name, mode, modes)
+    as_good_as_exact(machine, errors(machine, found.plant(machine.x_c)))

@@ -233,15 +233,3 @@ def test_a_recording_that_does_not_tell_its_start_is_left_aside(tmp_path: Path) 
     renamed(tmp_path / name)
     with pytest.raises(IdentificationError, match="nothing tells when its motion began"):
         folder.gathered()
-
-
-def test_a_print_time_is_no_date(tmp_path: Path) -> None:
-    """2025111512 µs are 34 minutes of print time."""
-    from hframe_post.identification.recordings.names import day_of, parsed, stem
-
-    path = tmp_path / "adxl345-measure-at-140-t2025111512.csv"
-    path.write_text("")
-    assert parsed(path.name).ended == pytest.approx(2025.111512)
-    assert parsed(path.name).date == ""
-    assert day_of(parsed(path.name), path).year != 2025
-    assert stem(path.name) == "adxl345-measure-at-140"

@@ -8,7 +8,7 @@ import pytest
 from hframe_post.arrays import TS
 from hframe_post.identification.pages import uncertain
 from hframe_post.model.impulse_response import ImpulseResponse
-from tests.modes import axis_mode
+from tests.plants import axis_mode
 
 HZ = np.arange(5.0, 100.0, 5.0)
 

@@ -10,7 +10,7 @@ from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import GuessedMotors, Printer
-from tests.modes import deviation_of_mode
+from tests.plants import deviation_of_mode
 
 
 def corexy(belt_acceleration: float) -> Printer:

@@ -20,7 +20,7 @@ from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
 from hframe_post.stream.types import Samples
-from tests.modes import axis_mode
+from tests.plants import axis_mode
 from tests.simulator import Axis, Machine, Mode
 
 # a published CoreXY, x (0) and y (1) on the first day and 18 days later

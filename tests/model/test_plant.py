@@ -15,9 +15,8 @@ from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.nozzle import Nozzle, Response
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Printer
-from tests.modes import axis_mode, damped_by_the_frame, deviation_of_mode
 from tests.paths import walk
-from tests.plants import Filter
+from tests.plants import Filter, axis_mode, deviation_of_mode, resonant
 
 ALL = pytest.mark.parametrize("G", [*transfer_functions().values()], ids=[*transfer_functions()])
 
@@ -115,7 +114,7 @@ def test_a_lag_is_how_late_the_nozzle_is_at_a_constant_speed(lead: int) -> None:
 
 def test_a_damper_against_the_frame_is_a_lag() -> None:
     """A mode of ω and ζ that the frame damps lags by 2ζ/ω."""
-    G = damped_by_the_frame(18.0, 0.13)
+    G = resonant(18.0, 0.13)
     q = ImpulseResponse.from_transfer_function(G, 1.0)
 
     omega = 2.0 * np.pi * 18.0 * 1e-3

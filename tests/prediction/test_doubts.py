@@ -23,8 +23,8 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.studies.inputs import rectangle
-from tests.modes import deviation_of_mode
 from tests.paths import ORIGIN, strokes
+from tests.plants import deviation_of_mode
 
 AXES = ((X, 0.02), (Y, 0.03))  # and their drift
 

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.firmware.registry import firmware
@@ -11,6 +13,7 @@ from hframe_post.model.strategies import Compensator
 from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.predict import as_written, contour_error, judge
+from hframe_post.prediction.statistics import SMALLEST, ErrorStatistics
 from hframe_post.prediction.windows import FEW, SOME, WINDOW, Windows
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import smaller
@@ -142,3 +145,32 @@ def test_what_has_an_example_is_shown_all_the_same() -> None:
         found.append([*zip(starts, (each.weight for each in windows), strict=True)])
     assert found[0] == found[1] == found[2]
     assert [start // WINDOW for start, weight in found[0] if weight] == [0, 4, 12, 20, 28]
+
+
+ERRORS = st.lists(st.floats(0.0, 250.0), min_size=1, max_size=60).map(np.array)
+BIN = 1.0 + 1.0 / 128.0
+
+
+def statistics(errors: Array) -> ErrorStatistics:
+    running = ErrorStatistics()
+    running.add(errors)
+    return running
+
+
+@given(ERRORS)
+def test_rms_and_peak_are_exact(errors: Array) -> None:
+    running = statistics(errors)
+    assert running.count == len(errors)
+    assert running.rms == pytest.approx(np.sqrt(np.square(errors).mean()), rel=1e-12)
+    assert running.peak == errors.max()
+
+
+@given(ERRORS, st.floats(0.01, 1.0))
+def test_percentiles_are_within_their_bin(errors: Array, share: float) -> None:
+    """Never below the true one, at most a bin above, and never below the smallest."""
+    true = np.quantile(errors, share, method="inverted_cdf")
+    got = statistics(errors).percentile(share)
+    rounding = 1.0 + 1e-9
+    assert got <= max(true, SMALLEST) * BIN * rounding
+    assert got * rounding >= true
+    assert got <= errors.max()

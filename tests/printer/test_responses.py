@@ -12,7 +12,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer.profile import load, parse
-from tests.modes import deviation_of_mode
+from tests.plants import deviation_of_mode
 from tests.printers import with_plant
 
 PAPER = load("paper")

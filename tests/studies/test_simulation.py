@@ -1,5 +1,6 @@
 """Simulated prints: strategies in their order, parts that add up to the whole, any cut."""
 
+from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
 from statistics import median
@@ -9,6 +10,8 @@ import pytest
 
 from hframe_post import library
 from hframe_post.conversion.options import Options
+from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.statistics import TRAVEL
 from hframe_post.printer import profile
@@ -17,15 +20,10 @@ from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.simulation import Group, SimulationReport, Study, simulate
 from hframe_post.studies.tuning import tune
 from hframe_post.studies.uncertainty import draws
-from tests.conftest import SAMPLES, few
+from tests.conftest import few
+from tests.gcode_tools import layers, sample
 
 ALL = tuple(STRATEGIES)
-
-
-def sample(name: str, last: int | None = None) -> list[bytes]:
-    """A sample, or its head up to a layer."""
-    lines = (SAMPLES / name).read_bytes().splitlines(keepends=True)
-    return lines if last is None else lines[: lines.index(b";LAYER:%d\n" % last)]
 
 
 def simulated(
@@ -42,16 +40,15 @@ def rms(group: Group) -> list[float]:
 
 @pytest.fixture(scope="module")
 def cube() -> SimulationReport:
-    return simulated(sample("cube.gcode", 3))
+    return simulated(layers("cube.gcode", 3))
 
 
-PARTS = [("rectangle.gcode", None), ("cube.gcode", 3), ("prism.gcode", 1)]
-
-
-@pytest.mark.parametrize(("name", "last"), few(PARTS, 2))
-def test_each_strategy_is_better_than_the_one_before(name: str, last: int | None) -> None:
-    none, fbs, racking = rms(simulated(sample(name, last)).parts.whole)
-    assert none > fbs > 2.0 * racking > 0.0
+@pytest.mark.parametrize("name", few(["rectangle.gcode", "prism.gcode"], 1))
+def test_each_strategy_is_better_than_the_one_before(cube: SimulationReport, name: str) -> None:
+    lines = sample(name) if name == "rectangle.gcode" else layers(name, 1)
+    for report in (cube, simulated(lines)):
+        none, fbs, racking = rms(report.parts.whole)
+        assert none > fbs > 2.0 * racking > 0.0
 
 
 def test_layers_and_features_add_up_to_the_whole(cube: SimulationReport) -> None:
@@ -113,3 +110,43 @@ def test_tune_simulate_and_convert_agree(paper: Printer, tmp_path: Path) -> None
     assert simulated.acceleration == pytest.approx(converted.belt_acceleration, rel=1e-6)
     assert trial.acceleration == pytest.approx(converted.belt_acceleration, rel=1e-6)
     assert trial.velocity == pytest.approx(converted.belt_velocity, rel=1e-6)
+
+
+PLANT = profile.load("paper").plant
+CARTESIAN = profile.load("example-cartesian").plant
+
+
+def responses(plant: Plant) -> list[ImpulseResponse]:
+    return [G for G in (plant.Gxx, plant.Gyy, plant.Gxtheta) if G is not None]
+
+
+def same(one: Plant, other: Plant) -> bool:
+    pairs = zip(responses(one), responses(other), strict=True)
+    return one.x_c == other.x_c and all(
+        np.array_equal(G.deviation, H.deviation) and G.lag == H.lag for G, H in pairs
+    )
+
+
+def test_equal_seeds_give_equal_printers_and_others_do_not() -> None:
+    first, again = (draws(PLANT, 0.05, 8, seed=1) for _ in range(2))
+    assert all(same(a, b) for a, b in zip(first, again, strict=True))
+    assert not any(same(a, b) for a, b in zip(first, draws(PLANT, 0.05, 8, 2), strict=True))
+    assert not any(same(a, b) for a, b in pairwise(first))
+
+
+@pytest.mark.parametrize("plant", [PLANT, CARTESIAN], ids=["hbot", "cartesian"])
+def test_no_model_error_is_the_plant_itself(plant: Plant) -> None:
+    for drawn in draws(plant, 0.0, 3, seed=0):
+        assert (drawn.x_c, drawn.Gxtheta is None) == (plant.x_c, plant.Gxtheta is None)
+        assert same(drawn, plant)
+
+
+def test_parameters_are_uniform_within_the_share() -> None:
+    share, own = 0.05, [len(CARTESIAN.Gxx.deviation), len(CARTESIAN.Gyy.deviation)]
+    drawn = draws(CARTESIAN, share, 400, seed=3)
+    lengths = np.array([[len(p.Gxx.deviation), len(p.Gyy.deviation)] for p in drawn]) / own
+    off = (lengths - 1.0) / share
+    assert np.abs(off).max() <= 1.1
+    assert np.abs(off).max(axis=0).min() > 0.9
+    quartiles = np.quantile(off, [0.25, 0.5, 0.75], axis=0)
+    np.testing.assert_allclose(quartiles, np.array([[-0.5], [0.0], [0.5]]).repeat(2, 1), atol=0.2)

@@ -1,5 +1,6 @@
-"""Accelerations with which the extruder can follow its advance."""
+"""Moves that motors can follow: the extruder its advance, belts M201 and what an owner states."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,16 +10,19 @@ from hframe_post.arrays import E, X
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.firmware.dialect import Advance, ExtruderLimits, marlin_advance
+from hframe_post.model.kinematics import Kinematics
 from hframe_post.planner.extruder import LOWEST, FollowedAdvance
+from hframe_post.planner.lookahead import plan
+from hframe_post.planner.motors import WithinMotors
 from hframe_post.printer.profile import load
-from hframe_post.printer.settings import Extruder
+from hframe_post.printer.settings import Extruder, Motors
 from hframe_post.stream.marks import Mark, Marks
-from hframe_post.stream.types import Handling, Item, Moves, Passthrough
+from hframe_post.stream.types import FileLimits, Handling, Item, Moves, Passthrough, Plan
 from hframe_post.studies.inputs import rectangle
-from tests.planner.planning import STATE, moves
+from tests.planner.planning import LIMITS, STATE, moves
 from tests.quantities import below
 
-LIMITS = ExtruderLimits(40.0, 2000.0)
+OF_EXTRUDER = ExtruderLimits(40.0, 2000.0)
 GROWS = 0.8 * 2000.0 * 0.01  # mm/s of advance, averaged over 10 ms before and after
 
 
@@ -31,7 +35,7 @@ def line(per_mm: list[float], acceleration: float = 8000.0, *marks: Mark) -> Mov
 
 
 def followed(K: float, *items: Item) -> list[Item]:
-    return list(FollowedAdvance(Advance(K, 0.04, marlin_advance), LIMITS, 1e4).items(items))
+    return list(FollowedAdvance(Advance(K, 0.04, marlin_advance), OF_EXTRUDER, 1e4).items(items))
 
 
 def accelerations(items: list[Item]) -> list[float]:
@@ -45,7 +49,7 @@ def test_lines_accelerate_as_their_filament_allows_and_travel_as_asked() -> None
 
 
 def test_the_profile_limits_what_the_file_leaves_open() -> None:
-    stage = FollowedAdvance(Advance(0.03, 0.04, marlin_advance), LIMITS, 1e4)
+    stage = FollowedAdvance(Advance(0.03, 0.04, marlin_advance), OF_EXTRUDER, 1e4)
     found = accelerations(list(stage.items([line([0.03, 0.06], np.inf)])))
     np.testing.assert_allclose(found, [np.inf, GROWS / (0.03 * 0.06)])
     assert stage.share == 0.5
@@ -71,3 +75,28 @@ def test_the_line_is_even_where_the_extruder_would_be_outrun(K: float) -> None:
     stream = WholeFile(rectangle(printer), printer, Options("racking", ("racking",)))
     assert len(list(stream.samples()))
     below(stream.report.width["racking"].rms, 0.05, "RMS error of the width")
+
+
+@pytest.mark.parametrize("asked", [math.inf, 1500.0, 600.0])
+@pytest.mark.parametrize("kinematics", ["cartesian", "corexy"])
+def test_m201_limits_each_motor(kinematics: str, asked: float) -> None:
+    """On a cartesian printer a diagonal has √2 times as much, on a CoreXY as little less."""
+    (ax, ay), (bx, by) = Kinematics(kinematics).matrix.tolist()
+    own = FileLimits(acceleration=(500.0, 500.0, math.inf, math.inf), belts=((ax, ay), (bx, by)))
+    corners = [(0, 0, 0.2, 0), (40, 0, 0.2, 1), (80, 40, 0.2, 2), (80, 80, 0.2, 3)]
+    (planned,) = plan([moves(corners, acceleration=asked, limits=own)], LIMITS)
+    assert isinstance(planned, Plan)
+    line = planned.line[planned.ends[:-1]]
+    found = [planned.acceleration[line == k].max() for k in planned.line]
+    along = math.sqrt(2.0) if kinematics == "cartesian" else math.sqrt(0.5)
+    np.testing.assert_allclose(found, [500.0, min(asked, along * 500.0), 500.0])
+
+
+def test_what_stated_motors_cannot_follow_is_slower_and_counted() -> None:
+    """On a CoreXY a diagonal turns one motor √2 times as fast as a line along x."""
+    within = WithinMotors(Motors(120.0, 1e6), Kinematics("corexy"))
+    corners = [(0, 0, 0.2, 0), (40, 0, 0.2, 1), (80, 40, 0.2, 2), (120, 40, 0.2, 3)]
+    (slower,) = within.items([moves(corners, acceleration=1000.0, corner=1.0)])
+    assert isinstance(slower, Moves)
+    assert slower.speed.tolist() == pytest.approx([100.0, 120.0 / math.sqrt(2.0), 100.0])
+    assert (within.path, within.slowed) == pytest.approx((80.0 + 40.0 * 2**0.5, 40.0 * 2**0.5))
