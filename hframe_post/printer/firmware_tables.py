@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, TypeVar
 
 from hframe_post.errors import PrinterError
@@ -22,6 +22,7 @@ END_MACRO = "_HFRAME_END"  # one of them: restores what printer.cfg sets, whatev
 RECORDED = "_HFRAME_RECORDED"  # another: puts the print time into a recording's name
 UNUSED = "hframe-unused"  # name of the recordings that it throws away
 USUAL_CHIP = "adxl345"  # of [adxl345] in printer.cfg
+NAMES = {"pattern": re.compile(r"[A-Za-z_][\w.]*\*?", re.ASCII)}  # of commands and macros
 SERIAL_BYTES = 45  # of a line with number and checksum, and of the ok that its sender waits for
 
 
@@ -148,9 +149,9 @@ class FirmwareSettings:
     """
 
     dialect: str = "klipper"
-    harmless: tuple[str, ...] = ()
-    returns: tuple[str, ...] = ()
-    other_tools: tuple[str, ...] | None = None
+    harmless: tuple[str, ...] = field(default=(), metadata=NAMES)
+    returns: tuple[str, ...] = field(default=(), metadata=NAMES)
+    other_tools: tuple[str, ...] | None = field(default=None, metadata=NAMES)
     tables: tuple[FirmwareTable, ...] = ()
 
     def table(self, kind: type[T]) -> T | None:
@@ -178,8 +179,6 @@ class FirmwareSettings:
 
 
 TABLES: dict[str, type[FirmwareTable]] = {"klipper": KlipperTable, "marlin": MarlinTable}
-NAMES = ("harmless", "returns", "other_tools")
-NAME = re.compile(r"[A-Za-z_][\w.]*\*?", re.ASCII)
 
 
 def named(dialect: str, key: str = "", source: str = "") -> None:
@@ -190,28 +189,13 @@ def named(dialect: str, key: str = "", source: str = "") -> None:
 
 def load_firmware(table: dict[str, Any]) -> FirmwareSettings:
     """Return ``[firmware]`` with its tables. Raises PrinterError."""
-    given = [name for name in table if name not in ("dialect", *NAMES)]
-    if not all(name in TABLES for name in given):
-        known_keys(table, ("dialect", *NAMES, *TABLES), "firmware")
-    dialect = table.get("dialect", "klipper")
-    if not isinstance(dialect, str):
-        raise PrinterError(f"must be text, not {dialect!r}", "firmware.dialect")
-    named(dialect, "firmware.dialect")
-    for name in given:
-        if not isinstance(table[name], dict):
-            raise PrinterError("the table is missing", f"firmware.{name}")
-    tables = tuple(checked(TABLES[name], table[name], f"firmware.{name}") for name in given)
-    names = {key: _names(table[key], f"firmware.{key}") for key in NAMES if key in table}
-    return FirmwareSettings(dialect, **names, tables=tables)
-
-
-def _names(value: Any, key: str) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
-        raise PrinterError("must be a list of names", key)
-    for name in value:
-        if not NAME.fullmatch(name):
-            raise PrinterError(f"{name!r} is not the name of a command or macro", key)
-    return tuple(value)
+    keys = [each.name for each in fields(FirmwareSettings) if each.name != "tables"]
+    known_keys(table, (*keys, *TABLES), "firmware")
+    own = {key: value for key, value in table.items() if key in keys}
+    settings = checked(FirmwareSettings, own, "firmware")
+    named(settings.dialect, "firmware.dialect")
+    tables = (checked(TABLES[k], table[k], f"firmware.{k}") for k in table if k in TABLES)
+    return replace(settings, tables=tuple(tables))
 
 
 def check_needs(firmware: FirmwareSettings, steps_known: bool, source: str = "") -> None:

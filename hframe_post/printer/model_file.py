@@ -22,8 +22,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
-from hframe_post.printer.plant_tables import MICRORAD
-from hframe_post.printer.profile import parse, shipped, text_of
+from hframe_post.printer.profile import MICRORAD, parse, shipped, text_of
 from hframe_post.printer.settings import Printer
 
 DIGITS, IN_A_LINE = 4, 10  # after the point of a response's µm or µrad; numbers

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import re
 import tomllib
-from dataclasses import replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import date
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from hframe_post.arrays import TS
-from hframe_post.errors import PrinterError, one_line
+import numpy as np
+
+from hframe_post.arrays import TS, Array, Complex
+from hframe_post.errors import ArgumentError, PrinterError, one_line
+from hframe_post.model.impulse_response import LONGEST, ImpulseResponse
 from hframe_post.model.kinematics import Kinematics
+from hframe_post.model.plant import Bed, Plant
+from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.firmware_tables import check_needs, load_firmware
-from hframe_post.printer.plant_tables import read_bed, read_plant
-from hframe_post.printer.schema import (
-    checked,
-    checked_value,
-    digest_of,
-    file_text,
-    known_keys,
-)
+from hframe_post.printer.schema import checked, digest_of, file_text, known_keys, within
 from hframe_post.printer.settings import (
+    PLACES,
     SHARE,
     Compensation,
     Extruder,
@@ -37,15 +36,18 @@ from hframe_post.printer.settings import (
     Verified,
 )
 
-# tables of a profile and what they become; without one of the latter, its default is None
-USUAL: dict[str, type[Any]] = {
-    "travel": Travel, "limits": Limits, "kinematics": Kinematics, "compensation": Compensation,
-    "sweep": Sweep, "speed": Speed,
+TABLES: dict[str, type[Any]] = {  # of a profile, and what they become
+    "travel": Travel, "limits": Limits, "kinematics": Kinematics, "motors": Motors,
+    "compensation": Compensation, "sweep": Sweep, "speed": Speed, "steps": Steps,
+    "retraction": Retraction, "extruder": Extruder,
 }  # fmt: skip
-IF_GIVEN: dict[str, type[Any]] = {"steps": Steps, "retraction": Retraction, "extruder": Extruder}
+NEEDED, IF_GIVEN = ("travel", "limits"), ("steps", "retraction", "extruder")  # None without one
 MEASURED = ("plant", "compensation", "speed", "verified")  # tables of a model
 # a profile without a plant: the nozzle follows the motors exactly
 NOT_MEASURED = {"Ts": TS} | {G: {"gain": 1.0, "zeros": [], "poles": []} for G in ("Gxx", "Gyy")}
+MICRORAD = 1e-3  # rad per mm/sample² in which 1000 mm/s² during 1 ms cause 1 µrad
+DEVIATIONS = {"least": -1e6, "most": 1e6, "count": LONGEST}  # µm or µrad of a response
+ROOTS = {"least": -1e5, "most": 1e5, "count": 50}  # of a function: so their product is finite
 MAX_PROFILE_BYTES = 1 << 20  # bytes of a profile
 KLIPPER_SECTION = re.compile(r"^\[(printer|mcu|stepper_x|include .*)\]\s*$", re.MULTILINE)
 
@@ -152,61 +154,31 @@ def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _check_tables(document: dict[str, Any]) -> None:
-    """Raise PrinterError unless the tables are known ones and those that a profile needs."""
-    needed = ("travel", "limits", "firmware", "plant")
-    known = (*USUAL, *IF_GIVEN, "motors", "firmware", "plant", "verified")
-    known_keys(document, ("description", *known), "")
-    for section in known:
-        wanted = section in needed or section in document
-        if wanted and not isinstance(document.get(section), dict):
-            raise PrinterError("the table is missing", section)
-    if not isinstance(document.get("description", ""), str):
-        raise PrinterError("must be text", "description")
-
-
 def _printer(document: dict[str, Any], name: str, digest: str) -> Printer:
     document = {"plant": NOT_MEASURED, **document}
-    _check_tables(document)
-    usual = {key: checked(kind, document.get(key, {}), key) for key, kind in USUAL.items()}
-    given = {k: checked(kind, document[k], k) for k, kind in IF_GIVEN.items() if k in document}
-    limits, kinematics = usual["limits"], usual["kinematics"]
-    motors = checked(Motors, document.get("motors", {}), "motors").completed(
+    known_keys(document, ("description", *TABLES, "firmware", "plant", "verified"), "")
+    description = document.get("description", "")
+    if not isinstance(description, str):
+        raise PrinterError("must be text", "description")
+    tables = {
+        key: checked(kind, document.get(key, None if key in NEEDED else {}), key)
+        for key, kind in TABLES.items()
+        if key in document or key not in IF_GIVEN
+    }
+    for key in ("firmware", "plant"):
+        if not isinstance(document.get(key), dict):
+            raise PrinterError("the table is missing", key)
+    limits, kinematics, model = tables["limits"], tables["kinematics"], _model_digest(document)
+    tables["motors"] = tables["motors"].completed(
         kinematics, limits.velocity, limits.acceleration, limits.square_corner_velocity
     )
-    model = _model_digest(document)
     printer = Printer(
-        **usual, **given, **_measured(document["plant"], limits, kinematics), name=name,
-        description=document.get("description", ""), motors=motors, digest=digest, model=model,
+        **tables, **_measured(document["plant"], limits, kinematics), name=name,
+        description=description, digest=digest, model=model,
         firmware=load_firmware(document["firmware"]), verified=_verified(document, model),
     )  # fmt: skip
     check_needs(printer.firmware, printer.steps is not None)
     return printer
-
-
-def _measured(table: dict[str, Any], limits: Limits, kinematics: Kinematics) -> dict[str, Any]:
-    """Return what [plant] says: the plant, and how it is known."""
-    bed = read_bed(table.get("moving_mass"), limits, kinematics)
-    plant = replace(read_plant(table), bed=bed)
-    if plant.Gxtheta is not None and not kinematics.racks:
-        cause = f"a {kinematics.type} printer does not rack: extend a profile without this table"
-        raise PrinterError(cause, "plant.Gxtheta")
-    uncertainty = table.get("uncertainty")
-    if uncertainty is not None:
-        uncertainty = checked_value(float, uncertainty, SHARE, "plant.uncertainty")
-    return {
-        "plant": plant,
-        "invented": checked_value(bool, table.get("invented", True), {}, "plant.invented"),
-        "uncertainty": uncertainty,
-        "measured": _day(table.get("measured"), "plant.measured"),
-    }
-
-
-def _day(value: Any, key: str) -> date | None:
-    try:
-        return None if value is None else date.fromisoformat(value)
-    except (TypeError, ValueError):
-        raise PrinterError(f'must be a day such as "2026-01-31", it is {value!r}', key) from None
 
 
 def _verified(document: dict[str, Any], model: str) -> Verified | None:
@@ -242,3 +214,91 @@ def check_identified(printer: Printer) -> None:
             "without one: 'hframe-post calibrate-print' (docs/start.md)",
             source=printer.name,
         )
+
+
+# ----------------------------------------------------------------------
+# The table [plant]: responses, or transfer functions in their place.
+
+
+@dataclass(frozen=True, slots=True)
+class _Plant:
+    Ts: float
+    Gxx: Any
+    Gyy: Any
+    Gxtheta: Any = None
+    x_c: float | None = field(default=None, metadata=PLACES)
+    invented: bool = True
+    uncertainty: float | None = field(default=None, metadata=SHARE)
+    measured: date | None = None
+    moving_mass: float | None = within(0.05, 50.0, default=None)  # kg
+
+
+@dataclass(frozen=True, slots=True)
+class _Response:
+    """deviation, unknown: µm or µrad; lag: ms, or µrad at 1 mm/s."""
+
+    deviation: Array = field(metadata=DEVIATIONS)
+    lead: int
+    lag: float = within(-1e3, 1e3, default=0.0)
+    drift: float = field(default=0.0, metadata=SHARE)
+    unknown: Array = field(default_factory=lambda: np.zeros(0), metadata=DEVIATIONS)
+
+
+@dataclass(frozen=True, slots=True)
+class _Function:
+    zeros: Complex = field(metadata=ROOTS)
+    poles: Complex = field(metadata=ROOTS)
+    gain: float
+
+
+def _measured(table: dict[str, Any], limits: Limits, kinematics: Kinematics) -> dict[str, Any]:
+    """Return what [plant] says: the plant, and how it is known."""
+    own, bed = checked(_Plant, table, "plant"), None
+    if own.moving_mass is not None:
+        if not kinematics.bed_moves:
+            cause = f"the bed of a {kinematics.type} printer does not move in y: leave it out"
+            raise PrinterError(cause, "plant.moving_mass")
+        bed = Bed(own.moving_mass, limits.filament_mass)
+    if own.Gxtheta is not None and own.x_c is None:
+        raise PrinterError("the key is missing", "plant.x_c")
+    if own.Ts != TS:
+        raise PrinterError(f"must be {TS}: the clock runs in milliseconds", "plant.Ts")
+    Gxx, Gyy = (_linear(getattr(own, G), f"plant.{G}", 1.0) for G in ("Gxx", "Gyy"))
+    racking = None
+    if own.Gxtheta is not None:
+        found = _linear(own.Gxtheta, "plant.Gxtheta", 0.0, MICRORAD)
+        racking = found if np.append(found.deviation, found.lag).any() else None
+    if racking is not None and not kinematics.racks:
+        cause = f"a {kinematics.type} printer does not rack: extend a profile without this table"
+        raise PrinterError(cause, "plant.Gxtheta")
+    return {
+        "plant": Plant(Gxx, Gyy, racking, own.x_c or 0.0, bed), "invented": own.invented,
+        "uncertainty": own.uncertainty, "measured": own.measured,
+    }  # fmt: skip
+
+
+def _linear(table: Any, key: str, rest: float, unit: float = 1.0) -> ImpulseResponse:
+    """Return a response with this gain at rest, written as such or as a transfer function."""
+    if not isinstance(table, dict):
+        raise PrinterError(
+            "must be a table of deviation and lead, or of zeros, poles and gain", key
+        )
+    response, function = ([each.name for each in fields(k)] for k in (_Response, _Function))
+    known_keys(table, (*function, *response), key)
+    is_response = not {*response}.isdisjoint(table)
+    for name in table:
+        if is_response and name in function:
+            cause = "is of a transfer function, and deviation of a response: leave one of them out"
+            raise PrinterError(cause, f"{key}.{name}")
+    try:
+        if not is_response:
+            G = checked(_Function, table, key)
+            return ImpulseResponse.from_transfer_function(
+                TransferFunction(G.zeros, G.poles, G.gain), rest
+            )
+        q = checked(_Response, table, key)
+        return ImpulseResponse(
+            q.deviation * unit, q.lead, rest, q.lag * unit, q.drift, q.unknown * unit
+        )
+    except ArgumentError as error:
+        raise PrinterError(str(error), key) from None

@@ -5,12 +5,14 @@ from __future__ import annotations
 import codecs
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, asdict, field, fields, is_dataclass
+from datetime import date
 from difflib import get_close_matches
 from operator import ge, gt, le, lt
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar, get_type_hints
+from types import NoneType
+from typing import Any, TypeAlias, TypeVar, get_args, get_type_hints
 
 import numpy as np
 
@@ -18,11 +20,9 @@ from hframe_post.arrays import Array, Complex
 from hframe_post.errors import PrinterError
 
 T = TypeVar("T")
-Rules: TypeAlias = Mapping[str, Any]  # a field's bounds, choices, ascending, count
+Rules: TypeAlias = Mapping[str, Any]  # a field's bounds, choices, ascending, count, pattern
 
 MAX_NUMBER = 1e15  # a larger number is a mistake
-MAX_ROOTS = 50  # of a transfer function; the product of 50 roots within ROOTS is finite
-ROOTS = {"least": -1e5, "most": 1e5}
 KINDS = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}
 BOUNDS: dict[str, tuple[Callable[[Any, Any], bool], str]] = {
     "above": (gt, "above"),
@@ -46,28 +46,10 @@ def within(least: float, most: float, default: Any = MISSING) -> Any:
     return field(default=default, metadata={"least": least, "most": most})
 
 
-def roots(pairs: Any, key: str) -> Complex:
-    """Return complex roots from pairs [real, imaginary]. Raises PrinterError."""
-    if not isinstance(pairs, list):
-        raise PrinterError("must be a list of pairs [real, imaginary]", key)
-    if len(pairs) > MAX_ROOTS:
-        raise PrinterError(f"must be at most {MAX_ROOTS} roots, they are {len(pairs)}", key)
-    for pair in pairs:
-        if not isinstance(pair, list) or len(pair) != 2:
-            raise PrinterError("roots are pairs [real, imaginary] of numbers", key)
-    numbers = [[checked_value(float, number, ROOTS, key) for number in pair] for pair in pairs]
-    return np.array([complex(*pair) for pair in numbers], dtype=np.complex128)
-
-
-def numbers(values: Any, most: int, rules: Rules, key: str) -> Array:
-    """Return a list of 1 to ``most`` numbers as an array. Raises PrinterError."""
-    if not isinstance(values, list) or not 1 <= len(values) <= most:
-        raise PrinterError(f"must be a list of 1 to {most} numbers", key)
-    return np.array([checked_value(float, value, rules, key) for value in values])
-
-
-def checked(kind: type[T], table: dict[str, Any], path: str) -> T:
+def checked(kind: type[T], table: Any, path: str) -> T:
     """Return a dataclass from a TOML table. Raises PrinterError for a bad key or value."""
+    if not isinstance(table, dict):
+        raise PrinterError("the table is missing", path)
     hints = get_type_hints(kind)
     members: tuple[Field[Any], ...] = fields(kind)  # type: ignore[arg-type]
     known_keys(table, tuple(m.name for m in members), path)
@@ -86,17 +68,22 @@ def checked(kind: type[T], table: dict[str, Any], path: str) -> T:
 
 
 def checked_value(hint: Any, value: Any, rules: Rules, key: str) -> Any:
-    """Return a value of the type ``hint``. Raises PrinterError if it breaks its field's rules."""
-    if hint == tuple[float, float]:
-        return _range(value, rules, key)
-    if hint == tuple[tuple[float, float], ...]:
-        return _ranges(value, rules, key)
+    """Return a value of the type ``hint``. Raises PrinterError if it breaks its field's rules.
+
+    A list of ``count`` pairs or numbers has at most so many.
+    """
+    if NoneType in get_args(hint):  # such a default cannot be written, but left out
+        hint = get_args(hint)[0]
+    if hint in LISTS:
+        return LISTS[hint](value, rules, key)
     if hint in (int, float):
         value = _number(hint, value, rules, key)
     elif hint in (str, bool) and not isinstance(value, hint):
         raise PrinterError(f"must be {KINDS[hint]}, not {value!r}", key)
     elif hint is str and not value.isprintable():
         raise PrinterError("must be one line of printable text", key)
+    elif hint is date:
+        return _day(value, key)
     choices = rules.get("choices")
     if choices is not None and value not in choices:
         shown = (choice if isinstance(choice, str) else f"{choice:g}" for choice in choices)
@@ -117,6 +104,47 @@ def _ranges(value: Any, rules: Rules, key: str) -> tuple[tuple[float, float], ..
     if not isinstance(value, list) or len(value) > rules["count"]:
         raise PrinterError(f"must be a list of at most {rules['count']} pairs of numbers", key)
     return tuple(_range(pair, rules, key) for pair in value)
+
+
+def _names(value: Any, rules: Rules, key: str) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise PrinterError("must be a list of names", key)
+    for name in value:
+        if not rules["pattern"].fullmatch(name):
+            raise PrinterError(f"{name!r} is not the name of a command or macro", key)
+    return tuple(value)
+
+
+def _numbers(values: Any, rules: Rules, key: str) -> Array:
+    if not isinstance(values, list) or not 1 <= len(values) <= rules["count"]:
+        raise PrinterError(f"must be a list of 1 to {rules['count']} numbers", key)
+    return np.array([checked_value(float, value, rules, key) for value in values])
+
+
+def _roots(pairs: Any, rules: Rules, key: str) -> Complex:
+    """Return complex roots from pairs [real, imaginary]."""
+    if not isinstance(pairs, list):
+        raise PrinterError("must be a list of pairs [real, imaginary]", key)
+    if len(pairs) > rules["count"]:
+        raise PrinterError(f"must be at most {rules['count']} roots, they are {len(pairs)}", key)
+    for pair in pairs:
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise PrinterError("roots are pairs [real, imaginary] of numbers", key)
+    numbers = [[checked_value(float, number, rules, key) for number in pair] for pair in pairs]
+    return np.array([complex(*pair) for pair in numbers], dtype=np.complex128)
+
+
+LISTS: dict[Any, Callable[[Any, Rules, str], Any]] = {
+    tuple[float, float]: _range, tuple[tuple[float, float], ...]: _ranges,
+    tuple[str, ...]: _names, Array: _numbers, Complex: _roots,
+}  # fmt: skip
+
+
+def _day(value: Any, key: str) -> date:
+    try:
+        return date.fromisoformat(value)
+    except (TypeError, ValueError):
+        raise PrinterError(f'must be a day such as "2026-01-31", it is {value!r}', key) from None
 
 
 def _number(hint: type[float], value: Any, rules: Rules, key: str) -> float:
@@ -171,13 +199,6 @@ def known_keys(table: dict[str, Any], known: tuple[str, ...], path: str) -> None
             near = get_close_matches(key, known, n=1, cutoff=0.0)
             where = f"{path}.{key}" if path else key
             raise PrinterError(f"unknown key; nearest known is {near[0]!r}", where)
-
-
-def needed_keys(table: dict[str, Any], needed: Iterable[str], path: str) -> None:
-    """Raise PrinterError for the first key that a table lacks."""
-    for key in needed:
-        if key not in table:
-            raise PrinterError("the key is missing", f"{path}.{key}")
 
 
 # ----------------------------------------------------------------------
