@@ -157,8 +157,8 @@ class Lpfbs:
                 f"{len(x_d)} samples are not a whole number of windows ({w.L_C} plus any multiple "
                 f"of {w.stride}); command() takes any length"
             )
-        by_target = windows_product(np.ascontiguousarray(x_d), w.stride, self._by_target)
-        control = recursion(self._K_past, by_target, s)  # s and then p of each window, eq. 39
+        by_target = windows_product(x_d, w.stride, self._by_target)
+        control = recursion(self._K_past.T, by_target, s)  # s and then p of each window, eq. 39
         command = windows_product(control[len(s) - w.degree :], 1, self._basis.T).ravel()
         return command, control[-len(s) :].copy()
 

@@ -117,7 +117,7 @@ class TransferFunction:
     def impulse(self, n: int) -> Array:
         """Return the first ``n`` samples of the impulse response."""
         A, B, C, D = self.state_space
-        states = recursion(A, np.zeros((n - 1, len(A))), B).reshape(n, len(A))
+        states = recursion(A.T, np.zeros((n - 1, len(A))), B).reshape(n, len(A))
         return np.concatenate([[D], product(states, C[:, None])[:, 0]])[:n]
 
     @cached_property

@@ -23,8 +23,10 @@ void *array_argument(struct call *call, int k, int64_t items, const char *format
 const int64_t *indices_argument(struct call *call, int k, int64_t items, int64_t least, int64_t end);
 const int64_t *parts_argument(struct call *call, int k, int64_t items, int64_t whole);
 int64_t items_of(const struct call *call, int k);
+int64_t extent_of(const struct call *call, int k, int dimension);
+int64_t bounded_value(struct call *call, int k, int64_t value, int64_t least, int64_t most);
 
-/* Return new array k, (rows, columns), or (rows,) if columns is 0. */
+/* Return new array k, (rows, columns), or (rows,) if columns is negative. */
 enum extent { ALL, UP_TO_RESULT, ROOM_ONLY }; /* what of it Python gets: as many rows as the result */
 void *new_array(struct call *call, int k, const char *type, int64_t rows, int64_t columns,
                 enum extent extent);
@@ -45,18 +47,22 @@ void *new_array(struct call *call, int k, const char *type, int64_t rows, int64_
 #define INDICES(k, n, least, end) indices_argument(call, k, n, least, end) /* from least, below end */
 #define PARTS(k, n, whole) parts_argument(call, k, n, whole) /* from 0, with a sum of at most whole */
 #define ITEMS(k) items_of(call, k) /* how many the array or the bytes have */
+#define ROWS(k) extent_of(call, k, 0)
+#define WIDTH(k) extent_of(call, k, 1)
+#define BOUNDED(k, value, least, most) bounded_value(call, k, value, least, most) /* a value that k gives */
 #define BYTES(k, n) ((const uint8_t *)array_argument(call, k, n, "B?", 0))
 #define OUT_FLOATS(k, n) ((double *)array_argument(call, k, n, "d", 1))
 #define OUT_INTEGERS(k, n) ((int64_t *)array_argument(call, k, n, "lq", 1))
 #define OUT_BYTES(k, n) ((uint8_t *)array_argument(call, k, n, "B?", 1))
-#define NEW_FLOATS(k, n) ((double *)new_array(call, k, "f8", n, 0, ALL))
+#define NEW_FLOATS(k, n) ((double *)new_array(call, k, "f8", n, -1, ALL))
 #define NEW_ROWS(k, n, columns) ((double *)new_array(call, k, "f8", n, columns, ALL))
-#define NEW_INTEGERS(k, n) ((int64_t *)new_array(call, k, "i8", n, 0, ALL))
-#define NEW_FLAGS(k, n) ((uint8_t *)new_array(call, k, "?", n, 0, ALL))
-#define UP_TO_FLOATS(k, n) ((double *)new_array(call, k, "f8", n, 0, UP_TO_RESULT)) /* cut to the result */
-#define UP_TO_INTEGERS(k, n) ((int64_t *)new_array(call, k, "i8", n, 0, UP_TO_RESULT))
-#define UP_TO_FLAGS(k, n) ((uint8_t *)new_array(call, k, "?", n, 0, UP_TO_RESULT))
-#define ROOM(k, n) ((double *)new_array(call, k, "f8", n, 0, ROOM_ONLY)) /* for the loop alone */
+#define NEW_INTEGERS(k, n) ((int64_t *)new_array(call, k, "i8", n, -1, ALL))
+#define NEW_PLACES(k, n) ((int64_t *)new_array(call, k, "i8", n, COLUMNS, ALL))
+#define NEW_FLAGS(k, n) ((uint8_t *)new_array(call, k, "?", n, -1, ALL))
+#define UP_TO_FLOATS(k, n) ((double *)new_array(call, k, "f8", n, -1, UP_TO_RESULT)) /* cut to the result */
+#define UP_TO_INTEGERS(k, n) ((int64_t *)new_array(call, k, "i8", n, -1, UP_TO_RESULT))
+#define UP_TO_FLAGS(k, n) ((uint8_t *)new_array(call, k, "?", n, -1, UP_TO_RESULT))
+#define ROOM(k, n) ((double *)new_array(call, k, "f8", n, -1, ROOM_ONLY)) /* for the loop alone */
 
 /* All arguments are evaluated, and thereby checked, before the loop is called with them. */
 #define LOOP(name, ...)                                 \

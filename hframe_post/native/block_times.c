@@ -116,9 +116,9 @@ WIDE static int64_t marlin_block_times(int64_t k, const double *n, const double 
     return k;
 }
 
-LOOP(marlin_block_times, COUNT(0), FLOATS(1, COUNT(0)), FLOATS(2, COUNT(0)), FLOATS(3, COUNT(0)),
-     FLOATS(4, COUNT(0)), FLOATS(5, COUNT(0)), (const struct stepper *)FLOATS(6, STEPPER),
-     OUT_FLOATS(7, COUNT(0)))
+LOOP(marlin_block_times, ITEMS(0), FLOATS(0, 0), FLOATS(1, ITEMS(0)), FLOATS(2, ITEMS(0)),
+     FLOATS(3, ITEMS(0)), FLOATS(4, ITEMS(0)), (const struct stepper *)FLOATS(5, STEPPER),
+     NEW_FLOATS(0, ITEMS(0)))
 
 /* t (sum of n): when each step of all blocks is made, s. */
 static int64_t marlin_step_times(int64_t k, const int64_t *n, const double *a, const double *begin,
@@ -132,9 +132,8 @@ static int64_t marlin_step_times(int64_t k, const int64_t *n, const double *a, c
     return k;
 }
 
-LOOP(marlin_step_times, COUNT(0), PARTS(1, COUNT(0), ITEMS(7)), FLOATS(2, COUNT(0)),
-     FLOATS(3, COUNT(0)), FLOATS(4, COUNT(0)), FLOATS(5, COUNT(0)),
-     (const struct stepper *)FLOATS(6, STEPPER), OUT_FLOATS(7, 0))
+LOOP(marlin_step_times, ITEMS(0), PARTS(0, ITEMS(0), ITEMS(6)), FLOATS(1, ITEMS(0)), FLOATS(2, ITEMS(0)),
+     FLOATS(3, ITEMS(0)), FLOATS(4, ITEMS(0)), (const struct stepper *)FLOATS(5, STEPPER), OUT_FLOATS(6, 0))
 
 /* Return the speed between the blocks i - 1 and i, of which one runs at v_s and the other at v. */
 INSIDE double joint(const struct blocks *b, int64_t i, double v_s, double v, int free_entry,
@@ -171,9 +170,9 @@ static int64_t marlin_times(int64_t k, const double *n, const double *d, const d
     return k;
 }
 
-LOOP(marlin_times, COUNT(0), FLOATS(1, COUNT(0)), FLOATS(2, COUNT(0)), FLOATS(3, COUNT(0)),
-     FLOATS(4, COUNT(0) + 1), FLOATS(5, COUNT(0)), FLOATS(6, COUNT(0)), REAL(7), WHOLE(8),
-     (const struct stepper *)FLOATS(9, STEPPER), OUT_FLOATS(10, COUNT(0)))
+LOOP(marlin_times, ITEMS(0), FLOATS(0, 0), FLOATS(1, ITEMS(0)), FLOATS(2, ITEMS(0)), FLOATS(3, ITEMS(0) + 1),
+     FLOATS(4, ITEMS(0)), FLOATS(5, ITEMS(0)), REAL(6), WHOLE(7), (const struct stepper *)FLOATS(8, STEPPER),
+     NEW_FLOATS(0, ITEMS(0)))
 
 /* Return a whole rate of whole ticks for the block i. */
 INSIDE double dithered(double rate, int64_t i, const struct stepper *s)
@@ -235,7 +234,6 @@ WIDE static int64_t marlin_feed_rates(int64_t k, const double *n, const double *
     return k;
 }
 
-LOOP(marlin_feed_rates, COUNT(0), FLOATS(1, COUNT(0)), FLOATS(2, COUNT(0)), FLOATS(3, COUNT(0)),
-     FLOATS(4, COUNT(0) + 1), FLOATS(5, COUNT(0)), REAL(6), WHOLE(7),
-     (const struct stepper *)FLOATS(8, STEPPER), FEW(9),
-     REAL(10), OUT_FLOATS(11, 3 * COUNT(0)), OUT_FLOATS(12, COUNT(0)))
+LOOP(marlin_feed_rates, ITEMS(0), FLOATS(0, 0), FLOATS(1, ITEMS(0)), FLOATS(2, ITEMS(0)),
+     FLOATS(3, ITEMS(0) + 1), FLOATS(4, ITEMS(0)), REAL(5), WHOLE(6), (const struct stepper *)FLOATS(7, STEPPER),
+     FEW(8), REAL(9), ROOM(0, 3 * ITEMS(0)), NEW_FLOATS(1, ITEMS(0)))

@@ -68,9 +68,7 @@ class Stepper:
 
 def block_times(blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper) -> Array:
     """Return the seconds (k,) of blocks from the rates (k,) at which they begin, run and end."""
-    k, taken = len(rate), np.empty(len(rate))
-    kernels.marlin_block_times(k, blocks.n, blocks.a, begin, rate, end, stepper.row, taken)
-    return taken
+    return kernels.marlin_block_times(blocks.n, blocks.a, begin, rate, end, stepper.row)
 
 
 def step_times(blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: Stepper) -> Array:
@@ -80,7 +78,7 @@ def step_times(blocks: Blocks, begin: Array, rate: Array, end: Array, stepper: S
     """
     n = blocks.n.astype(np.int64)
     t = np.empty(n.sum())
-    kernels.marlin_step_times(len(n), n, blocks.a, begin, rate, end, stepper.row, t)
+    kernels.marlin_step_times(n, blocks.a, begin, rate, end, stepper.row, t)
     return t
 
 
@@ -90,18 +88,15 @@ def joined_times(blocks: Blocks, v: Array, rate: Array, before: float, stepper: 
     before: speed of the block that precedes. The last ends at its own speed.
     """
     n, d, a, corners = blocks
-    k, taken, own = len(v), np.empty(len(v)), (before, stepper.free_entry, stepper.row)
-    kernels.marlin_times(k, n, d, a, _at_ends(corners, k), v, rate, *own, taken)
-    return taken
+    own = v, rate, before, stepper.free_entry, stepper.row
+    return kernels.marlin_times(n, d, a, _at_ends(corners, len(v)), *own)
 
 
 def feed_rates(blocks: Blocks, T: Array, before: float, stepper: Stepper) -> Array:
     """Return speeds (k,), mm/s, at which blocks take the time T (k,); see ``joined_times``."""
     n, d, a, corners = blocks
-    k, v, room = len(T), np.empty(len(T)), np.empty(3 * len(T))
-    own = before, stepper.free_entry, stepper.row
-    kernels.marlin_feed_rates(k, n, d, a, _at_ends(corners, k), T, *own, ROUNDS, FASTEST, room, v)
-    return v
+    own = T, before, stepper.free_entry, stepper.row, ROUNDS, FASTEST
+    return kernels.marlin_feed_rates(n, d, a, _at_ends(corners, len(T)), *own)
 
 
 def _at_ends(corners: Array | float, k: int) -> Array:

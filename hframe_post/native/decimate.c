@@ -12,31 +12,33 @@ struct vertex {
 struct decimation {
     const double *points;
     const uint8_t *forced;
-    double tolerance, shorts, e_weight2, alike;
+    double tolerance;
     struct vertex *vertices;
 };
 
 #define BARRED ((int64_t)1 << 62) /* the key of a vertex that stays */
 #define PLACES 24                 /* bits for the place among equals */
+#define SHORT 8.0    /* samples; the nozzle follows longer errors, so that they must be smaller */
+#define E_WEIGHT 4.0 /* a mm of filament is wider than a mm of path is long */
+#define ALIKE 1e-4   /* mm; losses this close count as equal, for evenness */
 
 /* Return the distance of b from the chord from a to c, of which it has passed a share. */
-INSIDE double distance(const double *a, const double *b, const double *c, double share,
-                       double e_weight2)
+INSIDE double distance(const double *a, const double *b, const double *c, double share)
 {
     double apart2[COLUMNS];
     for (int k = 0; k < COLUMNS; k++) {
         double apart = (b[k] - a[k]) - share * (c[k] - a[k]);
         apart2[k] = apart * apart;
     }
-    return sqrt(greater(apart2[X] + apart2[Y], greater(apart2[Z], e_weight2 * apart2[E])));
+    return sqrt(greater(apart2[X] + apart2[Y], greater(apart2[Z], E_WEIGHT * E_WEIGHT * apart2[E])));
 }
 
 /* Return the key of a vertex at a place among equals, with the chord that would replace both. */
 INSIDE int64_t key(const struct decimation *d, int32_t at, int64_t place, double joint,
                    double samples)
 {
-    double cost = samples > d->shorts ? joint * sqrt(samples / d->shorts) : joint;
-    int64_t level = (int64_t)(lesser(cost, d->tolerance) / d->alike);
+    double cost = samples > SHORT ? joint * sqrt(samples / SHORT) : joint;
+    int64_t level = (int64_t)(lesser(cost, d->tolerance) / ALIKE);
     int stays = d->forced[at] | !(cost <= d->tolerance);
     return (stays ? BARRED : level << PLACES) | place;
 }
@@ -48,15 +50,13 @@ INSIDE void price(const struct decimation *d, int32_t at)
     const double *a = d->points + COLUMNS * v->before, *b = d->points + COLUMNS * at,
                  *c = d->points + COLUMNS * v->after;
     double samples = (double)(v->after - v->before), share = (double)(at - v->before) / samples;
-    v->joint = greater(d->vertices[v->before].off, v->off)
-               + distance(a, b, c, share, d->e_weight2);
+    v->joint = greater(d->vertices[v->before].off, v->off) + distance(a, b, c, share);
     v->key = key(d, at, v->key & (((int64_t)1 << PLACES) - 1), v->joint, samples);
 }
 
 /* Make vertices of all n samples, and price those between. places, far (n): room. */
 INSIDE void begin(const struct decimation *d, int64_t n, int32_t *places, double *far)
 {
-    double e_weight2 = d->e_weight2;
     const double *points = d->points;
     places[0] = 0;
     for (int64_t size = 1; size < n; size *= 2) /* the bits of each index in reverse; odd ones first */
@@ -67,7 +67,7 @@ INSIDE void begin(const struct decimation *d, int64_t n, int32_t *places, double
         }
     for (int64_t i = 1; i < n - 1; i++) {
         const double *a = points + COLUMNS * (i - 1);
-        far[i] = distance(a, a + COLUMNS, a + 2 * COLUMNS, 0.5, e_weight2);
+        far[i] = distance(a, a + COLUMNS, a + 2 * COLUMNS, 0.5);
     }
     for (int32_t i = 1; i < n - 1; i++)
         d->vertices[i] = (struct vertex){0.0, far[i], key(d, i, places[i], far[i], 2.0), i - 1, i + 1};
@@ -135,12 +135,11 @@ INSIDE int64_t to_check(const struct decimation *d, const int32_t *gone, int64_t
 /* points (n, 4), forced (n); n vertices to begin with. Returns how many of ``kept`` (n) are.
  * room (6, n): to work in. */
 WIDE static int64_t breakpoints(const double *points, const uint8_t *forced, int64_t n,
-                                double tolerance, double shorts, double e_weight2, double alike,
-                                int64_t *kept, double *room)
+                                double tolerance, int64_t *kept, double *room)
 {
     struct vertex *v = (struct vertex *)room; /* takes four of a point's six, both lists one */
     int32_t *checked = (int32_t *)(room + 4 * n), *gone = checked + n;
-    struct decimation all = {points, forced, tolerance, shorts, e_weight2, alike, v};
+    struct decimation all = {points, forced, tolerance, v};
     const struct decimation *d = &all;
     begin(d, n, gone, room + 5 * n);
     for (int32_t i = 1; i < n - 1; i++)
@@ -149,14 +148,13 @@ WIDE static int64_t breakpoints(const double *points, const uint8_t *forced, int
     while ((count = removed(d, checked, count, gone)) > 0)
         count = to_check(d, gone, count, (int32_t)n - 1, checked);
     int64_t k = 0;
-    for (int32_t i = 0; i < n; i = v[i].after)
+    for (int32_t i = v[0].after; i < n; i = v[i].after)
         kept[k++] = i;
     return k;
 }
 
-LOOP(breakpoints, FLOATS(0, COLUMNS * COUNT(2)), BYTES(1, COUNT(2)),
-     WITHIN(2, 1, (int64_t)1 << PLACES), REAL(3), REAL(4), REAL(5), REAL(6),
-     OUT_INTEGERS(7, COUNT(2)), OUT_FLOATS(8, 6 * COUNT(2)))
+LOOP(breakpoints, FLOATS(0, COLUMNS * ITEMS(1)), BYTES(1, 0),
+     BOUNDED(1, ITEMS(1), 1, (int64_t)1 << PLACES), REAL(2), UP_TO_INTEGERS(0, ITEMS(1)), ROOM(1, 6 * ITEMS(1)))
 
 /* Take one step of Jacobi's method from x (k) to next (k); the last vertex stays. */
 INSIDE void relax(const double *wanted, const double *both, const double *diagonal, int64_t k,
@@ -171,8 +169,9 @@ INSIDE void relax(const double *wanted, const double *both, const double *diagon
 
 /* vertices (k, 4) at ``ends`` (k), of points (n, 4). room (6, k): to work in. */
 WIDE static int64_t fitted(const double *points, int64_t n, const int64_t *ends, int64_t k,
-                           int64_t rounds, double *vertices, double *room)
+                           double *vertices, double *room)
 {
+    enum { ROUNDS = 12 }; /* of Jacobi's method, each of which at least halves the error */
     double *diagonal = room, *both = room + k, *wanted = room + 2 * k; /* x of all, then y of all */
     for (int64_t i = 0; i < k; i++) {
         int64_t start = i ? ends[i - 1] : 0, samples = ends[i] - start;
@@ -209,7 +208,7 @@ WIDE static int64_t fitted(const double *points, int64_t n, const int64_t *ends,
         double *x = room + 4 * k, *next = room + 5 * k;
         for (int64_t i = 0; i < k; i++)
             x[i] = 0.0;
-        for (int64_t round = 0; round < rounds; round++) {
+        for (int64_t round = 0; round < ROUNDS; round++) {
             relax(wanted + a * k, both, diagonal, k, x, next);
             double *latest = next;
             next = x, x = latest;
@@ -222,17 +221,19 @@ WIDE static int64_t fitted(const double *points, int64_t n, const int64_t *ends,
     return k;
 }
 
-LOOP(fitted, FLOATS(0, COLUMNS * COUNT(1)), COUNT(1), INDICES(2, COUNT(3), 0, COUNT(1)),
-     WITHIN(3, 1, MOST_ITEMS), FEW(4), OUT_FLOATS(5, COLUMNS * COUNT(3)), OUT_FLOATS(6, 6 * COUNT(3)))
+LOOP(fitted, FLOATS(0, COLUMNS), ITEMS(0) / COLUMNS, INDICES(1, ITEMS(1), 0, ITEMS(0) / COLUMNS),
+     BOUNDED(1, ITEMS(1), 1, MOST_ITEMS), NEW_ROWS(0, ITEMS(1), COLUMNS), ROOM(1, 6 * ITEMS(1)))
 
 /* Find segments that end at ``ends`` (k) of points (n, 4) and are too thick: see too_thick. Returns
  * how many; which (k): their numbers; most (1): mm of filament of a piece. room (2 k). */
-static int64_t too_thick(const double *points, int64_t n, const int64_t *ends, int64_t k,
-                         double usual_nozzle, double allowed, double filament, int64_t *which,
+static int64_t too_thick(const double *points, const int64_t *ends, int64_t k, int64_t *which,
                          double *most, double *room)
 {
+    const double FILAMENT = 3.141592653589793 * (1.75 * 1.75) / 4.0; /* mm2, its cross section */
+    const double USUAL_NOZZLE = 0.4;                                 /* mm */
+    /* mm of filament per mm, with a margin */
+    const double ALLOWED = 0.95 * 4.0 * (USUAL_NOZZLE * USUAL_NOZZLE) / FILAMENT;
     double *d = room, *e = room + k, all_d = 0.0, all_e = 0.0;
-    (void)n;
     for (int64_t i = 0; i < k; i++) {
         const double *from = points + (i ? COLUMNS * ends[i - 1] : 0), *to = points + COLUMNS * ends[i];
         double x = to[X] - from[X], y = to[Y] - from[Y], z = to[Z] - from[Z];
@@ -244,18 +245,18 @@ static int64_t too_thick(const double *points, int64_t n, const int64_t *ends, i
     *most = 0.0;
     if (all_d == 0.0)
         return 0;
-    double usual = all_e / all_d, nozzle = lesser(sqrt(2.0 * filament * usual), usual_nozzle);
-    double limit = lesser(3.0 * usual, greater(allowed, 1.5 * usual));
+    double usual = all_e / all_d, nozzle = lesser(sqrt(2.0 * FILAMENT * usual), USUAL_NOZZLE);
+    double limit = lesser(3.0 * usual, greater(ALLOWED, 1.5 * usual));
     int64_t count = 0;
-    *most = 2.0 * nozzle * (nozzle * nozzle) / filament;
+    *most = 2.0 * nozzle * (nozzle * nozzle) / FILAMENT;
     for (int64_t i = 0; i < k; i++)
         if (e[i] > *most && e[i] > limit * d[i])
             which[count++] = i;
     return count;
 }
 
-LOOP(too_thick, FLOATS(0, COLUMNS * COUNT(1)), COUNT(1), INDICES(2, COUNT(3), 0, COUNT(1)), COUNT(3),
-     REAL(4), REAL(5), REAL(6), OUT_INTEGERS(7, COUNT(3)), OUT_FLOATS(8, 1), OUT_FLOATS(9, 2 * COUNT(3)))
+LOOP(too_thick, FLOATS(0, 0), INDICES(1, ITEMS(1), 0, ITEMS(0) / COLUMNS), ITEMS(1),
+     UP_TO_INTEGERS(0, ITEMS(1)), NEW_FLOATS(1, 1), ROOM(2, 2 * ITEMS(1)))
 
 static int marked(const uint8_t *forced, int64_t from, int64_t to)
 {
@@ -268,14 +269,13 @@ static int marked(const uint8_t *forced, int64_t from, int64_t to)
  * place before them, for ``still`` samples. Returns how many segments move; at (k + 1, 4), ended,
  * T and dwell (k): theirs. */
 static int64_t motion_segments(const double *places, const int64_t *ends, int64_t k,
-                               const uint8_t *forced, int64_t n, const double *per_mm,
-                               const int64_t *start, int64_t still, int64_t least_dwell,
-                               double interval, int64_t *at, int64_t *ended, double *T,
+                               const uint8_t *forced, const int64_t *start, int64_t still,
+                               const double *per_mm, int64_t *at, int64_t *ended, double *T,
                                int64_t *dwell)
 {
+    enum { DWELL = 24 }; /* samples; a longer rest is a dwell, a shorter one joins the next segment */
     int64_t count = 0, from = 0, done = -still;
     int extrudes = 0; /* whether what is at rest extrudes with the segment before */
-    (void)n;
     for (int c = 0; c < COLUMNS; c++)
         at[c] = start[c];
     for (int64_t i = 0; i < k; from = ends[i++]) {
@@ -288,26 +288,23 @@ static int64_t motion_segments(const double *places, const int64_t *ends, int64_
                 last[E] = to[E];
             continue;
         }
-        dwell[count] = idle >= least_dwell ? idle : 0;
-        T[count] = (double)(ends[i] - from + idle - dwell[count]) * interval;
+        dwell[count] = idle >= DWELL ? idle : 0;
+        T[count] = (double)(ends[i] - from + idle - dwell[count]) * TS;
         ended[count++] = done = ends[i];
         extrudes = 1;
     }
     return count;
 }
 
-LOOP(motion_segments, FLOATS(0, COLUMNS * COUNT(2)), INDICES(1, COUNT(2), 0, COUNT(4) + 1), COUNT(2),
-     BYTES(3, COUNT(4)), COUNT(4), FLOATS(5, COLUMNS), INTEGERS(6, COLUMNS), WHOLE(7), WHOLE(8), REAL(9),
-     OUT_INTEGERS(10, COLUMNS * (COUNT(2) + 1)), OUT_INTEGERS(11, COUNT(2)),
-     OUT_FLOATS(12, COUNT(2)), OUT_INTEGERS(13, COUNT(2)))
+LOOP(motion_segments, FLOATS(0, COLUMNS * ITEMS(1)), INDICES(1, ITEMS(1), 0, ITEMS(2) + 1), ITEMS(1),
+     BYTES(2, 0), INTEGERS(3, COLUMNS), WHOLE(4), FLOATS(5, COLUMNS), NEW_PLACES(0, ITEMS(1) + 1),
+     UP_TO_INTEGERS(1, ITEMS(1)), UP_TO_FLOATS(2, ITEMS(1)), UP_TO_INTEGERS(3, ITEMS(1)))
 
-/* Find the first of m lines with too much filament on its wrong side, or m; off (1): mm. A line
- * precedes segment rows (m) and has the point marked (m): see Python. */
-static int64_t misplaced(const double *points, int64_t n, const int64_t *ends, int64_t k,
-                         const int64_t *rows, const int64_t *marked, int64_t m, const double *e,
-                         double before, double slack, double *off)
+/* off (m): mm of filament on the wrong side of each of m lines, which precedes segment rows (m) and has the
+ * point marked (m): see Python. */
+static int64_t misplaced(const double *points, const int64_t *ends, const int64_t *rows,
+                         const int64_t *marked, int64_t m, const double *e, double before, double *off)
 {
-    (void)n, (void)k;
     for (int64_t i = 0; i < m; i++) {
         int64_t row = rows[i], begun = row ? ends[row - 1] : 0;
         double low = points[COLUMNS * begun + E], high = low;
@@ -317,13 +314,11 @@ static int64_t misplaced(const double *points, int64_t n, const int64_t *ends, i
             low = lesser(low, points[COLUMNS * j + E]);
             high = greater(high, points[COLUMNS * j + E]);
         }
-        *off = greater(low - e[row], e[row] - high);
-        if (!(*off <= slack))
-            return i;
+        off[i] = greater(low - e[row], e[row] - high);
     }
     return m;
 }
 
-LOOP(misplaced, FLOATS(0, COLUMNS * COUNT(1)), COUNT(1), INDICES(2, COUNT(3), 0, COUNT(1)), COUNT(3),
-     INDICES(4, COUNT(6), 0, COUNT(3) + 1), INDICES(5, COUNT(6), 0, COUNT(1)), COUNT(6),
-     FLOATS(7, COUNT(3) + 1), REAL(8), REAL(9), OUT_FLOATS(10, 1))
+LOOP(misplaced, FLOATS(0, 0), INDICES(1, ITEMS(1), 0, ITEMS(0) / COLUMNS),
+     INDICES(2, ITEMS(2), 0, ITEMS(1) + 1), INDICES(3, ITEMS(2), 0, ITEMS(0) / COLUMNS), ITEMS(2),
+     FLOATS(4, ITEMS(1) + 1), REAL(5), NEW_FLOATS(0, ITEMS(2)))

@@ -79,10 +79,10 @@ static int64_t motion_lines(const int64_t *at, const int64_t *feeds, const uint8
     return inserted(c, text, between, m, lines, INT64_MAX, &done, begun) - text;
 }
 
-LOOP(motion_lines, INTEGERS(0, COLUMNS * (COUNT(3) + 1)), INTEGERS(1, COUNT(3)), BYTES(2, COUNT(3)),
-     COUNT(3), WHOLE(4), INDICES(5, WORDS, 0, MOST_DIGITS),
-     INDICES(6, WORDS, 0, ((int64_t)1 << 32) + 1), INDICES(7, 3 * COUNT(8), 0, MOST_ITEMS), COUNT(8),
-     TEXT(9), WITHIN(10, 0, ITEMS(9)), COUNT(11), OUT_BYTES(12, COUNT(11)), OUT_INTEGERS(13, COUNT(8)))
+LOOP(motion_lines, INTEGERS(0, COLUMNS * (ITEMS(1) + 1)), INTEGERS(1, 0), BYTES(2, ITEMS(1)), ITEMS(1),
+     WHOLE(3), INDICES(4, WORDS, 0, MOST_DIGITS), INDICES(5, WORDS, 0, ((int64_t)1 << 32) + 1),
+     INDICES(6, ITEMS(6), 0, MOST_ITEMS), ITEMS(6) / 3, TEXT(7), ITEMS(7), ITEMS(8), OUT_BYTES(8, 0),
+     OUT_INTEGERS(9, ITEMS(6) / 3))
 
 /* ------------------------------------------------------------------------ times left */
 
@@ -153,5 +153,5 @@ static int64_t progress_lines(uint8_t *text, int64_t size, const int64_t *at, in
     return count;
 }
 
-LOOP(progress_lines, OUT_BYTES(0, COUNT(1)), COUNT(1), INDICES(2, 2 * COUNT(3), 0, COUNT(1) + 1), COUNT(3),
-     FLOATS(4, COUNT(3)), REAL(5), REAL(6), WITHIN(7, 0, 64), OUT_INTEGERS(8, COUNT(3)))
+LOOP(progress_lines, OUT_BYTES(0, 0), ITEMS(0), INDICES(1, ITEMS(1), 0, ITEMS(0) + 1), ITEMS(1) / 2,
+     FLOATS(2, ITEMS(1) / 2), REAL(3), REAL(4), WITHIN(5, 0, 64), UP_TO_INTEGERS(0, ITEMS(1) / 2))

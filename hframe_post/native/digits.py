@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.errors import HframeError
-from hframe_post.native import kernels
+from hframe_post.native import compiled, kernels
 
 Bytes = NDArray[np.uint8]
 MINUS, ZERO = b"-0"
@@ -38,28 +38,22 @@ def motion_lines(
     n, m = len(feeds), len(between)
     text = np.empty(n * LINE + int((between[:, 2] - between[:, 1]).sum()), np.uint8)
     begun, numbers = np.empty(m, np.int64), (_row(decimals), _longest(decimals))
-    others = np.ascontiguousarray(between), m, lines, len(lines)
-    rows = at, feeds, kinds, n, feed
-    size = kernels.motion_lines(*rows, *numbers, *others, len(text), text, begun)
+    own = at, feeds, kinds, feed
+    size = kernels.motion_lines(*own, *numbers, between, lines, text, begun)
     if size < 0:
         raise HframeError(TOO_LONG)
     return text[:size].tobytes(), begun
 
 
+@compiled
 def progress_lines(
-    text: Bytes, at: Integers, elapsed: Array, before: float, after: float, room: int
+    text: Bytes, at: Integers, elapsed: Array, before: float, after: float, room: int, /
 ) -> Integers:
     """Change the minutes left in lines of M73; return the other lines, (m,), which stay.
 
     text: with the lines at places (k, 2), and ``room`` blanks behind each. elapsed (k,), before,
     after: see ``writers.print_time.with_times``.
     """
-    others = np.empty(len(at), np.int64)
-    constants = before, after, room
-    count = kernels.progress_lines(
-        text, len(text), np.ascontiguousarray(at), len(at), elapsed, *constants, others
-    )
-    return others[:count]
 
 
 @cache

@@ -19,8 +19,8 @@ INSIDE void add_product(const double *a, const double *b, int64_t k, int64_t n, 
 }
 
 /* out (m, n) = a b (k, n), where row i of a (m, k) begins at i·step. */
-WIDE static int64_t product(const double *a, int64_t step, const double *b, int64_t m, int64_t k,
-                            int64_t n, double *out)
+WIDE static int64_t products(const double *a, int64_t step, int64_t m, const double *b, int64_t k,
+                             int64_t n, double *out)
 {
     memset(out, 0, sizeof(double) * (size_t)(m * n));
     for (int64_t r = 0; r < k; r += DEEP)
@@ -29,13 +29,15 @@ WIDE static int64_t product(const double *a, int64_t step, const double *b, int6
     return m;
 }
 
-LOOP(product, FLOATS(0, (COUNT(3) - 1) * COUNT(1) + COUNT(4)), COUNT(1), FLOATS(2, COUNT(4) * COUNT(5)),
-     COUNT(3), COUNT(4), COUNT(5), OUT_FLOATS(6, COUNT(3) * COUNT(5)))
+LOOP(products, FLOATS(0, (COUNT(2) - 1) * COUNT(1) + ROWS(3)), COUNT(1), COUNT(2), FLOATS(3, 0), ROWS(3),
+     WIDTH(3), NEW_ROWS(0, COUNT(2), WIDTH(3)))
 
-/* s (d + m n), of which the first d numbers are given: n more are those d before them times M (d, n),
- * plus a row of w (m, n). */
-WIDE static int64_t recursion(const double *M, const double *w, int64_t m, int64_t d, int64_t n, double *s)
+/* s (d + m n): the d numbers of begin, then n at a time: those d before them times M (d, n), plus a row of
+ * w (m, n). */
+WIDE static int64_t recursion(const double *M, const double *w, int64_t m, int64_t d, int64_t n,
+                              const double *begin, double *s)
 {
+    memcpy(s, begin, sizeof(double) * (size_t)d);
     for (int64_t k = 0; k < m; k++, s += n, w += n) {
         double *next = s + d;
         for (int64_t j = 0; j < n; j++)
@@ -47,5 +49,5 @@ WIDE static int64_t recursion(const double *M, const double *w, int64_t m, int64
     return m;
 }
 
-LOOP(recursion, FLOATS(0, FEW(3) * FEW(4)), FLOATS(1, COUNT(2) * FEW(4)), COUNT(2), FEW(3), FEW(4),
-     OUT_FLOATS(5, FEW(3) + COUNT(2) * FEW(4)))
+LOOP(recursion, FLOATS(0, 0), FLOATS(1, ROWS(1) * WIDTH(0)), ROWS(1), ROWS(0), WIDTH(0), FLOATS(2, ROWS(0)),
+     NEW_FLOATS(0, ROWS(0) + ROWS(1) * WIDTH(0)))

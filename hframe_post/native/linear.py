@@ -9,38 +9,35 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array
-from hframe_post.native import kernels
+from hframe_post.native import compiled
+
+
+@compiled
+def products(a: Array, step: int, m: int, B: Array, /) -> Array:
+    """Return m rows (m, n), each of as many numbers of a as B (k, n) has rows, times B.
+
+    The numbers of a row begin ``step`` after those of the row before.
+    """
 
 
 def product(A: Array, B: Array) -> Array:
     """Return the matrix product of A (m, k), or a vector (k,), with B (k, n)."""
-    rows = np.ascontiguousarray(np.atleast_2d(A))
-    out = _by_rows(rows, rows.shape[1], len(rows), B)
-    return out if A.ndim == 2 else out[0]
+    if A.ndim == 1:
+        return products(A, 0, 1, B)[0]
+    return products(A, A.shape[1], len(A), B)
 
 
 def windows_product(x: Array, step: int, B: Array) -> Array:
     """Return the products of B (k, n) with the k samples of x from every ``step``-th sample on."""
-    return _by_rows(x, step, (len(x) - len(B)) // step + 1, B)
+    return products(x, step, (len(x) - len(B)) // step + 1, B)
 
 
-def _by_rows(x: Array, step: int, m: int, B: Array) -> Array:
-    (k, n), B = B.shape, np.ascontiguousarray(B)  # else numpy adds pairs of a column's terms
-    out = np.empty((m, n))
-    kernels.product(x, step, B, m, k, n, out)
-    return out
-
-
-def recursion(A: Array, W: Array, s: Array) -> Array:
-    """Return s (d,) and what follows: n numbers at a time, A (n, d) times the d before, plus a row.
+@compiled
+def recursion(M: Array, W: Array, s: Array, /) -> Array:
+    """Return s (d,) and what follows: n numbers at a time, the d before times M (d, n), plus a row.
 
     W (m, n): these rows. The result has d + m·n numbers.
     """
-    M, W, d = np.ascontiguousarray(A.T), np.ascontiguousarray(W), len(s)
-    following = np.empty(d + W.size)
-    following[:d] = s
-    kernels.recursion(M, W, len(W), d, len(A), following)
-    return following
 
 
 def pseudo_inverse(A: Array, condition: float) -> Array | None:

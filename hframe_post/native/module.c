@@ -32,7 +32,6 @@
     EACH(marlin_block_times)                                                                  \
     EACH(marlin_blocks)                                                                       \
     EACH(marlin_feed_rates)                                                                   \
-    EACH(marlin_segment_ends)                                                                 \
     EACH(marlin_slow_ends)                                                                    \
     EACH(marlin_step_times)                                                                   \
     EACH(marlin_times)                                                                        \
@@ -45,12 +44,13 @@
     EACH(path_lengths)                                                                        \
     EACH(phases)                                                                              \
     EACH(plain_lines)                                                                         \
-    EACH(product)                                                                             \
+    EACH(products)                                                                            \
     EACH(profiles)                                                                            \
     EACH(progress_lines)                                                                      \
     EACH(recursion)                                                                           \
     EACH(safe)                                                                                \
     EACH(samples_until)                                                                       \
+    EACH(segment_ends)                                                                        \
     EACH(sliding_sums)                                                                        \
     EACH(smoothed_runs)                                                                       \
     EACH(solve_stops)                                                                         \
@@ -106,12 +106,16 @@ static int note_range(struct call *call, int k, int right, int64_t least, int64_
     return note(call, k, right, NULL);
 }
 
+int64_t bounded_value(struct call *call, int k, int64_t value, int64_t least, int64_t most)
+{
+    return note_range(call, k, value >= least && value <= most, least, most) ? value : 0;
+}
+
 int64_t whole_argument(struct call *call, int k, int64_t least, int64_t most)
 {
     if (!given(call, k) || !note(call, k, call->of[k].kind == WHOLE_NUMBER, "an integer"))
         return 0;
-    int64_t value = call->of[k].whole;
-    return note_range(call, k, value >= least && value <= most, least, most) ? value : 0;
+    return bounded_value(call, k, call->of[k].whole, least, most);
 }
 
 int64_t items_of(const struct call *call, int k)
@@ -119,6 +123,13 @@ int64_t items_of(const struct call *call, int k)
     if (k >= call->count || call->of[k].kind < ARRAY || call->of[k].view.itemsize <= 0)
         return 0;
     return call->of[k].view.len / call->of[k].view.itemsize;
+}
+
+int64_t extent_of(const struct call *call, int k, int dimension)
+{
+    if (k >= call->count || call->of[k].kind < ARRAY || call->of[k].view.ndim <= dimension)
+        return 0;
+    return call->of[k].view.shape[dimension];
 }
 
 const char *text_argument(struct call *call, int k)
@@ -173,7 +184,7 @@ void *new_array(struct call *call, int k, const char *type, int64_t rows, int64_
         return call->checked ? view->buf : NULL;
     if (!note(call, (int)call->count, rows >= 0, "longer arrays"))
         return NULL;
-    PyObject *array = columns ? PyObject_CallFunction(empty, "(LL)s", (long long)rows, (long long)columns, type)
+    PyObject *array = columns >= 0 ? PyObject_CallFunction(empty, "(LL)s", (long long)rows, (long long)columns, type)
                               : PyObject_CallFunction(empty, "(L)s", (long long)rows, type);
     call->new[k].extent = extent;
     if (array && PyObject_GetBuffer(array, view, PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE) < 0)

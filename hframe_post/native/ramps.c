@@ -179,9 +179,9 @@ WIDE static int64_t klipper_feeds(const double *at, int64_t k, const double *T, 
     return k;
 }
 
-LOOP(klipper_feeds, FLOATS(0, COLUMNS * (COUNT(1) + 1)), WITHIN(1, 1, MOST_ITEMS), FLOATS(2, COUNT(1)),
-     BYTES(3, COUNT(1) + 1), REAL(4), REAL(5), (const struct limits *)FLOATS(6, LIMITS), FEW(7), REAL(8),
-     OUT_FLOATS(9, 12 * COUNT(1) + 2), OUT_INTEGERS(10, COUNT(1)), OUT_FLOATS(11, COUNT(1)))
+LOOP(klipper_feeds, FLOATS(0, COLUMNS * (ITEMS(1) + 1)), ITEMS(1), FLOATS(1, 1), BYTES(2, ITEMS(1) + 1),
+     REAL(3), REAL(4), (const struct limits *)FLOATS(5, LIMITS), FEW(6), REAL(7), ROOM(0, 12 * ITEMS(1) + 2),
+     NEW_INTEGERS(1, ITEMS(1)), NEW_FLOATS(2, ITEMS(1)))
 
 /* taken (k): how long segments take at speeds v (k). room (12 k + 2). */
 WIDE static int64_t klipper_durations(const double *at, int64_t k, const double *v, const uint8_t *rest,
@@ -194,6 +194,6 @@ WIDE static int64_t klipper_durations(const double *at, int64_t k, const double 
     return k;
 }
 
-LOOP(klipper_durations, FLOATS(0, COLUMNS * (COUNT(1) + 1)), WITHIN(1, 1, MOST_ITEMS), FLOATS(2, COUNT(1)),
-     BYTES(3, COUNT(1) + 1), REAL(4), REAL(5), (const struct limits *)FLOATS(6, LIMITS),
-     OUT_FLOATS(7, 12 * COUNT(1) + 2), OUT_FLOATS(8, COUNT(1)))
+LOOP(klipper_durations, FLOATS(0, COLUMNS * (ITEMS(1) + 1)), ITEMS(1), FLOATS(1, 1), BYTES(2, ITEMS(1) + 1),
+     REAL(3), REAL(4), (const struct limits *)FLOATS(5, LIMITS), ROOM(0, 12 * ITEMS(1) + 2),
+     NEW_FLOATS(1, ITEMS(1)))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array, Flags, Integers
-from hframe_post.native import kernels
+from hframe_post.native import compiled, kernels
 
 ROUNDS = 9  # of the speeds' dependence on their neighbours'; 3 leave hard ramps 5 % too fast
 
@@ -67,19 +67,16 @@ def klipper_feeds(
     and acceleration, those in z, those of filament; corner velocity of filament, junction
     deviation. F is whole, in units of which a mm/s has ``per_feed``.
     """
-    k = len(T)
-    F, taken, room = np.empty(k, np.int64), np.empty(k), np.empty(12 * k + 2)
-    kernels.klipper_feeds(at, k, T, rest, before, after, limits, ROUNDS, per_feed, room, F, taken)
+    own = before, after, limits, ROUNDS, per_feed
+    F, taken = kernels.klipper_feeds(at, T, rest, *own)
     return F, taken
 
 
+@compiled
 def klipper_durations(
-    at: Array, v: Array, rest: Flags, before: float, after: float, limits: Array
+    at: Array, v: Array, rest: Flags, before: float, after: float, limits: Array, /
 ) -> Array:
     """Return the seconds (k,) that segments take at speeds v (k,); see ``klipper_feeds``."""
-    k, taken = len(v), np.empty(len(v))
-    kernels.klipper_durations(at, k, v, rest, before, after, limits, np.empty(12 * k + 2), taken)
-    return taken
 
 
 def whole_feeds(v: Array, per_feed: float) -> Integers:

@@ -288,9 +288,9 @@ static int64_t solve_stops(const double *xyze, double *command, int64_t n,
     return solved;
 }
 
-LOOP(solve_stops, FLOATS(0, COLUMNS * COUNT(2)), OUT_FLOATS(1, 2 * COUNT(2)), COUNT(2),
-     (const struct stop *)INTEGERS(3, COUNT(4) * (int64_t)(sizeof(struct stop) / sizeof(int64_t))), COUNT(4),
-     (const struct bounds *)FLOATS(5, sizeof(struct bounds) / sizeof(double)),
-     FLOATS(6, WITHIN(7, 2, 3) * (2 + FEW(8))), WITHIN(7, 2, 3), FEW(8), FEW(9),
-     FLOATS(10, SIDE * FEW(12)), FLOATS(11, FEW(12)), WITHIN(12, 1, MOST_SPLINES / 2),
-     FLOATS(13, WITHIN(7, 2, 3) * FEW(14) * (2 * FEW(12) + 1)), WITHIN(14, 2 * SIDE + RINGING, MOST_FEW))
+LOOP(solve_stops, FLOATS(0, COLUMNS * ROWS(1)), OUT_FLOATS(1, 2 * ROWS(1)), ROWS(1),
+     (const struct stop *)INTEGERS(2, ROWS(2) * (int64_t)(sizeof(struct stop) / sizeof(int64_t))), ROWS(2),
+     (const struct bounds *)FLOATS(3, sizeof(struct bounds) / sizeof(double)), FLOATS(4, 0),
+     BOUNDED(4, ROWS(4), 2, 3), BOUNDED(4, WIDTH(4) - 2, 0, MOST_FEW), FEW(5), FLOATS(6, SIDE * ITEMS(7)),
+     FLOATS(7, 0), BOUNDED(7, ITEMS(7), 1, MOST_SPLINES / 2),
+     FLOATS(8, ROWS(4) * WIDTH(8) * (2 * ITEMS(7) + 1)), BOUNDED(8, WIDTH(8), 2 * SIDE + RINGING, MOST_FEW))

@@ -70,10 +70,8 @@ def solve_stops(
     """
     table = np.array(stops, np.int64)
     table[:, :3] -= first  # a, b, ends
-    axes, width = model.filters.shape
     solved = kernels.solve_stops(
-        xyze, command, len(xyze), table, len(table), model.bounds, model.filters, axes,
-        width - 2, model.ahead, model.splines, model.reach, len(model.reach), model.outputs,
-        model.outputs.shape[1],
+        xyze, command, table, model.bounds, model.filters, model.ahead, model.splines, model.reach,
+        model.outputs,
     )  # fmt: skip
     assert solved == len(table)

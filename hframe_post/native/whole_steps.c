@@ -122,8 +122,8 @@ static int superfluous(const struct steps *s, const int64_t *ends, int64_t k, in
 }
 
 /* ends (n): the samples at which segments end; returns how many. steps (n, 2); room (6 n + 6). */
-static int64_t marlin_segment_ends(const int64_t *steps, int64_t n, int64_t least, int64_t apart,
-                                   int64_t stall, int64_t last, int64_t *room, int64_t *ends)
+static int64_t segment_ends(const int64_t *steps, int64_t n, int64_t least, int64_t apart, int64_t stall,
+                            int64_t last, int64_t *room, int64_t *ends)
 {
     int64_t *place = room, *path = place + MOTORS * (n + 1), *one = path + n + 1, *other = one + n + 1;
     uint8_t *stops = (uint8_t *)(other + n + 1), *marks = stops + n + 1;
@@ -150,8 +150,8 @@ static int64_t marlin_segment_ends(const int64_t *steps, int64_t n, int64_t leas
     return k;
 }
 
-LOOP(marlin_segment_ends, INTEGERS(0, MOTORS * COUNT(1)), COUNT(1), WHOLE(2), WHOLE(3), COUNT(4),
-     WHOLE(5), OUT_INTEGERS(6, 6 * (COUNT(1) + 1)), OUT_INTEGERS(7, COUNT(1)))
+LOOP(segment_ends, INTEGERS(0, 0), ITEMS(0) / MOTORS, WHOLE(1), WHOLE(2), COUNT(3), WHOLE(4),
+     (int64_t *)ROOM(0, 6 * (ITEMS(0) / MOTORS + 1)), UP_TO_INTEGERS(1, ITEMS(0) / MOTORS))
 
 struct limits { /* as BlockLimits */
     double belt, z, e, belt_acceleration, z_acceleration, e_acceleration, retraction, deviation;
@@ -221,10 +221,9 @@ WIDE static int64_t marlin_blocks(const double *at, int64_t k, const struct limi
     return k;
 }
 
-LOOP(marlin_blocks, FLOATS(0, COLUMNS * (COUNT(1) + 1)), COUNT(1),
-     (const struct limits *)FLOATS(2, LIMITS), FLOATS(3, 4), REAL(4),
-     OUT_FLOATS(5, COUNT(1)), OUT_FLOATS(6, COUNT(1)), OUT_FLOATS(7, COUNT(1)),
-     OUT_FLOATS(8, COUNT(1) + 1))
+LOOP(marlin_blocks, FLOATS(0, COLUMNS), ITEMS(0) / COLUMNS - 1, (const struct limits *)FLOATS(1, LIMITS),
+     FLOATS(2, 4), REAL(3), NEW_FLOATS(0, ITEMS(0) / COLUMNS - 1), NEW_FLOATS(1, ITEMS(0) / COLUMNS - 1),
+     NEW_FLOATS(2, ITEMS(0) / COLUMNS - 1), NEW_FLOATS(3, ITEMS(0) / COLUMNS))
 
 enum { AXES = 2, SUMS = 3 * AXES };
 
@@ -327,7 +326,7 @@ static int64_t marlin_slow_ends(const double *at, const int64_t *cells, const in
     return 0;
 }
 
-LOOP(marlin_slow_ends, FLOATS(0, AXES * (COUNT(3) + 1)), INTEGERS(1, AXES * (COUNT(3) + 1)),
-     INTEGERS(2, AXES * (COUNT(3) + 1)), COUNT(3), PARTS(4, 2 * COUNT(6), COUNT(3)), INTEGERS(5, COUNT(6)),
-     COUNT(6), WHOLE(7), WITHIN(8, 1, MOST_ITEMS), OUT_FLOATS(9, (SUMS + 1) * (COUNT(3) + 1)),
-     OUT_INTEGERS(10, COUNT(3) + 1), OUT_BYTES(11, COUNT(3) + 1))
+LOOP(marlin_slow_ends, FLOATS(0, AXES * ITEMS(7)), INTEGERS(1, AXES * ITEMS(7)), INTEGERS(2, AXES * ITEMS(7)),
+     BOUNDED(7, ITEMS(7) - 1, 0, MOST_ITEMS), PARTS(3, 2 * ITEMS(4), ITEMS(7) - 1), INTEGERS(4, 0), ITEMS(4),
+     WHOLE(5), WITHIN(6, 1, MOST_ITEMS), ROOM(0, (SUMS + 1) * ITEMS(7)), (int64_t *)ROOM(1, ITEMS(7)),
+     OUT_BYTES(7, 0))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.native import kernels
+from hframe_post.native import compiled, kernels
 
 
 def motor_places(cells: Integers, matrix: Array) -> Integers:
@@ -29,17 +29,14 @@ def most_steps(steps: Integers) -> Integers:
     return np.asarray(np.maximum(*np.abs(steps).T))  # by columns: rows take ten times as long
 
 
-def segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool) -> Integers:
+@compiled
+def segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool, /) -> Integers:
     """Return the samples, ascending, at which segments end; the first begins at sample 0.
 
     steps (n, 2): of the motors, from sample to sample. Segments last ``apart`` samples, unless
     the machine rests or a motor turns before, and their leading motor makes ``least`` steps or
     none; last: motion ends at sample n, which must be reached, with fewer steps if it must be.
     """
-    n = len(steps)
-    ends, room = np.empty(n, np.int64), np.empty(6 * (n + 1), np.int64)
-    count = kernels.marlin_segment_ends(steps, n, least, apart, stall, last, room, ends)
-    return ends[:count]
 
 
 def with_late_starts(
@@ -157,10 +154,7 @@ def blocks_between(at: Array, after: float, limits: BlockLimits, matrix: Array) 
     The first may begin at any speed, the last ends at ``after`` or less. matrix (2, 2): from x, y
     to the motors.
     """
-    k, row = len(at) - 1, np.array(limits)
-    n, d, a, corners = np.empty(k), np.empty(k), np.empty(k), np.empty(k + 1)
-    kernels.marlin_blocks(at, k, row, matrix, after, n, d, a, corners)
-    return Blocks(n, d, a, corners)
+    return Blocks(*kernels.marlin_blocks(at, np.array(limits), matrix, after))
 
 
 # ----------------------------------------------------------------------
@@ -186,11 +180,9 @@ def slow_segment_ends(
     parts, reach = _runs(motors, ends, least, apart)
     if not len(reach):
         return ends
-    n, is_end = len(cells) - 1, np.zeros(len(cells), dtype=bool)
+    is_end = np.zeros(len(cells), dtype=bool)
     is_end[ends] = True
-    room, froms = np.empty(7 * (n + 1)), np.empty(n + 1, np.int64)
-    own = parts, reach, len(reach), least, apart
-    kernels.marlin_slow_ends(points, cells, motors, n, *own, room, froms, is_end)
+    kernels.marlin_slow_ends(points, cells, motors, parts, reach, least, apart, is_end)
     return is_end.nonzero()[0]
 
 

@@ -205,10 +205,11 @@ def check_filament(batch: Batch, ends: Integers, e: Array, still: int = 0) -> No
     """
     rows = rows_before(batch, ends)
     before = still * (batch.points[1, E] - batch.points[0, E])
-    k, missed = misplaced(batch.points, ends, rows, batch.marked, e, before, FILAMENT_SLACK_MM)
-    if k < len(rows):
+    off = misplaced(batch.points, ends, rows, batch.marked, e, before)
+    if not (off <= FILAMENT_SLACK_MM).all():
+        k = int(np.argmin(off <= FILAMENT_SLACK_MM))
         text = next(iter(batch.marks.rows(k))).text[:80].decode("latin-1")
         raise HframeError(
-            f"{missed:.4f} mm of filament would be on the wrong side of {text!r}; "
+            f"{off[k]:.4f} mm of filament would be on the wrong side of {text!r}; "
             "nothing was written. Please report this"
         )

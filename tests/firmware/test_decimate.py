@@ -12,13 +12,14 @@ from hframe_post.arrays import TS, Array, Flags, Integers
 from hframe_post.conversion.options import TOLERANCE
 from hframe_post.firmware.klipper.klipper_motion import PIECE_SAMPLES, sparser
 from hframe_post.model.nozzle import Response
-from hframe_post.native.decimate import E_WEIGHT, SHORT, breakpoints, fitted
+from hframe_post.native.decimate import breakpoints, fitted
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from tests.paths import wander
 from tests.quantities import below
 
 MM = 0.002  # tolerance of most tests
+SHORT, E_WEIGHT = 8, 4.0  # samples up to which it counts in full; mm of path a mm of filament
 
 
 def none(n: int) -> Flags:

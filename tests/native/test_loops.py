@@ -43,7 +43,7 @@ def test_recursion_takes_the_steps_one_by_one(m: int, d: int, n: int, seed: int)
     expected = s
     for row in W:
         expected = np.concatenate([expected, A @ expected[-d:] + row])
-    np.testing.assert_allclose(recursion(A, W, s), expected, atol=1e-12)
+    np.testing.assert_allclose(recursion(A.T, W, s), expected, atol=1e-12)
 
 
 def test_pseudo_inverse_of_columns_that_are_almost_the_same() -> None:

@@ -129,7 +129,7 @@ def thinned(points: Array, ends: Integers) -> Integers:
     pieces = [ends]
     for k in thick.tolist():  # few
         first, end = int(ends[k - 1]) if k else 0, int(ends[k])
-        piece = np.floor((points[first:end, E] - points[first, E]) / most)
+        piece = np.floor((points[first:end, E] - points[first, E]) / most[0])
         pieces.append(first + 1 + np.flatnonzero(np.diff(piece[1:])))
     return np.unique(np.concatenate(pieces))
 
