@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -18,12 +17,11 @@ from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.inputs import rectangle
+from tests.gcode_tools import layers
 from tests.paths import in_motion
 from tests.simulator import Axis, Chip, Machine, Mode
 
 BAND = (3.0, 100.0)
-CUBE = Path(__file__).parent.parent / "sample_gcode" / "cube.gcode"
-CUBE_LINES = 1200  # of its G-code: two layers
 
 
 def printer(machine: Machine) -> Printer:
@@ -70,7 +68,7 @@ class Errors:
 
 def judged(machine: Machine, profile: Printer, path: str = "rectangle") -> Errors:
     """Return the contour errors of the machine, without and with compensation by the profile."""
-    lines = rectangle(profile) if path == "rectangle" else cube()
+    lines = rectangle(profile) if path == "rectangle" else layers("cube.gcode", 2)
     options = Options("racking", clamp=True)
     computed = WholeFile(lines, profile, options).commands(("racking", "none"))
     chunks = [chunk for chunk in computed if len(chunk)]
@@ -82,11 +80,6 @@ def judged(machine: Machine, profile: Printer, path: str = "rectangle") -> Error
         nozzle = np.vstack([command[:1], machine.played(command)[:, :2]])
         errors[name] = float(np.sqrt((contour_error(wanted, nozzle)[moving] ** 2).mean()))
     return Errors(1e3 * errors["none"], 1e3 * errors["racking"])
-
-
-def cube() -> list[bytes]:
-    """Return the first layers of the cube."""
-    return CUBE.read_bytes().splitlines(keepends=True)[:CUBE_LINES]
 
 
 FAULTS = ("friction", "play", "second", "third", "along")

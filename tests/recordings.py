@@ -1,9 +1,11 @@
 """Sweeps, and files of recordings."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import zstandard
 
 from hframe_post.arrays import TS, Array
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording, from_table
@@ -29,15 +31,12 @@ accel_per_hz: 90
 SIXTEEN_BITS, THIRTEEN_BITS = (2 * 16 * GRAVITY / 2**bits for bits in (16, 13))
 
 
-def sweep(rate: float = 4.0, marks: bool = True, low: float = 2.0, high: float = 120.0) -> Array:
-    """Return displacements (m,), mm every 1 ms: quiet, mark, quiet, sweep, quiet, mark, quiet."""
-    quiet = np.zeros(1000)
-    mark = chirp(10.0, 100.0, 401, 100)
+def sweep(rate: float = 4.0, low: float = 2.0, high: float = 120.0) -> Array:
+    """Return displacements (m,), mm every 1 ms: a sweep between a second of rest and another."""
     samples = round((high - low) / rate / TS) + 1
-    whole = chirp(low, high, samples, 500)
-    whole += fading(samples, 500) * np.sin(np.pi * np.arange(samples) * TS)  # a slow sway
-    parts = [quiet, mark, quiet, whole, quiet, mark, quiet] if marks else [quiet, whole, quiet]
-    return np.concatenate(parts)
+    swept = chirp(low, high, samples, 500)
+    swept += fading(samples, 500) * np.sin(np.pi * np.arange(samples) * TS)  # a slow sway
+    return np.pad(swept, 1000)
 
 
 def chirp(low: float, high: float, n: int, edge: int) -> Array:
@@ -60,8 +59,21 @@ def read(path: Path, columns: Sequence[str] | None = None) -> Recording:
     return from_table(path, table)
 
 
+def klipper_csv(rows: Array, head: bytes = b"#time,accel_x,accel_y,accel_z\n") -> bytes:
+    """Return time and three accelerations (n, 4) as Klipper writes them."""
+    return head + b"".join(b"%.6f,%.6f,%.6f,%.6f\n" % tuple(row) for row in rows.tolist())
+
+
 def write_klipper(path: Path, recording: Recording) -> Path:
     """Write Klipper's raw accelerometer file."""
-    rows = np.column_stack([recording.t, recording.a])
-    np.savetxt(path, rows, "%.6f", ",", header="time,accel_x,accel_y,accel_z", comments="#")
+    path.write_bytes(klipper_csv(np.column_stack([recording.t, recording.a])))
     return path
+
+
+def stdata(*measurements: tuple[str, Array]) -> bytes:
+    """Return named rows (n, 4) as Shake&Tune writes them."""
+    lines = (
+        json.dumps({"name": name, "samples": values.tolist()}) + "\n"
+        for name, values in measurements
+    )
+    return zstandard.ZstdCompressor().compress("".join(lines).encode())

@@ -12,7 +12,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator
 from hframe_post.printer import profile
 from hframe_post.stream.types import Samples
-from tests.conftest import SAMPLES
+from tests.gcode_tools import layers
 
 pytestmark = pytest.mark.paper
 
@@ -61,9 +61,6 @@ def test_fig_5_axes_follow_slow_commands_and_ring(plant: Plant) -> None:
         assert magnitude[0] == pytest.approx(1.0, abs=1e-3)
         assert resonance[0] < hz[magnitude.argmax()] < resonance[1]
         assert magnitude[-1] < 0.3
-
-
-# ---------------------------------------------------------------------- Sec. III
 
 
 # ---------------------------------------------------------------------- Appendix B, C
@@ -121,9 +118,7 @@ def test_fig_9_racking_compensation_at_125_control_points(rectangle: Array) -> N
 @pytest.mark.parametrize("printed_window", [False, True], ids=["shipped", "printed"])
 def test_fig_11_width_of_the_prism(printed_window: bool) -> None:
     """At least what the paper measured on printed parts: 43 % below fbs, 68 % below none."""
-    lines = (SAMPLES / "prism.gcode").read_bytes().splitlines(keepends=True)
-    to_layer_9 = lines[: lines.index(b";LAYER:9\n")]
-    found = results.widths(profile.load("paper"), to_layer_9, printed_window)
+    found = results.widths(profile.load("paper"), layers("prism.gcode", 9), printed_window)
     assert found.error["racking"].shape == (9, 3)
     assert found.rms("racking") <= (1 - 0.43) * found.rms("fbs")
     assert found.rms("racking") <= (1 - 0.68) * found.rms("none")

@@ -1,6 +1,5 @@
 """The stage that adds pressure advance: cuts, lines of the file, and filament at every stop."""
 
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
@@ -64,25 +63,3 @@ def test_the_summary_tells_where_klipper_outruns_the_extruder(extruder: float, t
     _, report = converted(sample("rectangle.gcode"), printer)
     assert ("more than limits.extruder_acceleration (2000)" in report.as_text()) == told
     assert 2500.0 < report.advancing.hardest < 3500.0
-
-
-@pytest.mark.slow
-def test_the_filament_at_every_retraction_is_that_of_the_file() -> None:
-    """To the last digit that is written."""
-    lines = sample("cube.gcode")
-    lines = lines[: lines.index(b";LAYER:1\n")]
-
-    def at_retractions(K: float) -> list[int]:
-        printer = replace(load("paper-marlin"), extruder=Extruder(K))
-        text, _ = converted(lines, printer)
-        fed, found = 0, list[int]()
-        for line in text.splitlines():
-            if match := re.match(rb"G1 (?:[^;]* )?E(-?[\d.]+)", line):
-                if not re.search(rb"[XY]", line):
-                    found.append(fed)
-                fed += round(1e5 * float(match[1]))
-        return [*found, fed]
-
-    plain, advanced = at_retractions(0.0), at_retractions(0.05)
-    assert len(plain) > 3
-    assert advanced == plain

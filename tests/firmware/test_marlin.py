@@ -26,7 +26,6 @@ from hframe_post.stream.types import ModalState, Position
 from tests.gcode_tools import assert_same_stream, converted, follow, layers, sample
 from tests.printers import with_marlin
 from tests.quantities import below
-from tests.same_print import assert_same_print
 
 QUIRKS = Path(__file__).parent.parent / "quirks"
 NOWHERE = (0.0, 0.0, 0.0)
@@ -162,17 +161,6 @@ def test_modes_of_the_file_come_back(
     state = ModalState(absolute, absolute_e, 1234.56789, 41.25, NOWHERE)
     end = code(marlin).end(state, AT)
     assert end[end.index(b"G1 F2475") + 1 :] == expected
-
-
-def test_filament_is_counted_on_where_it_was_relative(marlin: Printer) -> None:
-    """G90 makes E absolute: of what the file has fed, not of what the stream has counted."""
-    text = (
-        b"M83\nG28\nG1 X10 Y10 Z1 F6000\nG1 X90 E60 F300\nG1 X10 E60\nUNHEARD_OF @1\nG90\n"
-        b"G1 X20 Y20 E120.5\nG1 X90 Y20 E123\n;@2\n"
-    )
-    output = converted(text.splitlines(keepends=True), marlin)[0]
-    assert len(re.findall(rb"^G92 E0(?:\.00\d+)?$", output, re.MULTILINE)) > 1
-    assert_same_print(text, output, "marlin")
 
 
 def test_counting_filament_again_keeps_the_fraction_of_a_step(marlin: Printer) -> None:

@@ -31,7 +31,7 @@ from tests.fuzz.strategies import LINES, broken, edited, gcode
 from tests.gcode_tools import converted
 from tests.klipper.host import KlippyError, play
 from tests.printers import M503, REAL, profile_of
-from tests.recordings import read
+from tests.recordings import klipper_csv, read
 from tests.same_print import PLACE, assert_same_print, unstamped
 
 KLIPPER_FILAMENT = 5e-3  # mm; a step of the extruder is 0.7e-3
@@ -116,11 +116,8 @@ def _answered(path: Path) -> None:
 
 
 def _recording() -> bytes:
-    rng = np.random.default_rng(0)
-    samples = np.column_stack([np.arange(0.0, 1.0, 1e-3), rng.normal(size=(1000, 3))])
-    text = io.BytesIO()
-    np.savetxt(text, samples, "%.6f", ",", header="time,accel_x,accel_y,accel_z")
-    return text.getvalue()
+    t, a = np.arange(0.0, 1.0, 1e-3), np.random.default_rng(0).normal(size=(1000, 3))
+    return klipper_csv(np.column_stack([t, a]))
 
 
 def taken(data: bytes, suffix: str, reader: Callable[[Path], object]) -> None:
@@ -153,7 +150,8 @@ def test_other_files(case: tuple[str, bytes]) -> None:
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
 def test_what_was_found_stays_mended(path: Path) -> None:
     for firmware in PRINTERS:
-        check_gcode(path.read_bytes(), "fbs", firmware, False)
+        for strategy in ("none", "fbs", "racking"):
+            check_gcode(path.read_bytes(), strategy, firmware, False)
 
 
 @slow

@@ -2,20 +2,19 @@
 
 import pytest
 
-from hframe_post.firmware.klipper.klipper_firmware import Klipper
-from hframe_post.firmware.marlin.marlin_firmware import Marlin
-from hframe_post.gcode.reader import CHANGE_OF_OBJECT, read
-from hframe_post.gcode.state import ReadOptions
+from hframe_post.firmware.registry import FIRMWARES
+from hframe_post.gcode.reader import CHANGE_OF_OBJECT
 from hframe_post.stream.types import MoveAtRest, Passthrough
+from tests.gcode.reading import items
 
 BEGIN = ["G90", "M83", "G1 X10 Y10 Z.2 F6000"]
 WALL = ["G1 X20 Y10 E1", "G1 X20 Y20 E1"]
 A, B, END = (f"EXCLUDE_OBJECT_{x}" for x in ("START NAME=A", "START NAME=B", "END"))
 
 
-def copied(lines: list[str], dialect: object = Klipper.dialect) -> list[str]:
-    items = read([line.encode() + b"\n" for line in [*BEGIN, *lines]], ReadOptions(dialect))  # type: ignore[arg-type]
-    causes = {i.text.decode(): i.cause for i in items if isinstance(i, Passthrough)}
+def copied(lines: list[str], firmware: str = "klipper") -> list[str]:
+    found = items(*BEGIN, *lines, firmware=firmware)
+    causes = {i.text.decode(): i.cause for i in found if isinstance(i, Passthrough)}
     return [text for text, cause in causes.items() if cause == CHANGE_OF_OBJECT]
 
 
@@ -51,15 +50,14 @@ def test_labels(first: str, second: str) -> None:
     after = [second, "G1 X50", "M486 S7"]  # a second object
     assert copied([first, *WALL, *after]) == ["G1 X50"]
     assert copied([";TYPE:" + first, *WALL, ";TYPE:" + second, "G1 X50"]) == []
-    marlin = copied([first, *WALL, *after], Marlin.dialect)
+    marlin = copied([first, *WALL, *after], "marlin")
     assert marlin == (["G1 X50"] if "M486" in first else [])
 
 
 def test_a_spiral_lift_after_an_object_is_a_lift() -> None:
     """Klipper would go to its first chord, next to the object that it left out."""
-    lines = [*BEGIN, A, *WALL, END, B, "G3 Z.6 I1.2 J0 P1 F12000", "G1 X50"]
-    items = read([line.encode() + b"\n" for line in lines], ReadOptions(Klipper.dialect))
-    (lift,) = (item for item in items if isinstance(item, MoveAtRest))
+    found = items(*BEGIN, A, *WALL, END, B, "G3 Z.6 I1.2 J0 P1 F12000", "G1 X50")
+    (lift,) = (item for item in found if isinstance(item, MoveAtRest))
     assert (lift.start[:3], lift.end[:3]) == ((20.0, 20.0, 0.2), (20.0, 20.0, 0.6))
 
 
@@ -71,7 +69,7 @@ def test_a_spiral_lift_after_an_object_is_a_lift() -> None:
 )  # fmt: skip
 def test_after_what_may_leave_the_machine_elsewhere_the_next_move_is_copied(line: str) -> None:
     lines = [*BEGIN, *WALL, line, "G1 X50", "G1 Y30", "G1 X60 Y60"]
-    for dialect in (Klipper.dialect, Marlin.dialect):
-        items = list(read([each.encode() for each in lines], ReadOptions(dialect)))
-        text = [item.text.decode() for item in items if isinstance(item, Passthrough)]
+    for firmware in FIRMWARES:
+        found = items(*lines, firmware=firmware)
+        text = [item.text.decode().strip() for item in found if isinstance(item, Passthrough)]
         assert text[text.index(line) :] == [line, "G1 X50", "G1 Y30", ""]

@@ -17,10 +17,9 @@ from pygcode.words import text2words
 
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.commands import MOTION_WORDS, Line, command, numbers, uncommented
-from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
-from hframe_post.stream.types import MoveAtRest, Moves
 from tests.conftest import SAMPLES
+from tests.gcode.reading import ends_by_line
 from tests.slices import SLICES
 
 KLIPPER = FIRMWARES["klipper"].dialect
@@ -82,13 +81,7 @@ def test_moves_end_where_pygcode_ends(unit: str) -> None:
     plain = (uncommented(raw).upper().replace(b"+", b"") for raw in BY_HAND.splitlines())
     lines = [re.sub(rb"\s*E\s*[-.\d]+", b"", line).strip() for line in plain if b"G92" not in line]
     lines = [b"G1 F3000", *lines]
-    read_lines = [b"G92 X0 Y0 Z0", unit.encode(), *lines]
-    ends: dict[int, list[float]] = {}
-    for item in read(read_lines, ReadOptions(KLIPPER)):
-        if isinstance(item, Moves):
-            ends.update(zip(item.line.tolist(), item.points[1:, :3].tolist(), strict=True))
-        elif isinstance(item, MoveAtRest):
-            ends[item.line] = list(item.end[:3])
+    ends = ends_by_line([b"G92 X0 Y0 Z0", unit.encode(), *lines], ReadOptions(KLIPPER))
     machine, scale = Machine(), 25.4 if unit == "G20" else 1.0
     for number, line in enumerate(lines, 3):
         machine.process_block(PygcodeLine(line.decode()).block)

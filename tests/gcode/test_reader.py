@@ -13,7 +13,7 @@ from hframe_post.gcode import batching
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.profile import load
-from hframe_post.stream.types import Handling, MoveAtRest, Moves, Passthrough
+from hframe_post.stream.types import Handling, Moves, Passthrough
 from tests.gcode.reading import HOME, carried, ends, items, moves
 from tests.mark_tools import mark
 from tests.printers import with_marlin
@@ -26,21 +26,9 @@ QUIRKS = Path(__file__).parent.parent / "quirks"
 # ---------------------------------------------------------------------- modal state
 
 
-@pytest.mark.parametrize(
-    ("firmware", "text", "places"),
-    [
-        ("klipper", "G1 X10 Y5|G91|G1 X1 Y-2", [[10, 5, 0, 0], [11, 3, 0, 0]]),
-        ("klipper", "G1 X10 Y5|G91|G90|G1 X3", [[10, 5, 0, 0], [3, 5, 0, 0]]),
-        ("klipper", "G1 X10|G92 X0|G1 X5", [[10, 0, 0, 0], [15, 0, 0, 0]]),
-        ("klipper", "G20|G1 X1 Y2 E1 F2|G21|G1 X10", [[25.4, 50.8, 0, 25.4], [10, 50.8, 0, 25.4]]),
-        ("klipper", "g1x3y+2e.5", [[3, 2, 0, 0.5]]),
-        ("marlin", "M82|G1 X10 E5|G92|G1 X10 E5", [[10, 0, 0, 5]]),
-    ],
-)  # fmt: skip
-def test_positions_are_those_of_the_modes(
-    firmware: str, text: str, places: list[list[float]]
-) -> None:
-    assert ends(*text.split("|"), firmware=firmware) == places
+def test_inches_are_of_all_words() -> None:
+    found = ends("G20", "G1 X1 Y2 E1 F2", "G21", "G1 X10")
+    assert found == [[25.4, 50.8, 0, 25.4], [10, 50.8, 0, 25.4]]
 
 
 def test_limits_of_the_file() -> None:
@@ -49,7 +37,7 @@ def test_limits_of_the_file() -> None:
     assert block.corner[0] == 6
     assert block.limits.acceleration == (500, 400, 100, 5000)
     assert block.limits.velocity == (300, math.inf, math.inf, math.inf)
-    (ignoring,) = moves(*lines, "M220 S50", "G1 X2", file_limits=False)
+    (ignoring,) = moves(*lines, "M220 S50", "G1 X2", limits="printer")
     assert math.isinf(ignoring.corner[0])
     assert math.isinf(ignoring.limits.velocity[0])
     assert ignoring.speed[1] == 50
@@ -99,12 +87,6 @@ def test_the_firmwares_own_limits_hold_until_the_file_sets_others(asked: int) ->
     (block,) = (item for item in found if isinstance(item, Moves))
     assert block.acceleration.tolist() == [10_000, asked]
     assert (block.corner[0], block.limits.path) == (5.0, 300.0)
-
-
-def test_retraction_and_lift_stand_still() -> None:
-    found = items(*HOME, "G1 X5", "G1 E-2 F2700", "G1 Z1 F600", "G1 X6")
-    standing = [item for item in found if isinstance(item, MoveAtRest)]
-    assert [(s.end[2], s.end[3], s.speed) for s in standing] == [(0, -2, 45), (1, -2, 10)]
 
 
 # ---------------------------------------------------------------------- unknown places

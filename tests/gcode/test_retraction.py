@@ -3,12 +3,10 @@
 import pytest
 
 from hframe_post.arrays import E
-from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode.extrusion import RETRACTION_S
-from hframe_post.gcode.reader import read
-from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.settings import Retraction
 from hframe_post.stream.types import Item, MoveAtRest, Moves, Passthrough
+from tests.gcode.reading import items
 
 OWN = Retraction(length=0.8, speed=40.0, return_speed=30.0, extra=0.1)
 HOME = ["G28", "G90", "M82", "G0 X0 Y0 Z0 F6000", "G10", "G11", "G0 X9 F6000"]
@@ -19,18 +17,17 @@ def found(
     lines: list[str], own: Retraction | None = OWN, firmware: str = "klipper"
 ) -> tuple[list[tuple[float, float]], list[bytes], list[Item]]:
     """Filament and speed of what stands; G10, G11 and the like that pass; all items."""
-    options = ReadOptions(FIRMWARES[firmware].dialect, retraction=own)
-    items = list(read([line.encode() + b"\n" for line in lines], options))
-    stand = [(round(i.end[E] - i.start[E], 9), i.speed) for i in items if isinstance(i, MoveAtRest)]
-    passed = [i.text for i in items if isinstance(i, Passthrough) and i.text[:2] == b"G1"]
-    return stand, passed, items
+    every = items(*lines, firmware=firmware, retraction=own)
+    stand = [(round(i.end[E] - i.start[E], 9), i.speed) for i in every if isinstance(i, MoveAtRest)]
+    passed = [i.text for i in every if isinstance(i, Passthrough) and i.text[:2] == b"G1"]
+    return stand, passed, every
 
 
 def test_the_first_pair_is_the_firmwares_then_they_are_moves() -> None:
-    stand, passed, items = found([*HOME, "G10", "G1 X50", "G11", "G1 X60 E2", "G10", "G11"])
+    stand, passed, every = found([*HOME, "G10", "G1 X50", "G11", "G1 X60 E2", "G10", "G11"])
     assert stand == 2 * PAIR
     assert passed == [b"G10", b"G11"]
-    printed = [m for m in items if isinstance(m, Moves)][-1]
+    printed = [m for m in every if isinstance(m, Moves)][-1]
     assert printed.points[-1, E] - printed.points[0, E] == pytest.approx(2.0)  # E2, from E0
 
 
@@ -86,8 +83,8 @@ def test_pass_through_retractions_have_an_estimated_duration() -> None:
     """Otherwise a stop of 60 ms is computed as one without duration."""
 
     def seconds(own: Retraction | None) -> list[float]:
-        items = found(["G28", "G10", "G11", "G1 X1 Y1 Z1"], own)[2]
-        return [i.seconds for i in items if isinstance(i, Passthrough)][1:3]
+        every = found(["G28", "G10", "G11", "G1 X1 Y1 Z1"], own)[2]
+        return [i.seconds for i in every if isinstance(i, Passthrough)][1:3]
 
     assert seconds(None) == [RETRACTION_S, RETRACTION_S]
     assert seconds(OWN) == pytest.approx([0.8 / 40.0, 0.9 / 30.0])

@@ -9,7 +9,7 @@ import pytest
 from hframe_post.arrays import Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording, axes_map
-from tests.recordings import SIXTEEN_BITS, THIRTEEN_BITS, read, sweep
+from tests.recordings import SIXTEEN_BITS, THIRTEEN_BITS, klipper_csv, read, sweep
 from tests.simulator import Chip
 
 NAMES = b"#time,accel_x,accel_y,accel_z\n"
@@ -22,11 +22,6 @@ def rows() -> Array:
     swept = sweep(rate=60.0)
     recording = Chip(drift=0.004, step=SIXTEEN_BITS).on_nozzle(swept, 0.0 * swept)
     return np.column_stack([recording.t, recording.a])
-
-
-def klipper(rows: Array) -> bytes:
-    """Return the rows as Klipper writes them."""
-    return NAMES + b"".join(b"%.6f,%.6f,%.6f,%.6f\n" % tuple(row) for row in rows.tolist())
 
 
 def file(folder: Path, text: bytes, name: str = "raw.csv") -> Path:
@@ -45,7 +40,7 @@ def refused(path: Path, words: str, columns: tuple[str, ...] | None = None) -> N
 
 
 def test_klipper_file_is_read_and_begins_with_the_command(tmp_path: Path, rows: Array) -> None:
-    recording = read(file(tmp_path, klipper(rows)))
+    recording = read(file(tmp_path, klipper_csv(rows)))
     assert recording.started
     np.testing.assert_allclose(recording.t, rows[:, 0], atol=5.1e-7)
     np.testing.assert_allclose(recording.a, rows[:, 1:], atol=5.1e-7)
@@ -59,16 +54,16 @@ def test_clipped_peaks_are_found_at_any_rate(tmp_path: Path, rate: float) -> Non
     a = np.round(t * 1500.0 * np.sin(2.0 * np.pi * (40.0 + 2.0 * t) * t) / 38.0) * 38.0
     y, z = np.random.default_rng(0).normal(0.0, 60.0, (2, len(t)))
     rows = np.column_stack([t, a, y, z + GRAVITY])
-    assert len(read(file(tmp_path, klipper(rows))).t) == len(t)
+    assert len(read(file(tmp_path, klipper_csv(rows))).t) == len(t)
     rows[:, 1] = np.clip(a, -9500.0, 9500.0)
     refused(
-        file(tmp_path, klipper(rows)), "the sensor's x is clipped at -?9500 mm/s².*ACCEL_PER_HZ"
+        file(tmp_path, klipper_csv(rows)), "the sensor's x is clipped at -?9500 mm/s².*ACCEL_PER_HZ"
     )
 
 
 def test_klipper_file_by_its_columns_begins_anywhere(tmp_path: Path, rows: Array) -> None:
     columns = ("#time", "accel_x", "accel_y", "accel_z")
-    assert not read(file(tmp_path, klipper(rows)), columns).started
+    assert not read(file(tmp_path, klipper_csv(rows)), columns).started
 
 
 @pytest.mark.parametrize(
@@ -123,35 +118,35 @@ def test_text_without_a_recording_is_refused(tmp_path: Path, text: bytes, words:
     ],
 )
 def test_first_bad_line_is_named(tmp_path: Path, rows: Array, bad: bytes, words: str) -> None:
-    lines = klipper(rows).splitlines()
+    lines = klipper_csv(rows).splitlines()
     lines[499] = bad
     lines[700] = b"this, too, is, bad" if b"2.0,x" in bad else lines[700]
     refused(file(tmp_path, b"\n".join(lines) + b"\n"), words)
 
 
 def test_lines_are_counted_with_empty_ones(tmp_path: Path, rows: Array) -> None:
-    lines = klipper(rows).splitlines()
+    lines = klipper_csv(rows).splitlines()
     lines[499] = lines[400]
     text = b"\n\n" + b"\n\n".join(lines)
     refused(file(tmp_path, text), "line 1001: time does not increase")
 
 
 def test_file_that_is_cut_off(tmp_path: Path, rows: Array) -> None:
-    text = klipper(rows)
+    text = klipper_csv(rows)
     cut = text[: text.rindex(b",") - 2]
     refused(file(tmp_path, cut), f"line {len(rows) + 1}: too few columns.*cut off")
 
 
 def test_missing_samples_are_located(tmp_path: Path, rows: Array) -> None:
     lost = np.delete(rows, slice(1000, 1400), axis=0)
-    refused(file(tmp_path, klipper(lost)), "line 1002: samples are missing: 0.12.* s")
+    refused(file(tmp_path, klipper_csv(lost)), "line 1002: samples are missing: 0.12.* s")
     often = rows[np.arange(len(rows)) % 50 > 2]
-    refused(file(tmp_path, klipper(often)), "samples are missing: 0.0012.* s .* 8 % .* in all")
+    refused(file(tmp_path, klipper_csv(often)), "samples are missing: 0.0012.* s .* 8 % .* in all")
 
 
 def test_a_few_missing_samples_are_filled_and_reported(tmp_path: Path, rows: Array) -> None:
     some = np.delete(rows, [*range(1000, 1060), *range(3000, 3003)], axis=0)
-    found = read(file(tmp_path, klipper(some)))
+    found = read(file(tmp_path, klipper_csv(some)))
     assert len(found.t) == len(rows)
     np.testing.assert_allclose(found.t, rows[:, 0], atol=2e-5)
     between = np.linspace(rows[999], rows[1060], 62)[1:-1, 1:]
@@ -175,9 +170,9 @@ def test_wrong_columns(tmp_path: Path, columns: tuple[str, ...], words: str) -> 
 def test_timestamps_that_are_not_in_seconds_are_refused(tmp_path: Path, rows: Array) -> None:
     slow = rows.copy()
     slow[:, 0] = (rows[:, 0] - rows[0, 0]) * 1000.0
-    refused(file(tmp_path, klipper(slow)), "samples a second are too few.*in seconds")
+    refused(file(tmp_path, klipper_csv(slow)), "samples a second are too few.*in seconds")
     slow[:, 0] = rows[:, 0] + 1e12
-    refused(file(tmp_path, klipper(slow)), "timestamps are not in seconds")
+    refused(file(tmp_path, klipper_csv(slow)), "timestamps are not in seconds")
 
 
 @pytest.mark.parametrize("step", [SIXTEEN_BITS, THIRTEEN_BITS])
@@ -190,7 +185,7 @@ def test_clipping_is_refused(tmp_path: Path, step: float, column: int) -> None:
     rows[:, column] = np.clip(rows[:, column], -level, level)
     first = int(np.flatnonzero(np.abs(rows[:, column]) == level)[0])
     with pytest.raises(IdentificationError, match=f"sensor's {'xyz'[column - 1]} is clipped") as e:
-        read(file(tmp_path, klipper(rows)))
+        read(file(tmp_path, klipper_csv(rows)))
     line = int(str(e.value).split("line ")[1].split(":")[0])
     assert line >= first + 2  # that line, or the next at which it stays clipped
 
@@ -198,7 +193,7 @@ def test_clipping_is_refused(tmp_path: Path, step: float, column: int) -> None:
 def test_end_of_the_sensor_is_clipping_however_short(tmp_path: Path, rows: Array) -> None:
     full = rows.copy()
     full[1000, 2] = -16.0 * GRAVITY
-    refused(file(tmp_path, klipper(full)), "line 1002: .* y is clipped at -1569")
+    refused(file(tmp_path, klipper_csv(full)), "line 1002: .* y is clipped at -1569")
 
 
 @pytest.mark.parametrize(
@@ -209,7 +204,7 @@ def test_peaks_in_coarse_steps_are_not_clipping(tmp_path: Path, step: float, noi
     swept = sweep(rate=20.0)
     recording = Chip(step=step, noise=noise).on_nozzle(swept, swept)
     rows = np.column_stack([recording.t, recording.a])
-    assert read(file(tmp_path, klipper(rows))).started
+    assert read(file(tmp_path, klipper_csv(rows))).started
 
 
 # ------------------------------------------------------------------------- axes
@@ -251,7 +246,7 @@ def test_implausible_gravity_is_a_warning(scale: float, shown: str) -> None:
 def test_another_range_is_scaled_by_gravity(tmp_path: Path, rows: Array, factor: float) -> None:
     """Times 8, its values look clipped at 16 g."""
     wrong = rows * [1.0, factor, factor, factor]
-    recording = read(file(tmp_path, klipper(wrong)))
+    recording = read(file(tmp_path, klipper_csv(wrong)))
     np.testing.assert_allclose(recording.a, rows[:, 1:], atol=1e-4)
     (note,) = recording.warnings()
     assert "gravity reads" in note

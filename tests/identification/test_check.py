@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import subprocess
+from collections.abc import Iterable
 from dataclasses import replace
 from datetime import date, datetime, timedelta
 from pathlib import Path
@@ -31,6 +32,13 @@ from tests.simulator import Axis, Chip, Machine, Mode
 STEP = 0.0206  # mm of belt
 
 
+def whole(axis: Axis, modes: Iterable[Mode]) -> Axis:
+    """Return the axis with these modes, whose shares add up to 1."""
+    modes = tuple(modes)
+    total = sum(mode.share for mode in modes)
+    return replace(axis, modes=tuple(replace(m, share=m.share / total) for m in modes))
+
+
 def drifted(machine: Machine, share: float, seed: int) -> Machine:
     """Return the machine with each mode's frequency, damping and contribution changed at random."""
     rng = np.random.default_rng((seed, 31))
@@ -39,13 +47,9 @@ def drifted(machine: Machine, share: float, seed: int) -> Machine:
         hz, damping, part = 1.0 + share * rng.uniform(-1.0, 1.0, 3) * (1.0, 3.0, 1.0)
         return Mode(hz * one.hz, damping * one.damping, part * one.share)
 
-    def axis(one: Axis) -> Axis:
-        modes = [mode(each) for each in one.modes]
-        whole = sum(each.share for each in modes)
-        return replace(one, modes=tuple(replace(m, share=m.share / whole) for m in modes))
-
     racking = replace(mode(machine.racking_mode), share=1.0)
-    return replace(machine, x=axis(machine.x), y=axis(machine.y), racking_mode=racking)
+    x, y = (whole(axis, map(mode, axis.modes)) for axis in (machine.x, machine.y))
+    return replace(machine, x=x, y=y, racking_mode=racking)
 
 
 def checked(machine: Machine, chip: Chip, profile: Printer, seed: int) -> dict[str, Drift]:
@@ -73,11 +77,7 @@ MEASURED = date(2026, 6, 1)
 def changed(machine: Machine, **first: float) -> Machine:
     """Return the machine with changes to the first mode of x."""
     main, *others = machine.x.modes
-    modes = [replace(main, **first), *others]
-    whole = sum(mode.share for mode in modes)
-    return replace(
-        machine, x=replace(machine.x, modes=tuple(replace(m, share=m.share / whole) for m in modes))
-    )
+    return replace(machine, x=whole(machine.x, [replace(main, **first), *others]))
 
 
 def peak(G: ImpulseResponse) -> tuple[float, float]:
@@ -133,8 +133,8 @@ def test_a_drifted_printer_is_compensated_as_by_the_exact_model(seed: int) -> No
 def test_the_printer_itself_is_never_refused(invented: tuple[Mode, ...]) -> None:
     """Not even where a fit of real recordings made modes up that the printer does not have."""
     share = 1.0 - sum(mode.share for mode in invented)
-    true = tuple(replace(mode, share=share * mode.share) for mode in MACHINE.x.modes)
-    model = replace(MACHINE, x=replace(MACHINE.x, modes=(*true, *invented)))
+    true = (replace(mode, share=share * mode.share) for mode in MACHINE.x.modes)
+    model = replace(MACHINE, x=whole(MACHINE.x, [*true, *invented]))
     machine = replace(MACHINE, x=replace(MACHINE.x, friction=200.0))
     found = checked(machine, CHIP, replace(PROFILE, plant=model.exact()), 9)["Gxx"]
     assert found.hz[1] == pytest.approx(32.0, rel=0.05)

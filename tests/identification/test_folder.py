@@ -1,7 +1,6 @@
 """Folders of recordings: what is found under the names that tools give, and what is left aside."""
 
 import gzip
-import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
@@ -11,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import zstandard
 
-from hframe_post.arrays import TS
+from hframe_post.arrays import TS, Array
 from hframe_post.errors import IdentificationError
 from hframe_post.identification.recordings.folder import Aside, Measurement, contents
 from hframe_post.identification.recordings.formats import command_csv
 from hframe_post.identification.recordings.names import RecordingName, day_of, parsed, stem
+from tests import recordings
+from tests.recordings import klipper_csv
 
 Contents = tuple[list[Measurement], list[Aside]]
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -78,22 +78,19 @@ def test_other_names_say_nothing(name: str) -> None:
 # ---------------------------------------------------------------------- folders
 
 
-def samples(seed: int, seconds: float = 1.0) -> bytes:
-    """Return a recording as Klipper writes it."""
+def shaken(seed: int, seconds: float = 1.0) -> Array:
+    """Return time and three accelerations of a sensor, (n, 4)."""
     rng = np.random.default_rng(seed)
     t = 50.0 + np.arange(round(seconds * 800.0)) / 800.0
-    rows = np.column_stack([t, rng.normal([0.0, 0.0, 9800.0], 300.0, (len(t), 3))])
-    return b"#time,accel_x,accel_y,accel_z\n" + b"".join(
-        b"%.6f,%.6f,%.6f,%.6f\n" % tuple(row) for row in rows.tolist()
-    )
+    return np.column_stack([t, rng.normal([0.0, 0.0, 9800.0], 300.0, (len(t), 3))])
+
+
+def samples(seed: int, seconds: float = 1.0) -> bytes:
+    return klipper_csv(shaken(seed, seconds))
 
 
 def stdata(*names: str) -> bytes:
-    lines = []
-    for seed, name in enumerate(names, 100):
-        rows = [[float(v) for v in line.split(b",")] for line in samples(seed).splitlines()[1:]]
-        lines.append(json.dumps({"name": name, "samples": rows}) + "\n")
-    return zstandard.ZstdCompressor().compress("".join(lines).encode())
+    return recordings.stdata(*((name, shaken(seed)) for seed, name in enumerate(names, 100)))
 
 
 def command(axis: int, seconds: float = 2.0) -> bytes:

@@ -1,7 +1,6 @@
 """Files of accelerometers as Klipper, Shake&Tune and other programs write them."""
 
 import gzip
-import json
 import lzma
 import tracemalloc
 from collections.abc import Callable
@@ -22,9 +21,7 @@ from hframe_post.identification.recordings.formats import (
     unpacked,
 )
 from tests.conftest import few
-from tests.recordings import read
-
-HEAD = b"#time,accel_x,accel_y,accel_z\n"
+from tests.recordings import klipper_csv, read, stdata
 
 
 @pytest.fixture(scope="module")
@@ -35,18 +32,6 @@ def rows() -> Array:
     return np.column_stack([t, rng.normal([300.0, -200.0, 9800.0], 500.0, (2000, 3))])
 
 
-def csv(rows: Array, head: bytes = HEAD) -> bytes:
-    return head + b"".join(b"%.6f,%.6f,%.6f,%.6f\n" % tuple(row) for row in rows.tolist())
-
-
-def stdata(*measurements: tuple[str, Array]) -> bytes:
-    lines = [
-        json.dumps({"name": name, "samples": values.tolist()}) + "\n"
-        for name, values in measurements
-    ]
-    return zstandard.ZstdCompressor().compress("".join(lines).encode())
-
-
 @pytest.mark.parametrize(
     "pack", [gzip.compress, lzma.compress, zstandard.ZstdCompressor().compress]
 )
@@ -54,12 +39,12 @@ def test_compressed_files_are_read_whatever_their_name(
     tmp_path: Path, rows: Array, pack: Callable[[bytes], bytes]
 ) -> None:
     path = tmp_path / "raw.csv"
-    path.write_bytes(pack(csv(rows)))
+    path.write_bytes(pack(klipper_csv(rows)))
     np.testing.assert_allclose(read(path).a, rows[:, 1:], atol=1e-6)
-    path.write_bytes(pack(csv(rows))[:-3000])
+    path.write_bytes(pack(klipper_csv(rows))[:-3000])
     with pytest.raises(IdentificationError, match=r"cut off|file is empty"):
         read(path)
-    path.write_bytes(pack(csv(rows))[:20] + bytes(range(200)))
+    path.write_bytes(pack(klipper_csv(rows))[:20] + bytes(range(200)))
     with pytest.raises(IdentificationError, match=r"raw\.csv"):
         read(path)
 
@@ -111,7 +96,7 @@ def test_broken_shaketune_files_are_refused(tmp_path: Path, text: bytes, words: 
 )
 def test_columns_say_what_they_are(tmp_path: Path, rows: Array, head: bytes, scale: float) -> None:
     path = tmp_path / "logged.csv"
-    path.write_bytes(csv(rows / [1.0, scale, scale, scale], head))
+    path.write_bytes(klipper_csv(rows / [1.0, scale, scale, scale], head))
     found = read(path)
     np.testing.assert_allclose(found.a, rows[:, 1:], atol=1e-6 * scale)
     assert not found.started

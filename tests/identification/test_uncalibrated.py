@@ -36,6 +36,7 @@ from tests.simulator import Axis, Machine, Mode
 HEAD = Axis((Mode(47.0, 0.06, 0.85), Mode(78.0, 0.05, 0.15)), 4e-4)
 BED = Axis((Mode(33.0, 0.08),), 4e-4)
 MACHINE = Machine(HEAD, BED, kinematics="corexy")
+SETTINGS = MeasurementSettings((3.0, 100.0), racks=False)
 LOW = np.linspace(3.0, 11.0, 30)  # Hz, below a third of the resonances
 
 
@@ -44,7 +45,7 @@ def short(direction: tuple[float, ...], **changes: float) -> ResonanceTest:
     return klipper(direction, min_freq=8.0, max_freq=105.0, hz_per_sec=2.0, **changes)
 
 
-def run(taken: Recorded, seed: int, machine: Machine = MACHINE) -> Run:
+def run(taken: Recorded, seed: int) -> Run:
     """Return the run as found to 3 ms, and to 0.02 % of its clock."""
     sensor = drawn_sensor(seed, "adxl345")
     clock = Clock(START + 3e-3, sensor.drift + 2e-4)
@@ -57,7 +58,7 @@ def taken(test: ResonanceTest, seed: int, mounting: int, machine: Machine = MACH
 
 def found(*tests: ResonanceTest, mounting: int = 3) -> Identified:
     runs = [run(taken(test, k, mounting), k) for k, test in enumerate(tests, 1)]
-    return identify(runs, MeasurementSettings((3.0, 100.0), racks=False))
+    return identify(runs, SETTINGS)
 
 
 def check_modes(result: Identified, name: str, axis: Axis) -> None:
@@ -142,8 +143,7 @@ def test_sessions_of_three_sensors_with_gaps_show_one_printer(tmp_path: Path) ->
     gathered = gather([tmp_path], KlipperConfig(config), travel)
     assert [one.source.session for one in gathered.used] == [1, 2, 3]
     assert all("are missing; the longest gap is 3" in one.as_text() for one in gathered.used)
-    settings = MeasurementSettings((3.0, 100.0), racks=False)
-    group = axis_responses(gathered.runs, settings)["Gxx"]
+    group = axis_responses(gathered.runs, SETTINGS)["Gxx"]
     hz = group.runs[0].response.hz
     true = np.abs(MACHINE.exact().Gxx.response(2.0 * np.pi * TS * hz))
     band = (hz > 15.0) & (hz < 75.0)
@@ -156,10 +156,7 @@ def test_sessions_of_three_sensors_with_gaps_show_one_printer(tmp_path: Path) ->
 @pytest.mark.slow
 def test_a_mode_that_x_and_y_share_is_found_where_it_is_no_clear_peak() -> None:
     """At 42 Hz y answers with an eighth of its motion only; the rest is at 58 Hz."""
-    result = identify(
-        [shared_run(direction) for direction in (X, Y)],
-        MeasurementSettings((3.0, 100.0), racks=False),
-    )
+    result = identify([shared_run(direction) for direction in (X, Y)], SETTINGS)
     for name in ("Gxx", "Gyy"):
         modes = result.fits[name].modes
         for hz in SHARED_HZ:
@@ -190,11 +187,11 @@ def shared_run(direction: tuple[float, float]) -> Run:
 def test_recordings_of_another_day_tell_how_far_the_printer_repeats_itself() -> None:
     other = replace(MACHINE, x=replace(HEAD, modes=(Mode(45.0, 0.06, 0.85), HEAD.modes[1])))
     runs = [run(taken(short(X), 1, 3), 1), run(taken(short(X), 2, 3, other), 2)]
-    result = identify(runs, MeasurementSettings((3.0, 100.0), racks=False))
+    result = identify(runs, SETTINGS)
     assert 0.1 < result.repetitions["Gxx"] < 0.4
     assert result.model_error == pytest.approx(2.0 / 46.0, rel=0.5)
     same = [run(taken(short(X), seed, 3), seed) for seed in (1, 2)]
-    result = identify(same, MeasurementSettings((3.0, 100.0), racks=False))
+    result = identify(same, SETTINGS)
     assert result.repetitions["Gxx"] < 0.05
     assert result.model_error == pytest.approx(0.02)
 
@@ -203,9 +200,7 @@ def test_recordings_of_another_day_tell_how_far_the_printer_repeats_itself() -> 
 def test_a_printer_too_stiff_to_ring_is_taken_as_such() -> None:
     """Its resonance lies above what the test excites."""
     stiff = Machine(Axis((Mode(240.0, 0.1),)), BED, kinematics="corexy")
-    result = identify(
-        [run(taken(short(X), 1, 3, stiff), 1)], MeasurementSettings((3.0, 100.0), racks=False)
-    )
+    result = identify([run(taken(short(X), 1, 3, stiff), 1)], SETTINGS)
     hz = np.linspace(3.0, 60.0, 30)
     model = result.plant(0.0).Gxx.response(2.0 * np.pi * TS * hz)
     true = stiff.exact().Gxx.response(2.0 * np.pi * TS * hz)
@@ -219,7 +214,7 @@ def test_a_recording_of_something_else_is_refused() -> None:
     noise = np.random.default_rng(0).normal(0.0, 2000.0, made.recording.a.shape)
     given = run(replace(made, recording=replace(made.recording, a=noise)), 1)
     with pytest.raises(IdentificationError, match=r"^test: the recording does not follow"):
-        identify([given], MeasurementSettings((3.0, 100.0), racks=False))
+        identify([given], SETTINGS)
 
 
 @pytest.mark.slow

@@ -26,6 +26,7 @@ from tests.simulator import Axis, Machine, Mode
 # a published CoreXY, x (0) and y (1) on the first day and 18 days later
 REAL = Path(__file__).with_name("data") / "corexy_18_days_apart.npz"
 HZ = np.arange(5.0, 100.0, 0.125)
+Axes = tuple[ImpulseResponse, ImpulseResponse]
 AVERAGES = 17.0  # of these recordings, which take 131 s
 
 
@@ -132,17 +133,35 @@ def test_if_one_axis_is_not_linear_the_start_of_both_is_unknown() -> None:
         assert one.G.lag == 0.0
 
 
-def contour(G: tuple[ImpulseResponse, ...], commands: tuple[Array, Array], path: Array) -> float:
-    """Return the RMS distance (µm) from the path of the nozzle, by convolution, in its middle."""
-    nozzle = []
-    for response, command in zip(G, commands, strict=True):
-        a = np.diff(np.pad(command, 1, mode="edge"), n=2)
-        moved = np.convolve(a, response.deviation)[response.lead :][: len(command)]
-        nozzle.append(command + moved)
-    x, y = np.array(nozzle)
+def moved(G: ImpulseResponse, command: Array) -> Array:
+    """Return where the nozzle goes, by convolution."""
+    a = np.diff(np.pad(command, 1, mode="edge"), n=2)
+    return np.asarray(command + np.convolve(a, G.deviation)[G.lead :][: len(command)])
+
+
+def contour(G: Axes, commands: Array, path: Array) -> float:
+    """Return the RMS distance (µm) of the nozzle from the path, all (n, 2), in its middle."""
+    x, y = (moved(*each) for each in zip(G, commands.T, strict=True))
     away = np.abs(np.array([x - path[:, 0].min(), x - path[:, 0].max(),
                             y - path[:, 1].min(), y - path[:, 1].max()])).min(axis=0)  # fmt: skip
     return float(1e3 * np.sqrt((away[500:-500] ** 2).mean()))
+
+
+def identified(day: int) -> Axes:
+    """Return the responses of x and y as found in the recordings of a day."""
+    x, y = (with_an_ideal_mode(one).G for one in real(day))
+    return x, y
+
+
+def compensated(known: Axes, path: Array) -> tuple[Array, Array]:
+    """Return the commands for a path on a printer of these responses, and the path around them."""
+    base = hp.load_printer("example-corexy")
+    compensation = replace(base.compensation, effort=(10.0, 10.0))
+    plant = Plant(*known, None, 0.0)
+    printer = replace(base, plant=plant, compensation=compensation, invented=False)
+    ours = np.asarray(hp.compensate(path + 50.0, printer, strategy="fbs")) - 50.0
+    pad = (len(ours) - len(path)) // 2
+    return ours, np.pad(path, ((pad, pad), (0, 0)), mode="edge")
 
 
 def outline(acceleration: float = 10000.0, speed: float = 150.0) -> Array:
@@ -161,9 +180,7 @@ def best_shaper(G: ImpulseResponse, path: Array) -> Array:
     """Return the path as the shaper that follows it best on G would shape it."""
 
     def off(shaped: Array) -> float:
-        a = np.diff(np.pad(shaped, 1, mode="edge"), n=2)
-        nozzle = shaped + np.convolve(a, G.deviation)[G.lead :][: len(shaped)]
-        lags = range(-20, 60)
+        nozzle, lags = moved(G, shaped), range(-20, 60)
         return min(float(np.square(np.roll(nozzle, -lag) - path).sum()) for lag in lags)
 
     found = [
@@ -172,21 +189,13 @@ def best_shaper(G: ImpulseResponse, path: Array) -> Array:
     return min((one.run(path) for one in found), key=off)
 
 
-@pytest.mark.parametrize("first", [1])
-def test_the_error_of_another_day_is_in_the_predicted_range(first: int) -> None:
-    """Of 18 days later or before; the range is at most three times as wide as needed."""
-    known = [replace(with_an_ideal_mode(one).G, drift=DRIFT_ALONE) for one in real(first)]
-    truth = tuple(with_an_ideal_mode(one).G for one in real(3 - first))
-    base = hp.load_printer("example-corexy")
-    compensation = replace(base.compensation, effort=(10.0, 10.0))
-    plant = Plant(known[0], known[1], None, 0.0)
-    printer = replace(base, plant=plant, compensation=compensation, invented=False)
+def test_the_error_of_another_day_is_in_the_predicted_range() -> None:
+    """Of 18 days later; the range is at most three times as wide as needed."""
+    x, y = (replace(G, drift=DRIFT_ALONE) for G in identified(1))
+    plant = Plant(x, y, None, 0.0)
     for acceleration in (5000.0, 10000.0):
-        path = outline(acceleration)
-        ours = np.asarray(hp.compensate(path + 50.0, printer, strategy="fbs")) - 50.0
-        pad = (len(ours) - len(path)) // 2
-        around = np.pad(path, ((pad, pad), (0, 0)), mode="edge")
-        off = contour(truth, (ours[:, 0], ours[:, 1]), around)
+        ours, around = compensated((x, y), outline(acceleration))
+        off = contour(identified(2), ours, around)
         xyze = np.column_stack([around, np.zeros((len(around), 2))])
         chunk = Samples(0, xyze, np.zeros(len(xyze), np.int64), (), {"fbs": ours}, True)
         errors = ContourErrors()
@@ -205,17 +214,12 @@ def test_the_error_of_another_day_is_in_the_predicted_range(first: int) -> None:
 @pytest.mark.parametrize("first", [1, 2])
 def test_one_day_foresees_another_better_than_the_best_shaper(first: int) -> None:
     """Identified on one day, judged by the response of 18 days later or before."""
-    known = tuple(with_an_ideal_mode(one).G for one in real(first))
-    truth = tuple(with_an_ideal_mode(one).G for one in real(3 - first))
-    path = outline()
-    base = hp.load_printer("example-corexy")
-    printer = replace(base, plant=Plant(known[0], known[1], None, 0.0), invented=False)
-    ours = np.asarray(hp.compensate(path + 50.0, printer, strategy="fbs")) - 50.0
-    pad = (len(ours) - len(path)) // 2
-    around = np.pad(path, ((pad, pad), (0, 0)), mode="edge")
-    shaped = [best_shaper(G, path[:, axis]) for axis, G in enumerate(known)]
-    none = contour(truth, (path[:, 0], path[:, 1]), path)
-    by_shaper = contour(truth, (shaped[0], shaped[1]), path)
-    by_us = contour(truth, (ours[:, 0], ours[:, 1]), around)
+    known, truth, path = identified(first), identified(3 - first), outline()
+    ours, around = compensated(known, path)
+    shaped = np.column_stack([best_shaper(G, axis) for G, axis in zip(known, path.T, strict=True)])
+    none, by_shaper, by_us = (
+        contour(truth, command, each)
+        for command, each in ((path, path), (shaped, path), (ours, around))
+    )
     assert by_us < 0.6 * by_shaper, f"{by_us:.1f}, shaper {by_shaper:.1f}, none {none:.1f} µm RMS"
     assert by_us < 0.2 * none

@@ -20,8 +20,9 @@ from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Motors
-from hframe_post.stream.types import MoveAtRest, Moves, Passthrough
+from hframe_post.stream.types import Moves, Passthrough
 from tests.conftest import SAMPLES
+from tests.gcode.reading import ends_by_line
 from tests.klipper.head import head, parsed, speed
 from tests.slices import SLICES
 
@@ -98,12 +99,7 @@ def test_lines_end_where_klippers_own_end(text: list[bytes]) -> None:
     drawn = [uncommented(line).strip() for line in text if DRAWN.match(line)][:3000]
     lines = [b"G92 X0 Y0 Z0", b"G1 F3000", *drawn]
     places, before = head(line.decode() for line in lines)
-    ends: dict[int, list[float]] = {}
-    for item in read(lines, ReadOptions(Klipper.dialect, extrusion="absolute")):
-        if isinstance(item, Moves):
-            ends |= zip(item.line.tolist(), item.points[1:, :3].tolist(), strict=True)
-        elif isinstance(item, MoveAtRest):
-            ends[item.line] = list(item.end[:3])
+    ends = ends_by_line(lines, ReadOptions(Klipper.dialect, extrusion="absolute"))
     after = [*before[1:], len(places)]
     for line, end in ends.items():
         assert places[after[line - 1] - 1, :3] == pytest.approx(end, abs=1e-9), lines[line - 1]

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.conversion.options import Options
-from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.printer.profile import load
 from tests import gcode_tools
 from tests.conftest import few
@@ -86,14 +84,13 @@ INSIDE = [name for name in SLICES if name not in ("Cura's meshes", "ideaMaker")]
 """Those whose travel to an object is part of it."""
 
 
+def as_lines(text: str) -> list[bytes]:
+    return [line.encode() + b"\n" for line in text.splitlines()]
+
+
 @cache
 def converted(name: str) -> str:
-    return converted_text(SLICES[name])
-
-
-def converted_text(text: str) -> str:
-    lines = [line.encode() + b"\n" for line in text.splitlines()]
-    return gcode_tools.converted(lines, load("paper"))[0].decode()
+    return gcode_tools.converted(as_lines(SLICES[name]), load("paper"))[0].decode()
 
 
 @cache
@@ -171,21 +168,16 @@ def test_wherever_an_object_is_excluded_it_is_left_alone(name: str, lines: int) 
 
 def test_labels_cost_hardly_any_time() -> None:
     """The move after an object is not compensated; the print takes as long as without labels."""
-    seconds = []
-    for text in (SLICES["M486"], re.sub("(?m)^M486.*\n", "", SLICES["M486"])):
-        lines = [line.encode() + b"\n" for line in text.splitlines()]
-        conversion = WholeFile(lines, load("paper"), Options("racking"))
-        for _ in conversion.gcode():
-            pass
-        seconds.append(conversion.times[1])
-    assert seconds[0] == pytest.approx(seconds[1], rel=0.005)
+    texts = SLICES["M486"], re.sub("(?m)^M486.*\n", "", SLICES["M486"])
+    both = (gcode_tools.converted(as_lines(text), load("paper"))[1].duration for text in texts)
+    assert next(both) == pytest.approx(next(both), rel=0.005)
 
 
 @pytest.mark.parametrize("then", ["G28", "G92 X0", "PAUSE"])
 def test_a_release_right_after_a_copied_move_restores_the_users_limits(then: str) -> None:
     text = SLICES["Klipper's commands"].splitlines()
     at = [k for k, line in enumerate(text) if line == "EXCLUDE_OBJECT_START NAME=B"][1] + 3
-    file = [line.encode() + b"\n" for line in [*text[:at], then]]
+    file = as_lines("\n".join([*text[:at], then]))
     out = gcode_tools.converted(file, load("paper"))[0].decode().splitlines()
     before = out[: max(k for k, line in enumerate(out) if line == then)]
     assert [line for line in before if line.startswith("SET_VELOCITY_LIMIT")][-1].split()[2] == (

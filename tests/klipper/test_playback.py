@@ -17,7 +17,7 @@ from hframe_post.prediction.predict import contour_error
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Extruder, Printer
 from tests.conftest import SAMPLES
-from tests.gcode_tools import converted, hops
+from tests.gcode_tools import converted, hops, layers, sample
 from tests.klipper.host import BEFORE_2024, Playback, play
 from tests.quantities import below, near, rms
 
@@ -41,9 +41,7 @@ class Played:
 
 
 def played(name: str, folder: Path, options: Options, last_layer: int | None = None) -> Played:
-    lines = (SAMPLES / name).read_bytes().splitlines(keepends=True)
-    if last_layer is not None:
-        lines = lines[: lines.index(b";LAYER:%d\n" % last_layer)]
+    lines = sample(name) if last_layer is None else layers(name, last_layer)
     return lines_played(lines, folder, options)
 
 

@@ -15,8 +15,7 @@ from hframe_post.prediction.best_shaper import error
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from tests.conftest import SAMPLES
-from tests.gcode_tools import converted, hops
+from tests.gcode_tools import converted, hops, layers
 from tests.klipper.host import play
 from tests.quantities import near
 
@@ -25,8 +24,7 @@ pytestmark = pytest.mark.klipper
 
 
 def test_errors_as_sliced_are_those_of_klippers_motion(paper: Printer, tmp_path: Path) -> None:
-    lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
-    lines = lines[: lines.index(b";LAYER:3\n")]
+    lines = layers("cube.gcode", 3)
     (tmp_path / "part.gcode").write_bytes(b"".join(lines))
     table = paper.firmware.own(KlipperTable)
     limits = {

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
 from hframe_post.firmware.klipper.live import kernel_file, live_kernel
 from hframe_post.hosts.klipper.kernel_file import read
@@ -94,13 +95,9 @@ def drawn(seed: int, steppers: list[Stepper], seconds: float = 3.0) -> tuple[Any
 
 
 def spline(t: Any, c: Any, at: Any) -> Any:
-    """Return the cubic B-spline of control points at times (n,)."""
-    ms = at * 1000.0
-    g = np.floor(ms).astype(int)
-    u = (ms - g)[:, None]
-    k = g - round(t[0] * 1000.0)
-    weights = ((1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3)
-    return sum(weight * c[k + j - 1] for j, weight in enumerate(weights)) / 6.0
+    """Return the cubic B-spline of control points (n, 2) at t (n,) at other times, all in s."""
+    knots = 1e3 * t[0] - 2.0 + np.arange(len(t) + 4)
+    return BSpline(knots, c, 3)(1e3 * at)
 
 
 @pytest.mark.parametrize(("name", "order"), [("paper", "any"), ("example-corexy", "forward")])

@@ -13,8 +13,7 @@ from hframe_post.model.kinematics import TYPES, Kinematics
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load, parse
 from hframe_post.stream.chunks import join
-from tests.conftest import SAMPLES
-from tests.gcode_tools import converted
+from tests.gcode_tools import converted, sample
 from tests.same_print import unstamped
 
 ALL = [
@@ -50,13 +49,13 @@ def test_matrix_and_speed_ratio_are_those_of_the_belts(kinematics: Kinematics) -
 def test_stream_in_x_and_y_does_not_depend_on_how_the_motors_are_connected(change: str) -> None:
     mine = parse(f'extends = "paper"\n[kinematics]\n{change}\n', "mine")
     paper = load("paper")
-    lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
+    lines = sample("rectangle.gcode")
     assert unstamped(converted(lines, mine)[0]) == unstamped(converted(lines, paper)[0])
 
 
 def test_corexz_plays_as_cartesian_but_its_z_steps_with_x() -> None:
     text = 'extends = "example-cartesian"\n[kinematics]\ntype = "{}"\n'
-    lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
+    lines = sample("rectangle.gcode")
     plays, cartesian = (
         unstamped(converted(lines, parse(text.format(kind), kind), Options("fbs"))[0])
         for kind in ("corexz", "cartesian")
@@ -71,7 +70,7 @@ def test_bed_slinger_is_compensated_in_x_and_y_each_by_its_own_resonance() -> No
     printer = load("example-cartesian")
     right_plant = printer.plant
     wrong_plant = replace(right_plant, Gxx=right_plant.Gyy, Gyy=right_plant.Gxx)
-    lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
+    lines = sample("rectangle.gcode")
     command = join(list(WholeFile(iter(lines), printer, Options("fbs")).commands()))
     errors = [
         np.concatenate([j.contour["fbs"] for j in judge([command], plant, 1)])

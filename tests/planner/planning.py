@@ -17,28 +17,6 @@ from hframe_post.stream.types import FileLimits, Item, ModalState, Moves, Plan
 from tests.mark_tools import mark
 
 
-def reachable_speed(v0: Array, length: Array, acceleration: Array, jerk: float) -> Array:
-    """Return the greatest speed reached from ``v0`` within ``length``, all (n,), mm and s.
-
-    It starts and ends at zero acceleration. Accelerating by Δ takes T = Δ/a + a/j, or 2√(Δ/j)
-    where Δ < a²/j, over (v0 + Δ/2)·T.
-    """
-    a, j = acceleration, jerk
-    # full acceleration: Δ²/2a + Δ(v0/a + a/2j) + v0·a/j − length = 0
-    b = v0 / a + a / (2.0 * j)
-    c = length - v0 * a / j
-    full = a * (np.sqrt(np.maximum(b * b + 2.0 * c / a, 0.0)) - b)
-    # never at full acceleration: u³ + 2·v0·u − length·√j = 0 with u = √Δ
-    q = length * math.sqrt(j)
-    p = np.maximum(2.0 * v0, 1e-12)
-    fourth = np.sqrt(np.sqrt(q))
-    sixteenth = np.sqrt(np.sqrt(fourth))
-    u = np.minimum(fourth * sixteenth * np.sqrt(np.sqrt(sixteenth)), q / p)  # within a half
-    for _ in range(5):  # Newton's steps to the last digit, since libraries' cube roots differ
-        u = (2.0 * u * u * u + q) / (3.0 * u * u + p)
-    return v0 + np.where(full >= a * a / j, full, np.minimum(u * u, a * a / j))
-
-
 def integrate(t: Array, j: Array, v0: Array) -> tuple[Array, Array, Array]:
     """Return acceleration and speed at the start of each phase, and its path length; all (r, 7)."""
     da = j * t
@@ -139,7 +117,6 @@ def line(*steps: tuple[float, float, float, float]) -> Array:
     return np.concatenate([np.zeros((1, 4)), np.cumsum(np.array(steps), axis=0)])
 
 
-lengths = st.floats(-4.0, 3.0).map(lambda power: 10.0**power)
 jerks = st.floats(4.0, 9.0).map(lambda power: 10.0**power)
 
 

@@ -393,7 +393,7 @@ def test_samples_do_not_depend_on_how_moves_are_cut() -> None:
     items = mixed()
     expected = stream_bits(sampled(recut(items, 10_000)))
     assert len(plans(items)) > 5
-    for size in (1, 7, 100):
+    for size in (1, 77):
         assert bits(plans(recut(items, size))) == bits(plans(items))
         assert stream_bits(sampled(recut(items, size))) == expected
 

@@ -13,13 +13,13 @@ from hframe_post.prediction import picture as picture_module
 from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.predict import SHOWN_EVERY
 from hframe_post.printer.settings import Printer
-from tests.conftest import SAMPLES
+from tests.gcode_tools import sample
 
 STRATEGIES = ("fbs", "racking")  # errors without compensation are those of the file as sliced
 
 
 def taken(paper: Printer) -> tuple[Picture, dict[str, float]]:
-    lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
+    lines = sample("rectangle.gcode")
     report = convert(lines, None, paper, Options("racking", STRATEGIES, picture=True))
     assert report.picture is not None
     return report.picture, {name: report.contour[name].all.peak for name in STRATEGIES}

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.arrays import Array
 from hframe_post.errors import PrinterError
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
@@ -29,11 +28,6 @@ def doubted(rest: float = 1.0, scale: float = 1.0) -> ImpulseResponse:
     """Return a response with a lag, of which it is said how well it is known."""
     unknown = 0.05 * scale * EARLY[32:200]
     return replace(measured(rest, scale), lag=round(2.3 * scale, 7), drift=0.02, unknown=unknown)
-
-
-def deviation(G: ImpulseResponse | None) -> Array:
-    assert isinstance(G, ImpulseResponse)
-    return G.deviation
 
 
 def test_responses_read_back(tmp_path: Path) -> None:

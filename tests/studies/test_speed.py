@@ -13,12 +13,12 @@ from hframe_post.errors import HframeError
 from hframe_post.printer.settings import Printer
 from hframe_post.studies.speed import FASTEST, NEAR, next_factor, worst
 from tests.command_line import run
-from tests.conftest import SAMPLES
+from tests.gcode_tools import sample
 
 
 def cube() -> list[bytes]:
     """The first and a later layer; extrusion is relative."""
-    lines = (SAMPLES / "cube.gcode").read_bytes().splitlines(keepends=True)
+    lines = sample("cube.gcode")
     second, fifth, sixth = (lines.index(b";LAYER:%d\n" % number) for number in (1, 4, 5))
     return [*lines[:second], *lines[fifth:sixth]]
 

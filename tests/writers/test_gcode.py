@@ -51,11 +51,6 @@ def parts_of(profile: str) -> Parts:
     return own.motion(0.002), own.code()
 
 
-@pytest.fixture(params=list(PROFILES))
-def firmware(request: pytest.FixtureRequest) -> Parts:
-    return parts_of(PROFILES[request.param])
-
-
 @pytest.fixture
 def klipper() -> Parts:
     return parts_of("paper")
@@ -178,14 +173,6 @@ def test_nothing_moves_in_the_streams_modes_after_a_release(klipper: Parts) -> N
     assert not any(line.startswith(b"G1") for line in lines[row:taken])
     moves = [line for line in lines[taken:] if line.startswith(b"G1")]
     assert re.match(rb"G1 X\S+ Y\S+.* F", moves[0])
-
-
-@pytest.mark.parametrize("n", [1, 7, 100, 10_000])
-def test_bytes_do_not_depend_on_the_cut(firmware: Parts, n: int) -> None:
-    parts = [("move", 2500), ("mark", 1), ("move", 900), ("retract", 80), ("wait", 30)]
-    parts += [("move", 30), ("lift", 40), ("mark", 1), ("move", 20_000), ("mark", 1)]
-    whole = stream(parts)
-    assert text(list(batches([whole], n)), firmware)[0] == text([whole], firmware)[0]
 
 
 def test_standstill_in_motion_becomes_time_of_the_next_segment_or_a_dwell(klipper: Parts) -> None:

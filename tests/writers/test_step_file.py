@@ -26,13 +26,13 @@ from hframe_post.writers.tables import (
     tabulate,
     write_npz,
 )
-from tests.conftest import SAMPLES
+from tests.gcode_tools import sample
 from tests.plants import Filter
 from tests.step_tools import read_steps, write_steps
 
 MATRIX = np.array([[1.0, 1.0], [1.0, -1.0]])
 HEADER = Header("1.2", "mine, too", "abc", 40_000.0, (0.02, 0.02, 0.0025, 0.0024), MATRIX)
-RECTANGLE = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
+RECTANGLE = sample("rectangle.gcode")
 
 
 def test_inline_events_stand_after_the_steps_of_their_tick() -> None:
