@@ -1,6 +1,6 @@
-"""What a conversion notes: a ledger of its lines, items, plans and samples, and who writes it.
+"""What a conversion notes: a ledger of its lines, items, plans and samples, and its warnings.
 
-``FileNotes`` and ``SampleNotes`` let a stream pass. Each span of a print has a ledger of its own;
+``FileTally`` and ``SampleNotes`` let a stream pass. Each span of a print has a ledger of its own;
 ``joined`` makes one of all. The report of a conversion reads the ledger alone.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +18,7 @@ from hframe_post.arrays import TS, E, lengths
 from hframe_post.compensation.advance import AdvanceSummary
 from hframe_post.compensation.clamp import Clamped
 from hframe_post.compensation.guard import Peaks
+from hframe_post.gcode.reader import CHANGE_OF_OBJECT, START_OF_FILE
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.stream.types import (
     Dwell,
@@ -32,24 +34,14 @@ if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
 
 WIPED_MM = 8.0  # of filament at most; long tubes retract 6 mm, and less in motion
-MEASURED_TOGETHER = 4096  # moves
-MOST_CAUSES = 200  # bounds the memory of odd files
+TOOL = re.compile(r"T[1-9]\d*")
+FEW_RETRACTIONS = 9  # by G10 and G11, as macros have them
+SLIGHT = 0.005  # share of extrusion or time that no owner notices
+REMEDIES = {  # of extrusion that is not compensated, by causes other than commands
+    START_OF_FILE: "because its place is not known: begin with a move to X, Y and Z",
+    CHANGE_OF_OBJECT: "because an object begins without a travel to it",
+}
 _RETRACTION = re.compile(rb"\s*G1[01]\s*(;.*)?$", re.IGNORECASE)
-
-
-@dataclass(slots=True)
-class FileTally:
-    """What a file holds: lines, moves at known positions, filament (mm).
-
-    firmware_retractions: G10 and G11 lines whose motion only the firmware knows. oddities: what is
-    strange in the file, the first of each kind with its line, by kind.
-    """
-
-    lines: int = 0
-    moves: int = 0
-    filament: float = 0.0
-    firmware_retractions: int = 0
-    oddities: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -62,12 +54,22 @@ class Uncompensated:
 
 
 @dataclass(slots=True)
-class PathTally:
-    """Path and filament of all travel (mm), and what is not compensated."""
+class FileTally:
+    """What a file holds, noted while its items pass: lines, moves at known positions, filament.
 
-    path: float = 0.0
+    firmware_retractions: G10 and G11 lines whose motion only the firmware knows. path: of all
+    travel; laid: filament meanwhile, both in mm; uncompensated: what of both is not compensated, by
+    cause. oddities: what is strange in the file, the first of each kind with its line, by kind.
+    """
+
+    lines: int = 0
+    moves: int = 0
     filament: float = 0.0
+    firmware_retractions: int = 0
+    path: float = 0.0
+    laid: float = 0.0
     uncompensated: dict[str, Uncompensated] = field(default_factory=dict)
+    oddities: dict[str, str] = field(default_factory=dict)
 
     @property
     def path_share(self) -> float:
@@ -79,7 +81,51 @@ class PathTally:
     def extrusion_share(self) -> float:
         """Return the share of the filament, laid while travelling, that is not compensated."""
         filament = sum(part.filament for part in self.uncompensated.values())
-        return filament / self.filament if self.filament else 0.0
+        return filament / self.laid if self.laid else 0.0
+
+    def note(self, kind: str, text: str) -> None:
+        """Keep the first oddity of a kind."""
+        self.oddities.setdefault(kind, text)
+
+    def items(self, items: Iterable[Item]) -> Iterator[Item]:
+        """Note items as they were read."""
+        for item in items:
+            if isinstance(item, Moves):
+                self._measure(item)
+            elif isinstance(item, MoveAtRest):
+                self.moves += 1
+                self.filament += item.end[E] - item.start[E]
+            elif isinstance(item, Passthrough):
+                self.lines = item.line  # the last is the end of the file
+                self.filament += item.filament
+                self.firmware_retractions += _RETRACTION.match(item.text) is not None
+                if item.cause:
+                    self._add_uncompensated(item)
+            yield item
+
+    def _measure(self, moves: Moves) -> None:
+        delta = moves.points[1:] - moves.points[:-1]
+        fed = delta[:, E]
+        self.moves += len(moves.line)
+        self.filament += float(moves.points[-1, E] - moves.points[0, E])
+        self.path += float(lengths(delta[:, :E]).sum())
+        self.laid += float(np.maximum(fed, 0.0).sum())
+        if fed.min() < -WIPED_MM:
+            k = int((fed < -WIPED_MM).argmax())
+            self.note(
+                "filament", f"line {moves.line[k]} takes back {-fed[k]:.1f} mm of filament while "
+                "it moves, as sliced. Is a G92 E0 or M83 missing before it?"
+            )  # fmt: skip
+
+    def _add_uncompensated(self, move: Passthrough) -> None:
+        causes, filament = self.uncompensated, max(move.filament, 0.0) if move.path else 0.0
+        known = move.cause in causes or len(causes) < 200  # bounds the memory of odd files
+        part = causes.setdefault(move.cause if known else "others", Uncompensated())
+        part.moves += 1
+        part.path += move.path
+        part.filament += filament
+        self.path += move.path
+        self.laid += filament
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +142,7 @@ class StepTally:
 class Ledger:
     """What a conversion noted; mm and s.
 
-    Of the file: read, path. Of its plans: slowed, the share of the path that is slower so that the
+    Of the file: read. Of its plans: slowed, the share of the path that is slower so that the
     motors can follow; following, the share of the lines that accelerate less for the extruder, and
     the least of these accelerations. As sliced: sliced_s, as the firmware plays it; elsewhere, an
     estimate for moves from unknown places, in neither time.
@@ -109,7 +155,6 @@ class Ledger:
     """
 
     read: FileTally = field(default_factory=FileTally)
-    path: PathTally = field(default_factory=PathTally)
     slowed: float = 0.0
     following: tuple[float, float] | None = None
     sliced_s: float = 0.0
@@ -130,77 +175,6 @@ class Ledger:
     def duration(self) -> float:
         """Return how long the motion takes, s."""
         return self.samples * TS + self.written.late
-
-
-class FileNotes:
-    """Notes a file: its lines and its items."""
-
-    def __init__(self) -> None:
-        self.read, self._path = FileTally(), PathTally()
-        self._waiting, self._count = list[Moves](), 0  # moves that are measured together
-
-    @property
-    def path(self) -> PathTally:
-        """Return what is known of the path so far."""
-        self._measure()
-        return self._path
-
-    def note(self, kind: str, text: str) -> None:
-        """Keep the first oddity of a kind."""
-        self.read.oddities.setdefault(kind, text)
-
-    def items(self, items: Iterable[Item]) -> Iterator[Item]:
-        """Note items as they were read, and what of the path is not compensated."""
-        read = self.read
-        for item in items:
-            if isinstance(item, Moves):
-                self._waiting.append(item)
-                self._count += len(item.line)
-                if self._count >= MEASURED_TOGETHER:
-                    self._measure()
-                read.moves += len(item.line)
-                read.filament += float(item.points[-1, E] - item.points[0, E])
-                if "filament" not in read.oddities:
-                    self._look_for_wipes(item)
-            elif isinstance(item, MoveAtRest):
-                read.moves += 1
-                read.filament += item.end[E] - item.start[E]
-            elif isinstance(item, Passthrough):
-                read.lines = item.line  # the last is the end of the file
-                read.filament += item.filament
-                read.firmware_retractions += _RETRACTION.match(item.text) is not None
-                if item.cause:
-                    self._add_uncompensated(item)
-            yield item
-
-    def _look_for_wipes(self, moves: Moves) -> None:
-        fed = np.diff(moves.points[:, E])
-        if fed.min() < -WIPED_MM:
-            k = int((fed < -WIPED_MM).argmax())
-            self.note(
-                "filament", f"line {moves.line[k]} takes back {-fed[k]:.1f} mm of filament while "
-                "it moves, as sliced. Is a G92 E0 or M83 missing before it?"
-            )  # fmt: skip
-
-    def _measure(self) -> None:
-        if not self._waiting:
-            return
-        path, waiting = self._path, self._waiting
-        delta = np.concatenate([moves.points[1:] - moves.points[:-1] for moves in waiting])
-        length = lengths(delta[:, :E])
-        path.path += float(length.sum())
-        path.filament += float(np.maximum(delta[:, E], 0.0).sum())
-        self._waiting, self._count = [], 0
-
-    def _add_uncompensated(self, move: Passthrough) -> None:
-        causes, filament = self._path.uncompensated, max(move.filament, 0.0) if move.path else 0.0
-        known = move.cause in causes or len(causes) < MOST_CAUSES
-        part = causes.setdefault(move.cause if known else "others", Uncompensated())
-        part.moves += 1
-        part.path += move.path
-        part.filament += filament
-        self._path.path += move.path
-        self._path.filament += filament
 
 
 class SampleNotes:
@@ -229,3 +203,71 @@ def percent(share: float) -> str:
     """Return a share as text: whole from 10 % on, below with two digits."""
     value = 100.0 * share
     return f"{value:.0f} %" if value >= 10.0 else f"{value:.2g} %"
+
+
+# ---------------------------------------------------------------------- what must not be overlooked
+
+
+def warnings(
+    ledger: Ledger, other_tools: tuple[str, ...] | None, lines_per_second: float
+) -> Iterator[str]:
+    """Yield a sentence for each.
+
+    other_tools: commands after which the plant is not that of the tool that prints; None if the
+    profile does not say. lines_per_second: that the firmware takes.
+    """
+    if not ledger.read.moves:
+        yield (
+            "nothing was compensated, because no move starts at a known position: move to an "
+            "absolute X, Y and Z before printing"
+        )
+    yield from ledger.read.oddities.values()
+    yield from _uncompensated(ledger, other_tools)
+    if (busiest := ledger.written.busiest_second) > lines_per_second:
+        yield (
+            f"up to {busiest} lines in a second; the printer takes {lines_per_second:.0f} "
+            "(lines_per_second in the profile), so it may stutter"
+        )
+    if (count := ledger.read.firmware_retractions) > FEW_RETRACTIONS:
+        yield (
+            f"estimated duration of {count} G10/G11: less is compensated next to them. Say in "
+            "[retraction] of the profile what they do"
+        )
+    if (clamped := ledger.clamped).samples:
+        share = 1e-3 * clamped.samples / (ledger.duration + ledger.elsewhere)
+        yield (
+            f"less is compensated on {percent(share)} of the print, first at line {clamped.line}, "
+            f"by up to {clamped.most:.3f} mm: the bed's edge ([travel] of the profile) or the "
+            "motors ([motors]) allow no more. If the motors can do more, raise "
+            "motors.belt_acceleration"
+        )
+
+
+def _uncompensated(ledger: Ledger, other_tools: tuple[str, ...] | None) -> Iterator[str]:
+    """Yield what to do about tools without a model, and about the main cause of the rest."""
+    read, parts = ledger.read, ledger.read.uncompensated
+    others = {
+        cause: part.filament
+        for cause, part in parts.items()
+        if any(fnmatchcase(cause, name.upper()) for name in other_tools or ())
+    }
+    if other_tools is None and (tools := ", ".join(filter(TOOL.fullmatch, parts))):
+        yield (
+            f"the file changes tools ({tools}), and all are compensated with the model of one. "
+            "If they are separate heads, list those that were not measured below [firmware] of "
+            'the profile, such as other_tools = ["T1"]; otherwise write other_tools = []'
+        )
+    if filament := sum(others.values()):
+        yield (
+            f"{percent(filament / read.laid)} of the extrusion is not compensated: the "
+            f"profile has no model of {', '.join(others)} (other_tools in the profile)"
+        )
+    cause = max(parts, key=lambda name: parts[name].filament, default="")
+    if read.extrusion_share > SLIGHT and cause not in others:
+        yield (
+            f"{100.0 * read.extrusion_share:.1f} % of the extrusion is not compensated, "
+        ) + REMEDIES.get(
+            cause,
+            f"mostly after {cause}. If {cause} does not move the head, add it to harmless in "
+            "[firmware] of the profile; if the head comes back, add it to returns",
+        )

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -29,7 +29,7 @@ from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate, hardest
 from hframe_post.compensation.guard import Guard, check_deviation, check_model
 from hframe_post.compensation.stops import StopModels, dwell_at_stops, stop_rules
-from hframe_post.conversion.ledger import FileNotes, Ledger, SampleNotes
+from hframe_post.conversion.ledger import Ledger, SampleNotes
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.spans import Beginning, Spans
 from hframe_post.errors import PrinterError
@@ -93,13 +93,13 @@ class Chain:
         own = self.printer
         return StopModels(compensator, names, own.travel, own.motors, own.kinematics)
 
-    def read(self, lines: Iterable[bytes], notes: FileNotes | None = None) -> Iterator[Item]:
-        """Read G-code. notes: take what is strange in it. Raises HframeError."""
+    def read(
+        self, lines: Iterable[bytes], note: Callable[[str, str], None] | None = None
+    ) -> Iterator[Item]:
+        """Read G-code. note: takes what is strange in it, its kind first. Raises HframeError."""
         options = self.options
         own = ReadOptions.from_printer(self.sliced.printer, options.limits, options.extrusion)
-        if notes is not None:
-            own = replace(own, note=notes.note)
-        return read(lines, own)
+        return read(lines, own if note is None else replace(own, note=note))
 
     def planned(self, lines: Iterable[bytes]) -> Iterator[Planned]:
         """Read G-code and plan the speeds along its path. Raises HframeError."""

@@ -8,9 +8,8 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any, NamedTuple, Self
 
 from hframe_post.compensation.shape import SHAPER
-from hframe_post.conversion.ledger import Ledger, percent
+from hframe_post.conversion.ledger import SLIGHT, Ledger, percent, warnings
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.print_warnings import warnings
 from hframe_post.firmware.base import Firmware
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
@@ -21,7 +20,6 @@ from hframe_post.writers.print_time import duration
 VISIBLE = 0.012  # mm RMS; ringing below it shows on no wall, whatever the light
 NO_GAIN = 0.9  # share of the best shaper's error from which on compensation is not worth its stream
 FASTER = 0.02  # of the print's time: won by a speed that was asked for, and so is worth a stream
-WORTH_SAYING = 5e-3  # of the print's time, which no owner notices
 OUTRUN = 1.05  # times its limit, the acceleration of an extruder is worth a line
 
 
@@ -142,9 +140,9 @@ class Report(Ledger):
         """Return both times, and which limits cost the difference if it is worth a word."""
         before, after = self.time
         text = f"{duration(before)} → {duration(after)} ({100.0 * self.time.change:+.1f} %)"
-        if self.time.change >= WORTH_SAYING and self.slowed:
+        if self.time.change >= SLIGHT and self.slowed:
             text += f": the limits in [motors] slow down {percent(self.slowed)} of the path"
-        elif self.time.change >= WORTH_SAYING and self.capped:
+        elif self.time.change >= SLIGHT and self.capped:
             text += ": the limits in the profile are lower than the file's"
         return Row("print time", text, {
             "print_time_s": {"before": round(before, 3), "after": round(after, 3)},
@@ -153,12 +151,12 @@ class Report(Ledger):
 
     def _uncompensated(self) -> Row:
         """Return how much is not compensated, and after which commands."""
-        path, text = self.path, "nothing: the whole path is"
-        parts = sorted(path.uncompensated.items(), key=lambda item: -item[1].path)
+        read, text = self.read, "nothing: the whole path is"
+        parts = sorted(read.uncompensated.items(), key=lambda item: -item[1].path)
         if parts:
             more = f" and {len(parts) - 4} more" if len(parts) > 4 else ""
             text = (
-                f"{percent(path.path_share)} of the path, {percent(path.extrusion_share)} of the "
+                f"{percent(read.path_share)} of the path, {percent(read.extrusion_share)} of the "
                 f"extrusion (after {', '.join(cause for cause, _ in parts[:4])}{more})"
             )
         by_cause = {
@@ -169,8 +167,8 @@ class Report(Ledger):
             for cause, part in parts
         }  # fmt: skip
         return Row("not compensated", text, {"uncompensated": {
-            "path_percent": round(100.0 * path.path_share, 3),
-            "extrusion_percent": round(100.0 * path.extrusion_share, 3),
+            "path_percent": round(100.0 * read.path_share, 3),
+            "extrusion_percent": round(100.0 * read.extrusion_share, 3),
             "by_cause": by_cause,
         }})  # fmt: skip
 

@@ -9,7 +9,7 @@ from functools import cached_property
 
 from hframe_post.arrays import Array
 from hframe_post.compensation.guard import check_prediction
-from hframe_post.conversion.ledger import FileNotes, Ledger, StepTally
+from hframe_post.conversion.ledger import FileTally, Ledger, StepTally
 from hframe_post.conversion.options import Options, first_line
 from hframe_post.conversion.pipeline import Chain, Stages, read_ahead
 from hframe_post.conversion.print_report import Report
@@ -39,10 +39,10 @@ class WholeFile:
     def __init__(self, lines: Iterable[bytes], printer: Printer, options: Options) -> None:
         lines, self.printer = with_motors(lines, printer, options.limits)
         self.chain = chain = Chain(self.printer, options)
-        self._notes = notes = FileNotes()
+        self._read = read = FileTally()
         self._sliced = SlicedFile(self.printer, chain.sliced)
         self._following, self._within = chain.following(), chain.within_motors()
-        items = self._sliced.items(read_ahead(notes.items(chain.read(lines, notes))))
+        items = self._sliced.items(read_ahead(read.items(chain.read(lines, read.note))))
         plans = chain.scheduled(items, self._following, self._within)
         self.spans = Spans(plans, chain.firmware.advance())
         self.done = Ledger()
@@ -134,10 +134,10 @@ class WholeFile:
         Raises HframeError if the model predicts an error that no working printer has.
         """
         printer, options, caps = self.printer, self.chain.options, self.chain.caps
-        notes, own, slowed = self._notes, self._sliced.own, self._following
+        own, slowed = self._sliced.own, self._following
         planned = Ledger(
-            read=notes.read, path=notes.path,
-            slowed=self._within.share, sliced_s=own.seconds, elsewhere=own.elsewhere,
+            read=self._read, slowed=self._within.share, sliced_s=own.seconds,
+            elsewhere=own.elsewhere,
             following=None if slowed is None else (slowed.share, slowed.least),
         )  # fmt: skip
         ledger = joined(planned, self.done)
@@ -164,6 +164,6 @@ class WholeFile:
 
         late: mm of filament that may still be missing or too much.
         """
-        lost = self._notes.read.filament - written
+        lost = self._read.filament - written
         if abs(lost) > 1e-3 + late:
             raise HframeError(f"{lost:.4f} mm of filament would be lost; nothing was written")

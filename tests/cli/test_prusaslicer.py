@@ -126,7 +126,7 @@ def check(settings: str, folder: Path) -> None:
     # Marlin's segments end where six steps have been made, not where a line is carried
     np.testing.assert_allclose(after, before, atol=0.03 if marlin else 1e-3)
     assert carried(output) == carried(source)
-    below(report.path.extrusion_share, 0.005, "share of the extrusion that is not compensated")
+    below(report.read.extrusion_share, 0.005, "share of the extrusion that is not compensated")
 
 
 @pytest.mark.parametrize("flavor", ["mach3", "machinekit"])

@@ -27,7 +27,7 @@ def test_every_slicer_converts(each: Slice, paper: Printer) -> None:
     np.testing.assert_allclose(after, before, atol=1e-3)
     assert before[-1] > 5.0
     assert carried(output) == carried(source)
-    below(report.path.extrusion_share, 0.005, "share of the extrusion that is not compensated")
+    below(report.read.extrusion_share, 0.005, "share of the extrusion that is not compensated")
     for start in each.times:
         rewritten = [d for d in deferred if d.startswith(start.encode())]
         assert rewritten or any(line.startswith(start.encode()) for line in output)
@@ -46,8 +46,8 @@ def test_uncompensated_motion_is_reported_by_its_cause(paper: Printer) -> None:
     printed = SLICES["prusaslicer"]
     known = converted(printed, paper)[2]
     unknown = converted(replace(printed, harmless=()), paper)[2]
-    assert set(known.path.uncompensated) == {"START_PRINT", CHANGE_OF_OBJECT}
-    assert unknown.path.uncompensated["_ON_LAYER_CHANGE"].moves == 2 * LAYERS
+    assert set(known.read.uncompensated) == {"START_PRINT", CHANGE_OF_OBJECT}
+    assert unknown.read.uncompensated["_ON_LAYER_CHANGE"].moves == 2 * LAYERS
     shares = unknown.as_json()["uncompensated"]
     assert shares["path_percent"] > 5.0
     assert "_ON_LAYER_CHANGE" in shares["by_cause"]
@@ -65,7 +65,7 @@ def test_macros_that_return_keep_their_place(paper: Printer) -> None:
     text = output.splitlines()
     frame = text.index(b"TIMELAPSE_TAKE_FRAME")
     assert any(line.startswith(b"SET_VELOCITY_LIMIT VELOCITY=") for line in text[frame - 4 : frame])
-    assert not report.path.uncompensated
+    assert not report.read.uncompensated
 
 
 def test_filament_that_a_lost_g92_takes_back_is_a_warning(paper: Printer) -> None:
