@@ -30,7 +30,6 @@ from hframe_post.printer.choice import verification_as_text
 from hframe_post.stream.running import keep_memory
 from hframe_post.writers.outputs import Outputs
 
-LONGEST_MOVE = 200  # bytes of a line, more than any slicer writes
 # in PrusaSlicer and OrcaSlicer: the slicer's name for the file, which is a temporary one by now
 OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
 
@@ -108,7 +107,7 @@ def cut_off(source: Path) -> list[str]:
     if not source.is_file():
         return []
     with source.open("rb") as file:
-        file.seek(max(source.stat().st_size - LONGEST_MOVE, 0))
+        file.seek(max(source.stat().st_size - 200, 0))  # no slicer writes longer lines
         last = file.read().rpartition(b"\n")[2].lstrip()
     if last[:2].upper() not in (b"G0", b"G1", b"G2", b"G3"):
         return []

@@ -26,7 +26,6 @@ from hframe_post.version import __version__
 PACKAGES = (
     "click", "numpy", "scipy", "ruckig", "tomlkit", "threadpoolctl", "platformdirs", "zstandard",
 )  # fmt: skip
-STALE_DAYS = 90  # days, from which a model is to be checked
 OK, NOTE, PROBLEM = "ok", "note", "PROBLEM"
 UNCHECKED = ""  # label of a file that was not given; it is not printed
 
@@ -143,7 +142,7 @@ def _compared(path: Path, profile: Printer, name: str) -> Findings:
 def _age(path: Path, profile: Printer) -> Findings:
     written = datetime.fromtimestamp(path.stat().st_mtime, UTC).date()
     days = (datetime.now(UTC).date() - (profile.measured or written)).days
-    if not profile.invented and days > STALE_DAYS:
+    if not profile.invented and days > 90:
         how = "measured" if profile.measured else "written"
         again = "Measure it again"
         if profile.firmware.kind.records:

@@ -20,7 +20,6 @@ from hframe_post.writers.print_time import duration
 VISIBLE = 0.012  # mm RMS; ringing below it shows on no wall, whatever the light
 NO_GAIN = 0.9  # share of the best shaper's error from which on compensation is not worth its stream
 FASTER = 0.02  # of the print's time: won by a speed that was asked for, and so is worth a stream
-OUTRUN = 1.05  # times its limit, the acceleration of an extruder is worth a line
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +263,7 @@ class Report(Ledger):
                 f"{percent(slowed)} of the lines accelerate by less, from {to:.0f} mm/s² on, so "
                 "that it can follow its advance"
             )
-        elif found.hardest > OUTRUN * limit:
+        elif found.hardest > 1.05 * limit:  # less is not worth a line
             extruder = (
                 f"its advance asks for up to {found.hardest:.0f} mm/s², more than "
                 f"limits.extruder_acceleration ({limit:g}): if it skips, raise "

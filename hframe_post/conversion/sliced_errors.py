@@ -32,7 +32,6 @@ from hframe_post.stream.marks import NO_MARKS, Marks
 from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Samples, frozen
 
 PIECE_S = 3.0  # of motion in a piece; more only if a single run lasts longer, 4 times at most
-SETTLING_SAMPLES = 300  # samples after which it does not matter how a piece began
 KEPT_S = 120.0  # to keep of a print; at most twice as much is kept
 SHAPED_PIECES = 4  # pieces on which the shaper is chosen: its error is within 5 % of that on all
 
@@ -118,7 +117,8 @@ class SlicedFile:
         Of a piece that begins in motion the first samples do not count: they extrude nothing.
         """
         first, most = piece[0], round(4.0 * PIECE_S / TS)
-        lead = SETTLING_SAMPLES if isinstance(first, Plan) and first.speed[0] else 0
+        # after 300 samples it does not matter how it began
+        lead = 300 if isinstance(first, Plan) and first.speed[0] else 0
         for chunk in self.own.sampled(piece, most // 4):
             if lead and len(chunk):
                 xyze = chunk.xyze.copy()

@@ -23,7 +23,6 @@ RECORDED = "_HFRAME_RECORDED"  # another: puts the print time into a recording's
 UNUSED = "hframe-unused"  # name of the recordings that it throws away
 USUAL_CHIP = "adxl345"  # of [adxl345] in printer.cfg
 NAMES = {"pattern": re.compile(r"[A-Za-z_][\w.]*\*?", re.ASCII)}  # of commands and macros
-SERIAL_BYTES = 45  # of a line with number and checksum, and of the ok that its sender waits for
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +131,10 @@ class MarlinTable(FirmwareTable):
         """Return the lines that arrive and are planned in a second."""
         if not self.baud:
             return self.lines_per_second
-        return min(self.lines_per_second, 1.0 / (10.0 * SERIAL_BYTES / self.baud + self.latency))
+        bits = (
+            10 * 45
+        )  # of a line with number and checksum, and of the ok that its sender waits for
+        return min(self.lines_per_second, 1.0 / (bits / self.baud + self.latency))
 
     @property
     def classic_jerk(self) -> bool:

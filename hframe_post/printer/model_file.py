@@ -25,7 +25,7 @@ from hframe_post.model.plant import Plant
 from hframe_post.printer.profile import MICRORAD, parse, shipped, text_of
 from hframe_post.printer.settings import Printer
 
-DIGITS, IN_A_LINE = 4, 10  # after the point of a response's µm or µrad; numbers
+DIGITS = 4  # after the point of a response's µm or µrad
 WINDOW = ("L", "n_C", "n_up", "effort")  # of [compensation]
 
 
@@ -198,5 +198,5 @@ def _linear(G: ImpulseResponse, angle: bool) -> str:
 
 def _rows(values: Array) -> str:
     shown = [f"{value:.{DIGITS}f}" for value in (values + 0.0).tolist()]  # no negative zero
-    rows = (", ".join(shown[k : k + IN_A_LINE]) for k in range(0, len(shown), IN_A_LINE))
+    rows = (", ".join(shown[k : k + 10]) for k in range(0, len(shown), 10))
     return "".join(f"    {row},\n" for row in rows)

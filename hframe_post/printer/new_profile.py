@@ -22,8 +22,6 @@ from hframe_post.printer.settings import (
     Sweep,
 )
 
-SWEEP_AMPLITUDE = 5000.0  # mm/s², unless max_accel is less
-
 Value = float | tuple[float, ...] | tuple[tuple[float, float], ...] | tuple[str] | str | bool
 
 
@@ -60,9 +58,9 @@ def as_float(known: Known) -> float:
 
 
 def sweep(acceleration: Known) -> dict[str, Known]:
-    if as_float(acceleration) < SWEEP_AMPLITUDE:
+    if as_float(acceleration) < (usual := Sweep().amplitude):
         return {"amplitude": acceleration}
-    return {"amplitude": Known(SWEEP_AMPLITUDE, "usual; the acceleration above allows it")}
+    return {"amplitude": Known(usual, "usual; the acceleration above allows it")}
 
 
 KINDS = {  # of tables whose keys may have a default
@@ -85,7 +83,6 @@ MAX_ERROR = """\
 # max_error = 0.1
 #   mm: print as fast as that allows; '--max-error 100um --dry-run' shows the time of an error."""
 FIRMWARE = "firmware."  # how the name of a firmware's table begins
-COLUMN = 32
 
 
 def profile_text(tables: Tables, description: str, model: str = "") -> str:
@@ -124,7 +121,7 @@ def _table(name: str, table: dict[str, Known]) -> Iterator[str]:
 
 
 def _line(key: str, known: Known) -> str:
-    return f"{f'{key} = {known.as_toml()}':{COLUMN}s}# {known.origin}"
+    return f"{f'{key} = {known.as_toml()}':32s}# {known.origin}"
 
 
 # ----------------------------------------------------------------------

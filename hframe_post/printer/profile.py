@@ -48,7 +48,6 @@ NOT_MEASURED = {"Ts": TS} | {G: {"gain": 1.0, "zeros": [], "poles": []} for G in
 MICRORAD = 1e-3  # rad per mm/sample² in which 1000 mm/s² during 1 ms cause 1 µrad
 DEVIATIONS = {"least": -1e6, "most": 1e6, "count": LONGEST}  # µm or µrad of a response
 ROOTS = {"least": -1e5, "most": 1e5, "count": 50}  # of a function: so their product is finite
-MAX_PROFILE_BYTES = 1 << 20  # bytes of a profile
 KLIPPER_SECTION = re.compile(r"^\[(printer|mcu|stepper_x|include .*)\]\s*$", re.MULTILINE)
 
 
@@ -73,7 +72,7 @@ def text_of(path: str) -> str:
         known = ", ".join(shipped())
         raise PrinterError(f"no such profile or file; shipped are: {known}", source=path)
     try:
-        return file_text(Path(path), MAX_PROFILE_BYTES, "no profile is")
+        return file_text(Path(path), 1 << 20, "no profile is")
     except OSError as error:
         raise PrinterError(f"cannot be read: {error}", source=path) from None
 

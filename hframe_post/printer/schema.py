@@ -22,7 +22,6 @@ from hframe_post.errors import PrinterError
 T = TypeVar("T")
 Rules: TypeAlias = Mapping[str, Any]  # a field's bounds, choices, ascending, count, pattern
 
-MAX_NUMBER = 1e15  # a larger number is a mistake
 KINDS = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}
 BOUNDS: dict[str, tuple[Callable[[Any, Any], bool], str]] = {
     "above": (gt, "above"),
@@ -149,7 +148,7 @@ def _day(value: Any, key: str) -> date:
 
 def _number(hint: type[float], value: Any, rules: Rules, key: str) -> float:
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not abs(value) < MAX_NUMBER or (hint is int and value != int(value)):
+    if not number or not abs(value) < 1e15 or (hint is int and value != int(value)):
         raise PrinterError(f"must be {KINDS[hint]}", key)
     for rule, (holds, words) in BOUNDS.items():
         if rule in rules and not holds(value, rules[rule]):

@@ -19,8 +19,6 @@ PLACES = {"least": -1e4, "most": 1e4, "ascending": True}  # mm of travel
 SHARE = {"least": 0.0, "most": 0.99}
 STOPS = {"fast": 2, "exact": 8}  # samples for which the path rests before and after a stop
 MAX_RAMP_S = 60.0  # s
-# mm/s³ of the path: real slices take the time that the firmware needs (docs/reliability.md)
-JERK = 1e7
 # Share of the file's acceleration on outer walls, on printers that rack. Their error there, with a
 # model that is 5 % off, falls by 8 to 20 %; slices still take about the firmware's own time, which
 # with 0.75 one of them exceeds by 0.7 % on Klipper's host
@@ -28,9 +26,6 @@ RACKING_WALLS = 0.8
 MAX_PREVIEW_SAMPLES = 2000  # samples; the matrix of a window has as many rows and columns
 SWEEP_S = 1.0, 900.0  # least and greatest duration of a sweep
 CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")  # of an accelerometer in Klipper's commands
-# share by which printers differ from their model a day after it was measured, and the exponent of
-# its growth with the days: the figures are in docs/identify.md
-DRIFT_IN_A_DAY, DRIFT_GROWTH, MAX_DRIFT_SHARE = 0.03, 0.2, 0.2
 MAX_ADVANCE_S, MAX_SMOOTHING_S = 10.0, 0.2  # s
 # Compensation moves harder than the path: a cube at max_accel and a higher jerk, on simulated
 # printers with modes from 18 to 55 Hz, needs up to 2.5 times max_accel. The acceleration that a
@@ -45,7 +40,6 @@ CORNER_S = 0.002  # s
 # times the path's speed, the guess of a belt's limit; times that, the stream's, never to limit it
 VELOCITY_HEADROOM = 1.1
 SMOOTH_TIME_S = 0.04  # s, Klipper's default
-STREAM_SMOOTH_TIME_S = 0.02  # s; below it, lines get no more even
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +71,8 @@ class Limits:
     extruder_velocity: float = within(0.01, 1e4)
     extruder_acceleration: float = within(0.1, 1e6)
     extruder_corner_velocity: float = within(1e-3, 1e4, default=1.0)
-    jerk: float = within(1.0, 1e12, default=JERK)
+    # with this, real slices take the time that the firmware needs (docs/reliability.md)
+    jerk: float = within(1.0, 1e12, default=1e7)
     junction_deviation: float = within(1e-6, 1e3, default=math.inf)
     flow: float = within(0.1, 1e3, default=15.0)
     filament_diameter: float = within(0.5, 5.0, default=1.75)
@@ -240,12 +235,12 @@ class Extruder:
     """How late the flow follows the extruder, s, and the time over which advance is averaged.
 
     advance: Klipper's pressure_advance, Marlin's K. stream_smooth_time: Klipper averages over this
-    time while the stream runs, if it is shorter.
+    time while the stream runs, if it is shorter; below 0.02 s lines get no more even.
     """
 
     advance: float = not_negative(0.0, most=MAX_ADVANCE_S)
     smooth_time: float = within(1e-3, MAX_SMOOTHING_S, default=SMOOTH_TIME_S)
-    stream_smooth_time: float = within(1e-3, MAX_SMOOTHING_S, default=STREAM_SMOOTH_TIME_S)
+    stream_smooth_time: float = within(1e-3, MAX_SMOOTHING_S, default=0.02)
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,9 +306,13 @@ class Printer:
         return self.limits.outer_walls or (RACKING_WALLS if self.kinematics.racks else 1.0)
 
     def uncertainty_on(self, day: date) -> float:
-        """Return the uncertainty of the plant on a later day, at least the one it has."""
+        """Return the uncertainty of the plant on a later day, at least the one it has.
+
+        Printers differ by 3 % from their model a day after it was measured, and then by the fifth
+        root of the days more: the figures are in docs/identify.md.
+        """
         days = max((day - self.measured).days, 0) if self.measured else 0
-        drifted: float = min(DRIFT_IN_A_DAY * days**DRIFT_GROWTH, MAX_DRIFT_SHARE)
+        drifted: float = min(0.03 * days**0.2, 0.2)
         return max(self.uncertainty or 0.0, drifted)
 
     def warnings(self) -> list[str]:

@@ -32,7 +32,6 @@ __plugin_pythoncompat__ = ">=3.7,<4"
 CONVERTED = "; processed by hframe-post"
 REFUSED = ";NOT COMPENSATED: hframe-post failed: "
 COMMENT = "; hframe-post: "
-HEAD_BYTES = 1 << 20  # bytes; previews may precede the summary
 SUFFIXES = (".gcode", ".gco", ".g")
 base: Any = import_module("octoprint.plugin")
 
@@ -181,7 +180,7 @@ def mark(path: str, reason: str) -> None:
 def summary(path: str) -> dict[str, str] | None:
     """Return what a file's head says of its conversion: a line, and all, or None."""
     with open(path, "rb") as file:
-        head = file.read(HEAD_BYTES).decode("utf-8", "replace")
+        head = file.read(1 << 20).decode("utf-8", "replace")  # previews may precede it
     first = head.partition("\n")[0]
     if first.startswith(REFUSED):
         reason = first[len(REFUSED) :].partition("; ")[0]
