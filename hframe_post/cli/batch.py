@@ -20,12 +20,13 @@ from typing import Any, Literal
 
 import click
 
-from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.parameters import (
+    Summary,
     chosen_printer,
     conversion_options,
     files_read,
     help_all_option,
+    json_option,
     printer_option,
     say,
 )
@@ -67,7 +68,7 @@ INTERRUPTS = [  # that a terminal sends to all processes of a job
 def batch(
     context: click.Context, sources: tuple[Path, ...], folder: Path, jobs: int | None,
     printer: str, options: Options, resume: bool,
-    json_file: Path | None, quiet: bool,
+    summary: Summary, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert files, and all G-code in folders. A file that fails does not stop the others.
 
@@ -95,7 +96,7 @@ def batch(
     for text in notices:
         tell(f"WARNING {text}")
     with Outputs(files_read(*(job.source for job in todo), printer)) as outputs:
-        write_json = open_json(outputs, json_file)
+        summary.open(outputs)
         with interruption.put_off(converter.stop):
             _convert(todo, converter, quiet)
         status = 0 if all(job.state in ("done", "skipped") for job in todo) else 1
@@ -103,7 +104,7 @@ def batch(
             status = 128 + interruption.number
         files = [job.as_json(chosen_printer().why) for job in todo]
         found = {"files": files, "failed": _count(todo, "failed")}
-        write_json({**found, "interrupted": bool(interruption.number)}, status)
+        summary.write({**found, "interrupted": bool(interruption.number)}, status)
     tell(_summary(todo, notices))
     interruption.end()
     context.exit(status)

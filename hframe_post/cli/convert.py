@@ -13,13 +13,14 @@ from pathlib import Path
 import click
 
 from hframe_post import library
-from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.parameters import (
+    Summary,
     chosen_printer,
     conversion_options,
     dashed,
     files_read,
     help_all_option,
+    json_option,
     printer_option,
     progress_bar,
     say,
@@ -58,7 +59,7 @@ OUTPUT_NAME = "SLIC3R_PP_OUTPUT_NAME"
 @click.option("-q", "--quiet", is_flag=True, help="Print no summary and no progress bar.")
 def convert(
     source: Path, more: tuple[str, ...], output: Path | None, printer: str,
-    options: Options, json_file: Path | None, report_file: Path | None, dry_run: bool, quiet: bool,
+    options: Options, summary: Summary, report_file: Path | None, dry_run: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Convert a sliced file. '-' is standard input, or output.
 
@@ -72,7 +73,7 @@ def convert(
     """
     to_stdout = str(output) == "-" or (output is None and str(source) == "-")
     html = report_file if report_file and report_file.suffix == ".html" else None
-    _check_usage(more, [to_stdout, str(json_file) == "-", str(report_file) == "-"])
+    _check_usage(more, [to_stdout, summary.to_stdout, str(report_file) == "-"])
     profile, choice = library.load_printer(printer), chosen_printer()
     name_in_slicer = os.environ.get(OUTPUT_NAME)
     # the paper's printer may be shown, but not in place: so do slicers what they print
@@ -83,18 +84,18 @@ def convert(
     target = None if dry_run else "-" if to_stdout else output or source
     keep_memory()
     with (
-        _leaving_alone(source, None if dry_run else output, json_file, html is not None, quiet),
+        _leaving_alone(source, None if dry_run else output, summary, html is not None, quiet),
         Outputs(files_read(source, printer)) as outputs,
         progress_bar(source, quiet) as advance,
     ):
-        write_json = open_json(outputs, json_file)
+        summary.open(outputs)
         text_file = outputs.open(dashed(report_file)) if report_file and not html else None
         report = library.convert(
             dashed(source) or sys.stdin.buffer, target, profile, options, page=html, notes=head,
             title=one_line(Path(name_in_slicer or source).name), outputs=outputs, progress=advance,
         )  # fmt: skip
         report = replace(report, notices=(*cut_off(source), *report.notices))
-        write_json({**choice.as_json(), **report.as_json()})
+        summary.write({**choice.as_json(), **report.as_json()})
         text = report.summary(head)
         if text_file is not None:
             text_file.write(text.encode() + b"\n")
@@ -126,7 +127,7 @@ def _check_usage(more: tuple[str, ...], to_stdout: list[bool]) -> None:
 
 @contextmanager
 def _leaving_alone(
-    source: Path, output: Path | None, json_file: Path | None, html: bool, quiet: bool
+    source: Path, output: Path | None, summary: Summary, html: bool, quiet: bool
 ) -> Iterator[None]:
     """Copy a file that is not to be converted to the output, say so, and end the command."""
     try:
@@ -135,7 +136,8 @@ def _leaving_alone(
         if html or not source.is_file():
             raise
         with Outputs([source]) as outputs, source.open("rb") as file:
-            open_json(outputs, json_file)({"left_alone": str(found)})
+            summary.open(outputs)
+            summary.write({"left_alone": str(found)})
             if output is not None and not (output.exists() and output.samefile(source)):
                 shutil.copyfileobj(file, outputs.open(dashed(output), source))
         if not quiet:

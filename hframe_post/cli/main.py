@@ -150,12 +150,13 @@ class _Commands(click.Group):
         except (click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except Exception as error:
-            from hframe_post.cli.json_summary import write_failure  # imported by the command by now
+            from hframe_post.cli.parameters import SUMMARY  # imported by the command by now
             from hframe_post.printer.choice import CHOICE
 
             failure = _naming_the_file(error, context.meta.get(CHOICE))
             shown = _shown(failure)
-            write_failure(context, shown.exit_code, shown.format_message(), failure)
+            if summary := context.meta.get(SUMMARY):
+                summary.fail(shown.exit_code, shown.format_message(), failure)
             raise shown from None
 
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hframe_post.cli.json_summary import json_option
 from hframe_post.cli.measure import FILE
 from hframe_post.cli.model_output import (
     Findings,
@@ -21,8 +20,10 @@ from hframe_post.cli.model_output import (
     recordings_argument,
 )
 from hframe_post.cli.parameters import (
+    Summary,
     files_read,
     help_all_option,
+    json_option,
     page_option,
     position,
     printer_option,
@@ -90,7 +91,7 @@ def identify(
     recordings: tuple[Path, ...], printer: str | None, config_file: Path | None,
     nozzle: tuple[tuple[Path, Path], ...], columns: tuple[str, ...] | None,
     band: tuple[float, float], offset: tuple[float, float], report_file: Path | None,
-    json_file: Path | None, output: Path | None,
+    summary: Summary, output: Path | None,
 ) -> None:  # fmt: skip
     """Compute a printer's model from recordings of its accelerometer.
 
@@ -137,7 +138,7 @@ def identify(
         found.notes = report.origin()
         return found
 
-    publish(model, sources, source, output, json_file, report_file, text)
+    publish(model, sources, source, output, summary, report_file, text)
 
 
 def _profile_source(
@@ -183,7 +184,7 @@ def _check_usage(given: Sequence[object], band: tuple[float, float]) -> None:
 @json_option
 @profile_option
 def check(
-    recordings: tuple[Path, ...], printer: str, json_file: Path | None, output: Path | None
+    recordings: tuple[Path, ...], printer: str, summary: Summary, output: Path | None
 ) -> None:  # fmt: skip
     """Read what 'measure --for check' recorded.
 
@@ -199,13 +200,13 @@ def check(
     profile = load(printer)
     check_identified(profile)
     if not recordings:
-        publish(lambda: _aged(printer, profile), files_read(printer), printer, output, json_file)
+        publish(lambda: _aged(printer, profile), files_read(printer), printer, output, summary)
         return
     from hframe_post.identification.recordings.folder import files_in
 
     publish(
         lambda: _drifted(recordings, profile), [*files_read(printer), *files_in(recordings)],
-        printer, output, json_file,
+        printer, output, summary,
     )  # fmt: skip
 
 

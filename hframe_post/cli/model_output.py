@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
-from hframe_post.cli.json_summary import open_json
-from hframe_post.cli.parameters import quoted, say, write_kernel
+from hframe_post.cli.parameters import Summary, quoted, say, write_kernel
 from hframe_post.errors import HframeError
 from hframe_post.printer.choice import PROFILE
 from hframe_post.printer.model_file import model_path, texts
@@ -70,27 +69,28 @@ class Findings:
 
 def publish(
     find: Callable[[], Findings], reads: Sequence[Path], source: str, output: Path | None,
-    json_file: Path | None = None, report_file: Path | None = None, text: str | None = None,
+    summary: Summary | None = None, report_file: Path | None = None, text: str | None = None,
 ) -> None:  # fmt: skip
     """Write what ``find`` returns: reports first, the profile last and only without a fault.
 
     All files are opened before the work, so that none of it is in vain. source, text: as of
     ModelOutput.
     """
+    summary = summary or Summary()
     with Outputs(reads) as profiles:
         file = ModelOutput(profiles, output, source, text) if output is not None else None
         with Outputs([*reads, *([output] if output else [])]) as reports:
-            write_json = open_json(reports, json_file)
+            summary.open(reports)
             html = reports.open(report_file) if report_file is not None else None
             found = find()
-            write_json(found.report.as_json(), error=found.fault)
+            summary.write(found.report.as_json(), error=found.fault)
             if html is not None:
                 if found.page is None:
                     raise click.UsageError("these recordings have no report for a browser")
                 html.write(found.page())
         for one in found.aside:
             say(f"left aside   {one}")
-        click.echo(found.report.as_text(), err=str(json_file) == "-")
+        click.echo(found.report.as_text(), err=summary.to_stdout)
         if found.fault is not None:
             raise found.fault
         if found.printer is None:

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 
 import click
 
 from hframe_post.conversion.options import SHOWN, Options, Shown
-from hframe_post.errors import ArgumentError, OptionError
+from hframe_post.errors import ArgumentError, HframeError, OptionError
 from hframe_post.printer.choice import CHOICE, Choice, choose
+from hframe_post.version import __version__
+from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:
     from hframe_post.printer.settings import Printer
-    from hframe_post.writers.outputs import Outputs
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 COLOURS = (  # of the first words of lines
@@ -30,6 +32,8 @@ COLOURS = (  # of the first words of lines
     (re.compile(r"^(result|print time|Next\b|ok\b)", re.MULTILINE), "green"),
 )
 LARGE_BYTES = 2_000_000  # of a file, from which on its conversion takes more than a second
+SCHEMA = 2  # of --json, raised when a key goes or changes its meaning
+SUMMARY = "hframe_post.json"  # in a context's meta
 SPECIAL = re.compile(r"[^\w@%+=:,./\\~-]")  # what a shell would not take as it stands
 
 
@@ -226,3 +230,84 @@ def write_kernel(outputs: Outputs, profile: Path, printer: Printer) -> None:
     data = kernel_file(printer)
     if data is not None:
         outputs.open(name_of(profile)).write(data)
+
+
+# ---------------------------------------------------------------------- summaries
+
+
+@dataclass(slots=True)
+class Summary:
+    """A summary as JSON of what a command did, or of why it failed (docs/interfaces.md).
+
+    path: None for nowhere, where nobody asked for one. final: whether it holds the failure.
+    """
+
+    path: Path | None = None
+    context: click.Context | None = None
+    final: bool = False
+    _outputs: Outputs | None = None
+    _file: IO[bytes] | None = None
+
+    @property
+    def to_stdout(self) -> bool:
+        return str(self.path) == "-"
+
+    def open(self, outputs: Outputs) -> None:
+        """Open the file, so that one that cannot be written is reported before any work."""
+        if self.path is not None:
+            self._outputs, self._file = outputs, outputs.open(dashed(self.path))
+
+    def write(self, own: dict[str, Any], status: int = 0, error: HframeError | None = None) -> None:
+        """Write the keys of a command, and its error if it is going to fail."""
+        if self._file is not None:
+            self.final = error is not None
+            failure = {} if error is None else _failure(str(error), error)
+            self._file.write(self._document(status or int(self.final), {**failure, **own}))
+
+    def fail(self, status: int, text: str, error: Exception) -> None:
+        """Write why the command failed.
+
+        It replaces an earlier summary, but no other file: neither one that the command reads or
+        writes, nor one that is not JSON.
+        """
+        printed = self.to_stdout and self._outputs is not None and self._outputs.appeared
+        if self.path is None or self.final or printed:  # and the failure came after it
+            return
+        with suppress(HframeError, OSError):
+            if self.path.is_file():
+                with self.path.open("rb") as file:
+                    if file.read(1) not in (b"", b"{"):
+                        return
+            with Outputs(self._others()) as outputs:
+                document = self._document(status, _failure(text, error))
+                outputs.open(dashed(self.path)).write(document)
+
+    def _document(self, status: int, own: dict[str, Any]) -> bytes:
+        assert self.context is not None
+        head = {"schema": SCHEMA, "version": __version__, "command": self.context.info_name}
+        return (json.dumps({**head, "status": status, **own}, indent=2) + "\n").encode()
+
+    def _others(self) -> Iterator[Path]:
+        """Yield what the command's other parameters name, which may be files."""
+        assert self.context is not None
+        for value in self.context.params.values():
+            for one in value if isinstance(value, tuple) else (value,):
+                if isinstance(one, str | Path):
+                    yield Path(one)
+
+
+def _failure(text: str, error: Exception) -> dict[str, Any]:
+    line = getattr(error, "line", None)
+    return {"error": text, **({"line": line} if line is not None else {})}
+
+
+def _summary(context: click.Context, _: click.Parameter, path: Path | None) -> Summary:
+    summary = context.meta[SUMMARY] = Summary(path, context)
+    return summary
+
+
+json_option = click.option(
+    "--json", "summary", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
+    metavar="FILE", callback=_summary, is_eager=True,
+    help="Summary as JSON; '-' is standard output.",
+)  # fmt: skip

@@ -9,13 +9,14 @@ from pathlib import Path
 import click
 
 from hframe_post import library
-from hframe_post.cli.json_summary import json_option, open_json
 from hframe_post.cli.parameters import (
+    Summary,
     chosen_printer,
     conversion_options,
     dashed,
     files_read,
     help_all_option,
+    json_option,
     page_option,
     printer_option,
     progress_bar,
@@ -67,7 +68,7 @@ from hframe_post.writers.outputs import Outputs
 def simulate(
     source: Path | None, printer: str, options: Options, plant_file: str | None,
     shares: tuple[float, ...], draws: int, seed: int, steps: bool, shapers: bool,
-    json_file: Path | None, report_file: Path | None, quiet: bool,
+    summary: Summary, report_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Predict the error of a print without compensation, with fbs, and with racking compensation.
 
@@ -84,7 +85,7 @@ def simulate(
         progress_bar(source, quiet) as advance,
         Outputs(files_read(source, printer, plant_file)) as outputs,
     ):
-        write_json = open_json(outputs, json_file)
+        summary.open(outputs)
         printed = rectangle(profile) if source is None else dashed(source)
         if printed is None:
             printed = list(lines_of(sys.stdin.buffer))  # it is read several times
@@ -96,12 +97,12 @@ def simulate(
             outputs=outputs,
         )  # fmt: skip
         text = "\n".join([*head, report.as_text()])
-        summary = {**choice.as_json(), **report.as_json()}
+        found = {**choice.as_json(), **report.as_json()}
         if shapers:
             ours = replace(options, strategy="racking", clamp=True)
-            found = compare_shapers(Input(printed).again, profile, ours, simulated.plant)
-            text += "\n" + comparison_as_text(found, firmware(profile))
-            summary["against"] = comparison_as_json(found)
-        write_json(summary)
+            compared = compare_shapers(Input(printed).again, profile, ours, simulated.plant)
+            text += "\n" + comparison_as_text(compared, firmware(profile))
+            found["against"] = comparison_as_json(compared)
+        summary.write(found)
     if not quiet:
-        click.echo(text, err=str(json_file) == "-")
+        click.echo(text, err=summary.to_stdout)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from hframe_post.cli.json_summary import SCHEMA
+from hframe_post.cli.parameters import SCHEMA
 from hframe_post.version import __version__
 from tests.command_line import COMMANDS, RECTANGLE, run
 from tests.conftest import ROOT
