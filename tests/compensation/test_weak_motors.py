@@ -1,5 +1,6 @@
-"""Motors whose limits an owner stated: the print is converted within them, whatever they are."""
+"""Weak motors, and planners that owners keep slow: converted within what is stated, no less."""
 
+import re
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hframe_post import library
 from hframe_post.arrays import TS
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.whole_file import WholeFile
@@ -14,8 +16,10 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Samples
-from tests.gcode_tools import converted, layers
+from tests.command_line import run
+from tests.gcode_tools import converted, layers, sliced
 from tests.quantities import below
+from tests.simulator import Axis, Machine, Mode
 
 OWNERS = Path(__file__).parents[1] / "benchmarks/owners"
 STOPS_CLOSE_TOGETHER = b"""\
@@ -86,3 +90,54 @@ def test_a_slice_is_converted_where_motors_are_far_too_weak(limit: float) -> Non
     options = Options("racking", ("none", "racking"), limits="printer", clamp=True)
     stream = WholeFile(iter(layers("cube.gcode", 5)), weak("corexy-10000", limit), options)
     below(hardest(stream.samples()), limit, "acceleration of a motor, mm/s²")
+
+
+SETUPS = Path(__file__).parent.parent / "owners"
+LAYER = sliced(1)  # of a cube
+
+
+def set_up(folder: Path, kind: str, acceleration: int) -> Printer:
+    """Write answers of a printer with this planner, and the profile that `setup` makes of them."""
+    answers = (SETUPS / "marlin500" / "m503.txt").read_text()
+    for words in (r"(M201 X)\d+(\.00 Y)\d+", r"(M204 P)\d+(\.00 R\d+\.00 T)\d+"):
+        answers, found = re.subn(words, rf"\g<1>{acceleration}\g<2>{acceleration}", answers)
+        assert found == 1
+    (folder / "m503.txt").write_text(answers)
+    done = run("setup", folder / "m503.txt", "-o", folder, "--kinematics", kind, "--bed", "230,230",
+               XDG_CONFIG_HOME=str(folder / "config"), HFRAME_PRINTER="")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return load(str(folder / "printer.toml"))
+
+
+def measured(profile: Printer, seed: int = 0) -> Printer:
+    """Return the profile with the plant of a drawn printer."""
+    rng = np.random.default_rng(seed)
+    x, y = (
+        Axis((Mode(float(rng.uniform(*hz)), float(rng.uniform(0.04, 0.12))),))
+        for hz in ((25.0, 60.0), (18.0, 45.0))
+    )
+    machine = Machine(x, y, 0.0, kinematics=profile.kinematics.type)
+    return replace(profile, plant=machine.exact(), invented=False)
+
+
+@pytest.mark.parametrize(
+    ("kind", "acceleration"), [("cartesian", 500), ("corexy", 1000), ("cartesian", 3000)]
+)
+def test_setup_leaves_what_compensation_needs(tmp_path: Path, kind: str, acceleration: int) -> None:
+    own = measured(set_up(tmp_path, kind, acceleration), acceleration)
+    assert own.limits.acceleration == acceleration
+    commands = WholeFile(LAYER, own, Options(clamp=False).resolved(own))  # not yet whole steps
+    for _ in commands.samples():
+        pass
+    contour = commands.report.contour
+    below(contour["racking"].rms, 0.25 * contour["none"].rms, "contour error, mm RMS")
+
+
+def test_motors_that_the_owner_states_get_a_slower_path(tmp_path: Path) -> None:
+    own = measured(set_up(tmp_path, "cartesian", 500))
+    own = replace(own, motors=replace(own.motors, belt_acceleration=1250.0))
+    report = library.convert(LAYER, None, own, Options("racking", ("none", "racking"), clamp=False))
+    below(report.peaks.belt_acceleration, 1250.001, "acceleration of a belt, mm/s²")
+    below(report.contour["racking"].rms, 0.5 * report.contour["none"].rms, "error, mm RMS")
+    assert report.slowed > 0.1
+    assert "the limits in [motors] slow down" in report.as_text()

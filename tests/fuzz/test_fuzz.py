@@ -150,7 +150,7 @@ def test_other_files(case: tuple[str, bytes]) -> None:
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
 def test_what_was_found_stays_mended(path: Path) -> None:
     for firmware in PRINTERS:
-        for strategy in ("none", "fbs", "racking"):
+        for strategy in ("none", "racking"):
             check_gcode(path.read_bytes(), strategy, firmware, False)
 
 

@@ -1,4 +1,6 @@
-"""The modes of a response: their shares, their delay, and what is listed for people."""
+"""What is made of a response: its modes, what is listed and shown of it, and windows."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,8 +9,15 @@ from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.estimation.fit import Fit, described, shares
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.estimation.kernel import Mode
+from hframe_post.identification.pages import uncertain
+from hframe_post.identification.recommend import recommend
 from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.model.lpfbs import Window
+from hframe_post.model.plant import Plant
+from hframe_post.printer.profile import load
+from hframe_post.printer.settings import GuessedMotors, Motors
 from tests import simulator
+from tests.plants import axis_mode, deviation_of_mode
 from tests.simulator import Axis, Machine
 
 HZ = np.arange(3.0, 100.01, 0.25)
@@ -67,3 +76,37 @@ def test_without_a_regression_the_main_resonance_is_listed(hz: float, zeta: floa
 def test_a_printer_that_does_not_ring_has_no_mode() -> None:
     stiff = Fit(ImpulseResponse(np.zeros(1), 0), 1.0, 0.0, 90.0)
     assert described(stiff, seen(np.ones(len(HZ), dtype=complex)), 0.0).modes == []
+
+
+PAGE_HZ = np.arange(5.0, 100.0, 5.0)
+
+
+def test_the_band_is_what_drift_and_doubt_make_of_the_response() -> None:
+    G = ImpulseResponse.from_transfer_function(axis_mode(40.0, 0.1), 1.0)
+    omega = 2.0 * np.pi * TS * PAGE_HZ
+    changed = (G.stretched(1.001).response(omega) - G.response(omega)) / 0.001
+    drifts = uncertain(replace(G, drift=0.03), PAGE_HZ)
+    assert drifts == pytest.approx(0.03 * np.abs(changed), rel=0.05)
+    both = uncertain(replace(G, drift=0.03, unknown=np.array([0.5])), PAGE_HZ)
+    alone = 0.5 * (2.0 * np.sin(omega / 2.0)) ** 2
+    assert both == pytest.approx(np.hypot(drifts, alone), rel=1e-9)
+
+
+PLANT = Plant(
+    ImpulseResponse(deviation_of_mode(45.0, 0.06, 400), 0, drift=0.02),
+    ImpulseResponse(deviation_of_mode(32.0, 0.08, 400), 0, drift=0.02),
+    None,
+    100.0,
+)
+
+
+@pytest.mark.parametrize(("belts", "guessed"), [(60000.0, True), (5300.0, False)])
+def test_measured_responses_get_one_window_whatever_the_belts(belts: float, guessed: bool) -> None:
+    """The path is kept within stated motors; a guess grows with the file that is converted."""
+    stated, guess = Motors(1000.0, belts), GuessedMotors(1000.0, belts, (1000.0, belts))
+    printer = replace(load("example-corexy"), motors=guess if guessed else stated)
+    found = recommend(PLANT, printer, 0.03)
+    assert found is not None
+    window = Window(5, 88, 44, 10.0)
+    assert found.windows == (window, window)
+    assert found.rms("fbs") < 0.1 * found.rms("none")  # µm
