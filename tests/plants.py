@@ -1,7 +1,7 @@
 """Transfer functions of printers and of single modes, their impulse responses, and a sweep."""
 
 import numpy as np
-from scipy.signal import sosfilt
+from scipy.signal import sosfilt, zpk2sos
 
 from examples.paper.tables import transfer_functions
 from hframe_post.arrays import TS, Array, Complex
@@ -45,11 +45,15 @@ class Filter:
     def __init__(self, G: TransferFunction | ImpulseResponse) -> None:
         self._own = FiniteFilter(G, 0) if isinstance(G, ImpulseResponse) else None
         if isinstance(G, TransferFunction):
-            self._sections, self._state = G.sections, np.zeros((len(G.sections), 2))
+            self._sections = zpk2sos(G.zeros, G.poles, G.gain)
+            self._delayed = np.zeros(len(G.poles) - len(G.zeros))  # zeros at infinity
+            self._state = np.zeros((len(self._sections), 2))
 
     def run(self, u: Array) -> Array:
         if self._own is not None:
             return self._own.run(u)
+        u = np.concatenate([self._delayed, u])
+        u, self._delayed = np.split(u, [len(u) - len(self._delayed)])
         y, self._state = sosfilt(self._sections, u, zi=self._state)
         return np.asarray(y)
 

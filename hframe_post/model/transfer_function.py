@@ -1,17 +1,14 @@
 """Discrete transfer functions: a way to write a response, and how it becomes one.
 
-They are zeros, poles and gain, and computed as cascades of second-order sections with a real state
-space A, B, C, D: the poles of a printer cluster near z = 1, where the expanded polynomial of eq. 4
-loses all its digits.
+They are zeros, poles and gain, and computed factor by factor: the poles of a printer cluster near
+z = 1, where the expanded polynomial of eq. 4 loses all its digits.
 """
 
 from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -101,102 +98,42 @@ class TransferFunction:
         new = TransferFunction(zeros, poles, self.gain)
         return replace(new, gain=self.gain * self.dc_gain / new.dc_gain)
 
-    @cached_property
-    def state_space(self) -> tuple[Array, Array, Array, float]:
-        """Return real (A, B, C, D) of the cascade, shapes (d, d), (d,), (d,), scalar.
-
-        The state has two numbers for each section.
-        """
-        A, B, C, D = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
-        for b0, b1, b2, _, a1, a2 in self.sections.tolist():
-            a, b = np.array([[-a1, 1.0], [-a2, 0.0]]), np.array([b1 - a1 * b0, b2 - a2 * b0])
-            A = np.block([[A, np.zeros((len(A), 2))], [np.outer(b, C), a]])
-            B, C, D = np.concatenate([B, b * D]), np.concatenate([b0 * C, [1.0, 0.0]]), b0 * D
-        return A, B, C, D
-
     def impulse(self, n: int) -> Array:
-        """Return the first ``n`` samples of the impulse response."""
-        A, B, C, D = self.state_space
-        states = recursion(A.T, np.zeros((n - 1, len(A))), B).reshape(n, len(A))
-        return np.concatenate([[D], product(states, C[:, None])[:, 0]])[:n]
+        """Return the first ``n`` samples of the impulse response.
 
-    @cached_property
-    def sections(self) -> Array:
-        """Return the cascade as second-order sections (k, 6): b₀ b₁ b₂ 1 a₁ a₂ each."""
-        cascade = np.zeros((max(-(-self.order // 2), 1), 6))
-        cascade[0, [0, 3]] = 1.0  # of no poles, the gain alone
-        for row, (num, den) in zip(cascade, _sections(self.zeros, self.poles), strict=False):
-            row[:3] = np.pad(num, (len(den) - len(num), 3 - len(den)))
-            row[3:] = np.pad(den, (0, 3 - len(den)))
-        cascade[0, :3] *= self.gain
-        return cascade
-
-
-def upper_and_real(roots: Complex) -> tuple[Complex, Complex]:
-    """Return which of conjugate roots are above the real axis, and which are on it."""
-    return roots[roots.imag > REAL_TOLERANCE], roots[np.abs(roots.imag) <= REAL_TOLERANCE]
+        The factors (z − zero)/(z − pole) follow each other, those of the slowest poles first, each
+        with the zero that is nearest. Real and imaginary parts, (n, 2), are multiplied as matrices.
+        """
+        h, zeros = np.zeros((n, 2)), self.zeros.tolist()
+        h[0, 0] = self.gain
+        for pole in sorted(self.poles.tolist(), key=_squared_modulus, reverse=True):
+            before = np.vstack([np.zeros((1, 2)), h[:-1]])
+            if zeros:
+                before = h - product(before, _turn(_taken(zeros, pole)))
+            h = recursion(_turn(pole), before, np.zeros(2))[2:].reshape(n, 2)
+        return h[:, 0].copy()
 
 
 def _closed(roots: Complex) -> bool:
     """Return whether the roots that are not real form conjugate pairs."""
-    upper, _ = upper_and_real(roots)
-    lower, _ = upper_and_real(roots.conj())
-    left = list(lower)
-    for root in upper:
-        nearest = min(left, key=_distance_to(root), default=np.inf)
-        if abs(nearest - root) > PAIR_TOLERANCE:
-            return False
-        left.remove(nearest)
-    return not left
+    upper = roots[roots.imag > REAL_TOLERANCE].tolist()
+    lower = roots[roots.imag < -REAL_TOLERANCE].conj().tolist()
+    if len(upper) != len(lower):
+        return False
+    return all(abs(_taken(lower, root) - root) <= PAIR_TOLERANCE for root in upper)
 
 
-def _distance_to(point: complex) -> Callable[[Complex], float]:
-    return lambda roots: float(np.sqrt(_squared_modulus(roots - point)).min())
+def _taken(roots: list[complex], place: complex) -> complex:
+    """Return the root nearest to a place, and take it out of the list."""
+    distances = [_squared_modulus(root - place) for root in roots]
+    return roots.pop(distances.index(min(distances)))
 
 
-def _squared_modulus(z: Complex) -> Array:
+def _squared_modulus(z: complex) -> float:
     """Return |z|², in which processors agree to the last bit, unlike in |z|."""
-    return np.asarray(np.square(z.real) + np.square(z.imag))
+    return z.real * z.real + z.imag * z.imag
 
 
-def _sections(zeros: Complex, poles: Complex) -> list[tuple[Array, Array]]:
-    """Return second-order sections (num (≤3,), den (≤3,)): two poles each, and the nearest zeros.
-
-    Poles nearest to the unit circle choose first, so that no section has a large gain. Complex
-    zeros come in pairs and need a section of two poles; enough of these are reserved for them.
-    """
-    pairs, real = _pairs_and_real(zeros)
-    single = list(real)
-    groups, real = _pairs_and_real(poles)
-    real = np.sort(real.real).astype(complex)
-    groups += [real[k : k + 2] for k in range(0, len(real), 2)]  # a last one may be alone
-    groups.sort(key=lambda group: -float(_squared_modulus(group).max()))
-    sections = []
-    for number, group in enumerate(groups, 1):
-        distance, room = _distance_to(group[0]), len(group)
-        pairs.sort(key=distance)
-        single.sort(key=distance)
-        later = sum(len(other) == 2 for other in groups[number:])
-        near = pairs and not (single and distance(single[0]) <= distance(pairs[0]))
-        if room == 2 and (near or len(pairs) > later):
-            chosen = pairs.pop(0)
-        else:
-            chosen, single = np.array(single[:room], complex), single[room:]
-        sections.append((_polynomial(chosen), _polynomial(group)))
-    return sections
-
-
-def _polynomial(roots: Complex) -> Array:
-    """Return the monic polynomial with these roots: none, one, a conjugate pair or two real ones.
-
-    ``np.poly`` sums with BLAS, whose rounding depends on the processor.
-    """
-    if len(roots) < 2:
-        return np.array([1.0, *-roots.real])
-    (a, b), (c, d) = roots.real.tolist(), roots.imag.tolist()
-    return np.array([1.0, -(a + b), a * b - c * d])
-
-
-def _pairs_and_real(roots: Complex) -> tuple[list[Complex], Complex]:
-    upper, real = upper_and_real(roots)
-    return [np.array([root, root.conjugate()]) for root in upper], real
+def _turn(root: complex) -> Array:
+    """Return the matrix (2, 2) by which a row of real and imaginary part is multiplied."""
+    return np.array([[root.real, root.imag], [-root.imag, root.real]])

@@ -53,8 +53,8 @@ def test_a_response_that_does_not_end_is_refused() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_any_real_roots_and_pairs_make_sections(seed: int) -> None:
-    """However many of either, and wherever they lie: the state space has the same response."""
+def test_impulse_and_frequency_response_are_one(seed: int) -> None:
+    """However many real roots and pairs there are, and wherever they lie."""
     rng = np.random.default_rng(seed)
 
     def roots(n: int, radius: float) -> Complex:
