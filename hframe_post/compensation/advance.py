@@ -18,9 +18,9 @@ from hframe_post.firmware.dialect import Advance, ExtruderLimits
 from hframe_post.model.pressure_advance import NEAR, REACH, bounded, extruding, smoothed
 from hframe_post.printer.settings import MAX_SMOOTHING_S
 from hframe_post.stream.chunks import neighbours, stretches
-from hframe_post.stream.marks import SETS, Marks
+from hframe_post.stream.marks import SETS
 from hframe_post.stream.tally import joined, tallied
-from hframe_post.stream.types import Dwell, Passthrough, Samples, frozen
+from hframe_post.stream.types import Samples, frozen, said
 
 AROUND = REACH + NEAR + round(MAX_SMOOTHING_S / TS / 2.0)  # samples on which advance depends
 APART = 2 * NEAR  # samples between two speeds of the extruder, for its acceleration
@@ -60,17 +60,11 @@ class Advancing:
         """Yield the chunks; note what their lines set."""
         for chunk in chunks:
             for event in chunk.events:
-                if isinstance(event, Marks):
-                    for mark in event.of(SETS):
-                        self._read(mark.index, mark.text)
-                elif isinstance(event, Dwell) and isinstance(event.action, Passthrough):
-                    self._read(event.index, event.action.text)
+                for mark in said(event, SETS):
+                    latest = self._since[-1][1]
+                    if (changed := latest.after(mark.text)) is not latest:
+                        self._since.append((mark.index, changed))
             yield chunk
-
-    def _read(self, index: int, text: bytes) -> None:
-        latest = self._since[-1][1]
-        if (changed := latest.after(text)) is not latest:
-            self._since.append((index, changed))
 
     def _advanced(self, before: list[Samples], chunk: Samples, after: list[Samples]) -> Samples:
         if len(self._since) == 1 and not self._since[0][1].seconds:  # as in most files

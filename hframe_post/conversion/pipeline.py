@@ -37,12 +37,11 @@ from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.strategies import Compensator
-from hframe_post.planner.extruder import FollowedAdvance
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.motors import WithinMotors, with_ramps
+from hframe_post.planner.motors import FollowedAdvance, WithinMotors, with_ramps
 from hframe_post.planner.pacing import Pace
 from hframe_post.planner.sampling import sample
-from hframe_post.planner.short_moves import ShortMoves
+from hframe_post.planner.sliced import ShortMoves
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.statistics import Labels

@@ -82,21 +82,21 @@ class Lookahead:
     Lifts and retractions are moves of the queue, too. The machine rests at those that the firmware
     makes from rest; what is between two of these is planned by itself, but many of them at once.
 
-    batch, longest: see ``plan``. z_share: of the z acceleration while x and y move; steep: rise
-    over run above which a move starts and ends at rest; inf: lifts do not, either. late: mm by
-    which the firmware brakes late, so that it reaches corners faster than it means to. joins:
+    batch, longest: see ``plan``. own: whether it is the firmware's own plan of a file as sliced,
+    which takes all of the z acceleration while x and y move, and no rest at what is steep. late: mm
+    by which the firmware brakes late, so that it reaches corners faster than it means to. joins:
     whether its junctions are those of a board with junction deviation, which passes lifts and
     retractions at a speed. others: limits of the file before its first move.
     """
 
     def __init__(
         self, limits: Limits, batch: int = BATCH, longest: int = LONGEST_QUEUE,
-        z_share: float = Z_SHARE, steep: float = STEEP, joins: bool = False, late: float = 0.0,
+        own: bool = False, joins: bool = False, late: float = 0.0,
         others: FileLimits | None = None,
     ) -> None:  # fmt: skip
         self.joins, self._late = joins, late
         self._limits, self._batch, self._longest = limits, batch, longest
-        self._z_share, self._steep = z_share, steep
+        self._z_share, self._steep = (1.0, math.inf) if own else (Z_SHARE, STEEP)
         self._new = list[Moves | MoveAtRest]()  # without limits yet
         self._moves = list[Limited]()
         self._file_limits = others or FileLimits()  # of the latest moves

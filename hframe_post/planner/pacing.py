@@ -11,8 +11,8 @@ import numpy as np
 from hframe_post.arrays import Array, E
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.features import Place, kind
-from hframe_post.stream.marks import PLACES, Marks
-from hframe_post.stream.types import Item, Moves, Passthrough, frozen
+from hframe_post.stream.marks import PLACES
+from hframe_post.stream.types import Item, Moves, frozen, said
 
 NOT_RAISED = ("bridge", "ironing", "interface", "skirt")  # features
 OUTER_WALL = "outer-wall"
@@ -55,11 +55,8 @@ class Pace:
             if isinstance(item, Moves):
                 yield self._paced(item, place)
             else:
-                if isinstance(item, Passthrough):
-                    place.mark(item.text)
-                elif isinstance(item, Marks):
-                    for mark in item.of(PLACES):
-                        place.mark(mark.text)
+                for mark in said(item, PLACES):
+                    place.mark(mark.text)
                 yield item
 
     def _paced(self, moves: Moves, place: Place) -> Moves:

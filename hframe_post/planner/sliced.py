@@ -6,7 +6,6 @@ What a print has today is judged on this motion, and every print time is compare
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
@@ -14,14 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import Array, Flags, Integers, Z
+from hframe_post.arrays import Array, E, Flags, Integers, Z
 from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.native.planning import smoothed_runs
 from hframe_post.planner.lookahead import Lookahead
 from hframe_post.planner.parts import parts
 from hframe_post.planner.sampling import sample
-from hframe_post.planner.short_moves import ShortMoves
-from hframe_post.stream.marks import Marks
+from hframe_post.stream.marks import NO_MARKS, Marks
 from hframe_post.stream.types import (
     Handling,
     Item,
@@ -29,8 +27,10 @@ from hframe_post.stream.types import (
     Moves,
     Passthrough,
     Plan,
+    Position,
     Samples,
     StopRules,
+    frozen,
 )
 
 NO_RATIO = np.zeros(1)  # of a lift or a retraction
@@ -45,9 +45,7 @@ class AsSliced:
 
     def __init__(self, rules: FirmwareLimits) -> None:
         self._rules = rules
-        self._queue = Lookahead(
-            rules.limits, z_share=1.0, steep=math.inf, joins=rules.joins, others=rules.others
-        )
+        self._queue = Lookahead(rules.limits, own=True, joins=rules.joins, others=rules.others)
         self.seconds = self.elsewhere = 0.0
         self._ratio = list[Array]()  # cruise ratios of the queued moves
         self._short = ShortMoves(rules.least, rules.step, rules.motors) if rules.least else None
@@ -120,3 +118,83 @@ class AsSliced:
 
 def _joined(parts: list[Any]) -> Any:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+# ----------------------------------------------------------------------
+# Moves that a firmware joins because they have too few steps, as Marlin does.
+#
+# The next move sets out from where the last one ended that was long enough, at its own speed.
+
+
+class ShortMoves:
+    """Joins successive moves.
+
+    least: steps of the shortest move; step: mm of x, y, z and e; motors (4, 4): from mm to steps of
+    the motors.
+    """
+
+    def __init__(self, least: int, step: Position, motors: Array) -> None:
+        self._least, self._step, self._motors = least, np.array(step), motors
+        self._origin: Array | None = None  # where the last move ended that is long enough, mm
+
+    def forget(self) -> None:
+        """Begin again at a place that the file sets."""
+        self._origin = None
+
+    def joined(self, item: Moves | MoveAtRest) -> Moves | MoveAtRest | None:
+        """Return the moves in whole steps that are long enough, if any are left."""
+        points = item.points if isinstance(item, Moves) else np.array([item.start, item.end])
+        points = np.rint(points / self._step) * self._step
+        if self._origin is not None:
+            points[0] = self._origin
+        kept = self._kept(points)
+        self._origin = points[1:][kept][-1] if kept.any() else points[0]
+        if not kept.any():
+            return None
+        if not isinstance(item, MoveAtRest):
+            return _among(item, points, kept)
+        start, end = (_position(place) for place in points.tolist())
+        return replace(item, start=start, end=end)
+
+    def joined_travel(self, items: Iterable[Item]) -> Iterator[Item]:
+        """Yield the items; where travel has a short move, the next move of it begins there."""
+        for item in items:
+            if isinstance(item, Moves):
+                kept = self._kept(item.points)
+                travels = item.points[1:, E] == item.points[:-1, E]
+                kept[-1], kept[:-1] = True, kept[:-1] | ~(travels[:-1] & travels[1:])
+                item = item if kept.all() else _among(item, item.points, kept)
+            yield item
+
+    def _kept(self, points: Array) -> Flags:
+        """Return which moves between points (n + 1, 4) are long enough, (n,)."""
+        places = points @ self._motors.T
+        n, least = len(places) - 1, self._least - 0.5
+        kept = np.ones(n, dtype=bool)
+        done = 0
+        for k in np.flatnonzero(np.abs(np.diff(places, axis=0)).max(axis=1) < least).tolist():
+            if k < done:
+                continue
+            done = k
+            while done < n and np.abs(places[done + 1] - places[k]).max() < least:
+                kept[done] = False
+                done += 1
+            done += 1
+        return kept
+
+
+def _position(place: list[float]) -> Position:
+    x, y, z, e = place
+    return x, y, z, e
+
+
+def _among(moves: Moves, points: Array, kept: Flags) -> Moves:
+    """Return the moves that are kept, (n,), of those between points (n + 1, 4)."""
+    places = np.concatenate([points[:1], points[1:][kept]])
+    before = np.append(0, np.cumsum(kept))
+    marks = moves.marks.moved_to(before[moves.marks.at]) if moves.marks else NO_MARKS
+    speed, acceleration, corner = (
+        frozen(each[kept]) for each in (moves.speed, moves.acceleration, moves.corner)
+    )
+    line, limits = moves.line[kept], moves.limits
+    return Moves(line, frozen(places), speed, acceleration, corner, limits, marks)

@@ -13,7 +13,6 @@ rest give it time for both. What parts two motions needs more of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import Enum, auto
 
 from hframe_post.stream.types import StopRules
@@ -39,37 +38,23 @@ class Change(Enum):
     LEAVE = auto()  # a lift passes into motion
 
 
-def _none(_: StopRules) -> int:
-    return 0
+NONE, BEFORE, AFTER, LONG = range(4)  # what the path rests of, as ``StopRules`` has it
 
-
-def _before(rules: StopRules) -> int:
-    return rules.before
-
-
-def _after(rules: StopRules) -> int:
-    return rules.after
-
-
-def _long(rules: StopRules) -> int:
-    return rules.long_rest
-
-
-# every change that can happen → how many samples the path rests first, and the state after it
-CHANGES: dict[tuple[State, Change], tuple[Callable[[StopRules], int], State]] = {
-    (State.MOVING, Change.MOVE): (_none, State.MOVING),
-    (State.MOVING, Change.STOP): (_none, State.STOPPED),
-    (State.STOPPED, Change.MOVE): (_none, State.MOVING),
-    (State.STOPPED, Change.DWELL): (_before, State.SETTLED),
-    (State.STOPPED, Change.PART): (_long, State.APART),
-    (State.STOPPED, Change.ENTER): (_none, State.SETTLED),
-    (State.SETTLED, Change.MOVE): (_after, State.MOVING),
-    (State.SETTLED, Change.DWELL): (_none, State.SETTLED),
-    (State.SETTLED, Change.PART): (_none, State.APART),
-    (State.SETTLED, Change.LEAVE): (_none, State.STOPPED),
-    (State.APART, Change.MOVE): (_long, State.MOVING),
-    (State.APART, Change.DWELL): (_none, State.APART),
-    (State.APART, Change.PART): (_none, State.APART),
+# every change that can happen → how long the path rests first, and the state after it
+CHANGES = {
+    (State.MOVING, Change.MOVE): (NONE, State.MOVING),
+    (State.MOVING, Change.STOP): (NONE, State.STOPPED),
+    (State.STOPPED, Change.MOVE): (NONE, State.MOVING),
+    (State.STOPPED, Change.DWELL): (BEFORE, State.SETTLED),
+    (State.STOPPED, Change.PART): (LONG, State.APART),
+    (State.STOPPED, Change.ENTER): (NONE, State.SETTLED),
+    (State.SETTLED, Change.MOVE): (AFTER, State.MOVING),
+    (State.SETTLED, Change.DWELL): (NONE, State.SETTLED),
+    (State.SETTLED, Change.PART): (NONE, State.APART),
+    (State.SETTLED, Change.LEAVE): (NONE, State.STOPPED),
+    (State.APART, Change.MOVE): (LONG, State.MOVING),
+    (State.APART, Change.DWELL): (NONE, State.APART),
+    (State.APART, Change.PART): (NONE, State.APART),
 }
 
 
@@ -77,7 +62,8 @@ class Stopping:
     """The present state, by the rules of a firmware and a strategy."""
 
     def __init__(self, rules: StopRules) -> None:
-        self._rules, self.state = rules, State.APART
+        self._rests = 0, rules.before, rules.after, rules.long_rest
+        self.state = State.APART
 
     @property
     def settled(self) -> bool:
@@ -85,5 +71,5 @@ class Stopping:
 
     def change(self, change: Change) -> int:
         """Change the state; return for how many samples the path must rest before."""
-        samples, self.state = CHANGES[self.state, change]
-        return samples(self._rules)
+        rest, self.state = CHANGES[self.state, change]
+        return self._rests[rest]

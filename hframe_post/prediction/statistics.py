@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from hframe_post.arrays import Array, E, Flags, Integers
 from hframe_post.model.error_range import SUMS, ErrorRange, error_range
 from hframe_post.stream.features import Place
-from hframe_post.stream.marks import PLACES, Mark, Marks
-from hframe_post.stream.types import Dwell, Passthrough, Samples
+from hframe_post.stream.marks import PLACES
+from hframe_post.stream.types import Samples, said
 
 # Bins of the percentiles: the leading bits of a float64, which grow with its value, so that no
 # logarithm is needed. 128 bins are an octave.
@@ -49,13 +49,7 @@ class Labels:
         n = len(chunk)
         layer, feature = (np.full(n, number) for number in self._current())
         for event in chunk.events:
-            if isinstance(event, Marks):
-                said = event.of(PLACES)
-            elif isinstance(event, Dwell) and isinstance(event.action, Passthrough):
-                said = iter([Mark(event.index, event.action.text)])
-            else:
-                continue
-            for mark in said:
+            for mark in said(event, PLACES):
                 if self.place.mark(mark.text):
                     at = max(mark.index - chunk.first, 0)
                     layer[at:], feature[at:] = self._current()

@@ -8,6 +8,7 @@ pieces, and arrays are read-only once they have been yielded.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -16,7 +17,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.native.planning import lower_moves
-from hframe_post.stream.marks import NO_MARKS, Marks
+from hframe_post.stream.marks import NO_MARKS, Mark, Marks
 
 Position = tuple[float, float, float, float]  # x, y, z, e
 
@@ -272,6 +273,16 @@ class Samples:
     @property
     def end(self) -> int:
         return self.first + len(self.xyze)
+
+
+def said(item: Item | Event, kind: int) -> Iterator[Mark]:
+    """Yield the lines that pass in an item, of many in motion those that may be of a kind."""
+    if isinstance(item, Marks):
+        yield from item.of(kind)
+    elif isinstance(item, Passthrough):
+        yield Mark(0, item.text)
+    elif isinstance(item, Dwell) and isinstance(item.action, Passthrough):
+        yield Mark(item.index, item.action.text)
 
 
 def frozen(array: Array) -> Array:

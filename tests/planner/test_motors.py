@@ -11,9 +11,8 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.firmware.dialect import Advance, ExtruderLimits, marlin_advance
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.planner.extruder import LOWEST, FollowedAdvance
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.motors import WithinMotors
+from hframe_post.planner.motors import LOWEST, FollowedAdvance, WithinMotors
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Extruder, Motors
 from hframe_post.stream.marks import Mark, Marks
