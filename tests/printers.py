@@ -13,6 +13,7 @@ from hframe_post.firmware.klipper.source import from_klipper, kinematics_in
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.printer import model_file
+from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.model_file import model_path, texts, with_windows
 from hframe_post.printer.new_profile import Known, profile_text
 from hframe_post.printer.profile import load, parse
@@ -32,9 +33,19 @@ def profile_of(config: KlipperConfig, kinematics: str = "") -> Printer:
 
 def with_marlin(printer: Printer, **own: object) -> Printer:
     """Return the printer with other settings of its board."""
-    assert printer.firmware.marlin is not None
-    table = replace(printer.firmware.marlin, **own)  # type: ignore[arg-type]
+    table = replace(printer.firmware.own(MarlinTable), **own)  # type: ignore[arg-type]
     return replace(printer, firmware=replace(printer.firmware, tables=(table,)))
+
+
+JERK: dict[str, object] = {"junction_deviation": 0.0, "jerk": (8.0, 8.0), "jerk_e": 5.0}
+"""Settings of a board that is built with CLASSIC_JERK."""
+
+
+def ender(acceleration: float = 1500.0, **own: object) -> Printer:
+    """Return a bed-slinger of this acceleration, mm/s², and with other settings of its board."""
+    printer = load("example-ender")
+    limits = replace(printer.limits, acceleration=acceleration)
+    return with_marlin(replace(printer, limits=limits), **own)
 
 
 Windows = tuple[Window, Window]

@@ -11,6 +11,7 @@ import pytest
 
 from hframe_post.hosts.klipper.kernel_file import read
 from hframe_post.printer import model_file
+from hframe_post.printer.firmware_tables import KlipperTable, MarlinTable
 from hframe_post.printer.model_file import measured, with_windows
 from hframe_post.printer.profile import load
 from hframe_post.process import program
@@ -93,15 +94,13 @@ def test_what_the_printer_has_no_more_goes(config: Path) -> None:
     set_up(config)
     own = config.parent / "printer.toml"
     has = load(str(own))
-    assert has.firmware.klipper is not None
-    assert has.firmware.klipper.shaper_freq_x == 51.5
+    assert has.firmware.own(KlipperTable).shaper_freq_x == 51.5
     assert has.retraction is not None
     config.write_text(before.replace("[firmware_retraction]", "[unused]"))
     printed = set_up(config, "--reset")
     assert "[retraction]: the printer has none any more" in printed
     has = load(str(own))
-    assert has.firmware.klipper is not None
-    assert has.firmware.klipper.shaper_freq_x == 0.0
+    assert has.firmware.own(KlipperTable).shaper_freq_x == 0.0
     assert has.retraction is None
     assert "no changes" in set_up(config)
 
@@ -126,8 +125,7 @@ def test_setup_and_doctor_read_owners_files(
     profile = load(str(own))
     assert profile.kinematics.type == kind
     assert profile.steps is not None
-    assert profile.firmware.klipper is not None
-    assert profile.firmware.klipper.shaper_freq_x == hz, "Hz"
+    assert profile.firmware.own(KlipperTable).shaper_freq_x == hz, "Hz"
     checked = run("doctor", "-p", own, "--printer-cfg", config, HFRAME_PRINTER=str(own))
     assert (checked.returncode, b"PROBLEM" in checked.stdout) == (0, False), checked.stdout
 
@@ -200,11 +198,8 @@ def test_answers_of_marlin_make_a_profile_without_macros(tmp_path: Path) -> None
     profile = load(str(own))
     assert profile.kinematics.racks
     assert (profile.travel.x, profile.travel.y) == ((0.0, 300.0), (0.0, 200.0))
-    assert profile.firmware.marlin is not None
-    assert (profile.firmware.marlin.junction_deviation, profile.firmware.marlin.planner) == (
-        0.02,
-        "2.1",
-    )
+    table = profile.firmware.own(MarlinTable)
+    assert (table.junction_deviation, table.planner) == (0.02, "2.1")
     done = run(RECTANGLE, "-n", "-p", own)
     assert done.returncode == 0, done.stderr
 

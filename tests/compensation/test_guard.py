@@ -57,6 +57,13 @@ def bump(n: int, at: int, height: float, width: int) -> Array:
     return height * (0.5 + 0.5 * np.cos(np.pi * share)) ** 2
 
 
+def bumped(path: Array, axis: int, height: float, width: int, at: int = 400) -> Array:
+    """Return the path with a bump of x or y."""
+    command = path.copy()
+    command[:, axis] += bump(len(path), at, height, width)
+    return command
+
+
 def checked(chunks: Iterable[Samples], limits: tuple[Travel, Motors, Kinematics]) -> Guard:
     guard = Guard(*limits)
     for _ in guard.check(chunks, "racking"):
@@ -196,8 +203,7 @@ def clamped(whole: Samples, limits: tuple[Travel, Motors, Kinematics]) -> tuple[
 @pytest.mark.parametrize("height", [0.2, 1.0, 5.0])
 def test_a_clamp_moves_a_command_smoothly_onto_the_bed(height: float) -> None:
     path = standing(800, x=0.1)
-    command = path.copy()
-    command[:, 0] -= bump(800, 400, height, 150)
+    command = bumped(path, 0, -height, 150)
     result, clamp = clamped(chunk(path, command), FAR)
     changed = np.flatnonzero((result != command).any(axis=1))
     assert result[:, 0].min() >= 0.0
@@ -213,8 +219,7 @@ def test_a_clamp_moves_a_command_smoothly_onto_the_bed(height: float) -> None:
 
 def test_a_clamp_is_the_same_where_a_stretch_begins() -> None:
     path = standing(800, x=0.1)
-    command = path.copy()
-    command[:, 0] -= bump(800, 400, 1.0, 150)
+    command = bumped(path, 0, -1.0, 150)
     whole, later = (clamped(chunk(path[k:], command[k:]), FAR)[0] for k in (0, 150))
     np.testing.assert_array_equal(later, whole[150:])
 
@@ -222,8 +227,7 @@ def test_a_clamp_is_the_same_where_a_stretch_begins() -> None:
 @pytest.mark.parametrize("width", [10, 20, 30])
 def test_a_clamp_reduces_compensation_until_the_motors_can_follow(width: int) -> None:
     path = standing(800)
-    command = path.copy()
-    command[:, 1] += bump(800, 400, 0.3, width)
+    command = bumped(path, 1, 0.3, width)
     with pytest.raises(LimitError):
         checked([chunk(path, command)], LIMITS)
     result, clamp = clamped(chunk(path, command), LIMITS)
@@ -237,8 +241,7 @@ def test_a_clamp_reduces_compensation_until_the_motors_can_follow(width: int) ->
 def test_a_clamp_leaves_what_the_motors_have_to_spare_on_a_moving_path() -> None:
     path = standing(800, x=20.0)
     path[:, 0] += 80.0 * TS * np.arange(800)  # 80 of 100 mm/s
-    command = path.copy()
-    command[:, 0] += bump(800, 400, 6.0, 300)
+    command = bumped(path, 0, 6.0, 300)
     asked = float(np.diff(command[:, 0]).max()) / TS
     result, clamp = clamped(chunk(path, command), LIMITS)
     reached = float(np.diff(result[:, 0]).max()) / TS
@@ -250,8 +253,7 @@ def test_a_clamp_leaves_what_the_motors_have_to_spare_on_a_moving_path() -> None
 @pytest.mark.parametrize("height", [2.0, 3.0, 4.0])
 def test_a_clamp_that_the_belts_cannot_follow_is_spread_over_more_time(height: float) -> None:
     path = standing(1200, x=0.1)
-    command = path.copy()
-    command[:, 0] -= bump(1200, 600, height, 20)
+    command = bumped(path, 0, -height, 20, at=600)
     result, clamp = clamped(chunk(path, command), LIMITS)
     checked([chunk(path, result)], LIMITS)
     assert clamp.clamped.most == pytest.approx(np.abs(result - command).max())
@@ -294,8 +296,8 @@ def test_a_clamped_command_stands_where_the_machine_pauses() -> None:
 @pytest.mark.parametrize("away", [60, 100, 140, 200])
 def test_a_command_that_dwells_next_to_its_path_dwells_after_a_clamp(away: int) -> None:
     """The bed is left ``away`` samples before a dwell of 60, and another one follows."""
-    path, command = standing(1000, x=0.5), standing(1000, x=0.8)
-    command[:, 0] -= bump(1000, 400 - away, 1.2, 60)
+    path = standing(1000, x=0.5)
+    command = bumped(standing(1000, x=0.8), 0, -1.2, 60, at=400 - away)
     places = [(400, 460), (500, 540)]
     action = Passthrough(0, b"M117", Handling.REST, ModalState(True, False, 0.0, 0.0, (0, 0, 0)))
     events = tuple(Dwell(a + 1, b - a - 1, action) for a, b in places)

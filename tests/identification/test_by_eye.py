@@ -21,18 +21,14 @@ from hframe_post.identification.by_eye import (
 )
 from hframe_post.identification.tower import SIDE, Band, bands, squares, tower
 from hframe_post.model.impulse_response import ImpulseResponse
+from hframe_post.printer.firmware_tables import KlipperTable, MarlinTable
 from hframe_post.printer.profile import load
-from hframe_post.printer.settings import Printer
 from tests.command_line import run
+from tests.printers import ender
 from tests.simulator import Axis, Machine, Mode
 
 A = 1500.0
 HEAT = (210.0, 60.0)  # °C of nozzle and bed
-
-
-def ender(acceleration: float = A) -> Printer:
-    printer = load("example-ender")
-    return replace(printer, limits=replace(printer.limits, acceleration=acceleration))
 
 
 @pytest.mark.parametrize(("hz", "damping"), [(20.0, 0.1), (30.0, 0.05), (45.0, 0.03), (55.0, 0.07)])
@@ -167,24 +163,19 @@ def test_the_tower_stays_on_the_bed_and_restores_the_limits(profile: str) -> Non
     assert printer.travel.x[0] < min(x) < max(x) < printer.travel.x[1]
     assert "M109 S215" in lines
     assert lines[0] == "; hframe-post: off"
-    klipper, marlin = printer.firmware.klipper, printer.firmware.marlin
     if printer.firmware.dialect == "klipper":
-        assert klipper is not None
-        assert any(f"ACCEL={klipper.acceleration:g} " in line for line in lines[-9:])
+        own = printer.firmware.own(KlipperTable).acceleration
+        assert any(f"ACCEL={own:g} " in line for line in lines[-9:])
     else:
-        assert marlin is not None
-        assert any(line.startswith(f"M204 P{marlin.acceleration:g} ") for line in lines[-11:])
+        own = printer.firmware.own(MarlinTable).acceleration
+        assert any(line.startswith(f"M204 P{own:g} ") for line in lines[-11:])
     assert "M82" in lines[-5:]  # as a printer counts filament after it was switched on
 
 
 def test_a_mesh_that_m503_shows_is_used() -> None:
-    printer = ender()
-    table = printer.firmware.marlin
-    assert table is not None
-    mesh = replace(printer.firmware, tables=(replace(table, bed_levelling=True),))
-    lines = tower(replace(printer, firmware=mesh), HEAT)
+    lines = tower(ender(bed_levelling=True), HEAT)
     assert lines[lines.index("G28") + 1] == "M420 S1"
-    assert "M420 S1" not in tower(printer, HEAT)
+    assert "M420 S1" not in tower(ender(), HEAT)
 
 
 def test_marlin_takes_hard_corners_at_the_speed_that_is_assumed() -> None:

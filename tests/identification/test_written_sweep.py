@@ -14,32 +14,17 @@ from hframe_post.identification.recordings.formats import read_command
 from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.identification.recordings.written_sweep import PAD, played
 from hframe_post.printer.profile import load
-from hframe_post.printer.settings import Printer
 from tests.command_line import run
 from tests.conftest import few
 from tests.marlin.planner import Build, xy
 from tests.marlin.planner import Machine as Board
-from tests.printers import M503
+from tests.printers import JERK, M503, ender
 from tests.quantities import below, near
 from tests.resonance_recordings import SENSORS
 from tests.simulator import Axis, Chip, Machine, Mode
 
 MACHINE = Machine(Axis((Mode(42.0, 0.06),)), Axis((Mode(27.0, 0.09),)), kinematics="cartesian")
 FINE = 20  # samples of a board a millisecond
-
-
-def ender(planner: str = "2.1", acceleration: float = 1500.0, jerk: bool = False) -> Printer:
-    """Return a printer of that generation; jerk: built with CLASSIC_JERK."""
-    printer = load("example-ender")
-    table = printer.firmware.marlin
-    assert table is not None
-    if jerk:
-        table = replace(table, junction_deviation=0.0, jerk=(8.0, 8.0), jerk_e=5.0)
-    return replace(
-        printer,
-        limits=replace(printer.limits, acceleration=acceleration),
-        firmware=replace(printer.firmware, tables=(replace(table, planner=planner),)),
-    )
 
 
 def at(axis: int, *place: float) -> PlannedRun:
@@ -65,7 +50,9 @@ def motion(text: bytes, planner: str = "2.1", jerk: bool = False) -> Array:
 @pytest.mark.parametrize("acceleration", few([1500.0, 500.0], 1))
 def test_a_board_plays_the_command(planner: str, jerk: bool, acceleration: float) -> None:
     """What a sweep is compared to is within a step of 12.5 µm, from start to end."""
-    one, lines = played(ender(planner, acceleration, jerk), at(0, 110.0, 110.0), 10.0)
+    one, lines = played(
+        ender(acceleration, planner=planner, **(JERK if jerk else {})), at(0, 110.0, 110.0), 10.0
+    )
     # strokes of z fill the real board's queue first; this one always plans ahead
     text = "\n".join(line for line in lines if " Z" not in line)
     made = motion(text.encode(), planner, jerk)
@@ -93,7 +80,7 @@ def test_the_file_stays_near_its_place_and_restores_the_settings() -> None:
 
 def test_fixed_time_motion_is_busy_before_the_first_move() -> None:
     """It would stop at the end of each line that comes before the next is planned."""
-    lines = played(ender("ft-motion"), at(0, 110.0, 110.0), 12.0)[1]
+    lines = played(ender(planner="ft-motion"), at(0, 110.0, 110.0), 12.0)[1]
     wait = lines.index("G4 P5000")
     up, back = (line.split() for line in lines[wait + 2 : wait + 4])
     assert float(up[1].removeprefix("Z")) > 12.0
@@ -120,7 +107,7 @@ def record(folder: Path, name: str, kind: str, seed: int) -> None:
 
 @pytest.mark.parametrize("drift", few([0.01, -0.018], 0))
 def test_a_clock_that_is_far_off_is_found(drift: float) -> None:
-    printer = ender(acceleration=3000.0)
+    printer = ender(3000.0)
     assert printer.steps is not None
     printer = replace(
         printer,
@@ -139,7 +126,7 @@ def test_a_clock_that_is_far_off_is_found(drift: float) -> None:
 @pytest.mark.parametrize(("sensor", "drift"), [("lis2dw-394", 9.3e-4), ("adxl345", -4.34e-3)])
 def test_a_clock_is_found_where_late_windows_are_lost_in_noise(sensor: str, drift: float) -> None:
     """A soft bed hardly follows them. What is left of the drift is refined, also below 20 ms."""
-    command = played(ender(acceleration=500.0), at(1, 110.0, 110.0), 10.0)[0].command
+    command = played(ender(500.0), at(1, 110.0, 110.0), 10.0)[0].command
     soft = replace(MACHINE, y=Axis((Mode(18.8, 0.12),)))
     chip = replace(SENSORS[sensor], lead=3.0, drift=drift)
     found = aligned(acceleration(command[:, 1:]), chip.record(soft, command, 11))

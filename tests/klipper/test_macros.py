@@ -7,6 +7,7 @@ import pytest
 
 from hframe_post.firmware.klipper.macros import macros
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Printer
 from tests.conftest import few
 from tests.gcode_tools import converted, follow, strokes
@@ -122,8 +123,7 @@ def test_a_shaper_that_the_profile_lacks_comes_back(machine: Printer, tmp_path: 
     copy.write_text(lost + PRINTER.partition("[input_shaper]")[0])
     config = KlipperConfig(copy)
     unaware = profile_of(config)
-    assert unaware.firmware.klipper is not None
-    assert unaware.firmware.klipper.shaper_freq_x == 0.0
+    assert unaware.firmware.own(KlipperTable).shaper_freq_x == 0.0
     lines = [line.encode() + b"\n" for line in ["M104 S200", *strokes(7, 25)]]
     text, _ = converted(lines, unaware)
     assert text.count(b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 ") == text.count(b"SET_INPUT_SHAPER")

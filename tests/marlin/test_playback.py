@@ -20,7 +20,7 @@ from hframe_post.stream.chunks import join
 from hframe_post.stream.types import Samples
 from tests.conftest import few
 from tests.gcode_tools import converted, layers, sample, sliced
-from tests.printers import with_marlin
+from tests.printers import JERK, with_marlin
 from tests.quantities import below, near, rms
 
 from .planner import Build, FixedTimeRun, Machine, Run, xy
@@ -151,7 +151,6 @@ def rectangle(marlin: Printer) -> Played:
     return played(laps(), marlin)
 
 
-JERK: dict[str, object] = {"junction_deviation": 0.0, "jerk": (8.0, 8.0), "jerk_e": 5.0}
 BUILDS: list[tuple[dict[str, object], dict[str, object]]] = [
     ({"planner": "2.1"}, {}),
     ({"planner": "2.1-dev"}, {}),

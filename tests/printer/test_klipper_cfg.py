@@ -8,6 +8,7 @@ import pytest
 from hframe_post.firmware.base import Finding
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import KlipperSource, check_stream
+from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.settings import Extruder, Printer
 from tests.printers import REAL, profile_of
 
@@ -40,8 +41,7 @@ def test_a_profile_made_from_it_agrees_with_it(own: Printer) -> None:
     assert wrong(REAL, own) == []
     assert own.travel.x == (0.0, 280.0)
     assert own.limits.z_velocity == 20.0
-    assert own.firmware.klipper is not None
-    assert own.firmware.klipper.velocity == 500.0
+    assert own.firmware.own(KlipperTable).velocity == 500.0
     assert own.steps is not None
     assert own.steps.belt == pytest.approx(0.0206)
     assert own.invented  # its plant is not measured
@@ -91,8 +91,7 @@ def test_differences(own: Printer, tmp_path: Path, change: tuple[str, str], mess
 
 
 def test_macros_that_the_profile_names_must_be_there(own: Printer, tmp_path: Path) -> None:
-    assert own.firmware.klipper is not None
-    table = replace(own.firmware.klipper, end_macro="_OWN_END")
+    table = replace(own.firmware.own(KlipperTable), end_macro="_OWN_END")
     named = replace(own, firmware=replace(own.firmware, tables=(table,)))
     assert len(wrong(REAL, named)) == 1
     assert not wrong(REAL, own)  # _HFRAME_END is of hframe.cfg: see `check_macros`

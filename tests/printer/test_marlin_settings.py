@@ -8,6 +8,7 @@ import pytest
 from hframe_post.errors import HframeError
 from hframe_post.firmware.marlin.m503 import MarlinSettings, is_of_marlin, text_in
 from hframe_post.firmware.marlin.marlin_source import MarlinSource, from_marlin
+from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.new_profile import Known, profile_text
 from hframe_post.printer.profile import parse
 from hframe_post.printer.settings import Printer
@@ -66,8 +67,7 @@ def test_a_profile_has_the_values_of_m503_and_m115(answers: Path) -> None:
     assert (1 / own.steps.belt, 1 / own.steps.e) == pytest.approx((80.0, 93.0))  # of the first tool
     assert own.retraction is not None
     assert (own.retraction.length, own.retraction.speed) == (3.0, 45.0)
-    table = own.firmware.marlin
-    assert table is not None
+    table = own.firmware.own(MarlinTable)
     assert own.firmware.dialect == "marlin"
     assert (table.max_acceleration, table.max_velocity) == ((3000.0, 2500.0), (500.0, 400.0))
     assert (table.acceleration, table.travel_acceleration) == (1500.0, 2000.0)
@@ -93,11 +93,8 @@ BOARDS = tomllib.loads(Path(__file__).with_name("boards.toml").read_text("utf-8"
     ],
 )  # fmt: skip
 def test_soft_endstops(answers: Path, answer: str, edges: tuple[tuple[float, float], ...]) -> None:
-    table = (
-        own := profile(changed(answers, "ok\n>>> M503", f"{answer}\nok\n>>> M503"))
-    ).firmware.marlin
-    assert table is not None
-    assert table.soft_endstops == edges
+    own = profile(changed(answers, "ok\n>>> M503", f"{answer}\nok\n>>> M503"))
+    assert own.firmware.own(MarlinTable).soft_endstops == edges
     assert (own.travel.x, own.travel.y) == (edges[:2] or ((0.0, 235.0), (0.0, 230.0)))
 
 
@@ -107,8 +104,7 @@ def test_answers_of_real_boards(answers: Path, board: str) -> None:
     tables = from_marlin(MarlinSettings([answers]), BED)
     named = {"kinematics": {"type": Known("cartesian", "test")}, **tables}
     own = parse(profile_text(named, "own"), "own")
-    table, steps = own.firmware.marlin, own.steps
-    assert table is not None
+    table, steps = own.firmware.own(MarlinTable), own.steps
     assert steps is not None
     read = (
         1 / steps.belt, own.limits.acceleration, table.travel_acceleration,
@@ -164,15 +160,12 @@ def test_headers_add_what_the_answers_leave_open(answers: Path, tmp_path: Path) 
     own = profile(settings)
     assert settings.kinematics()[0] == ("cartesian",)
     assert (own.travel.x, own.travel.y) == ((0.0, 310.0), (-4.0, 300.0))
-    assert own.firmware.marlin is not None
-    assert own.firmware.marlin.min_steps_per_segment == 8
+    assert own.firmware.own(MarlinTable).min_steps_per_segment == 8
     header.write_text(HEADER + "#define COREXY\n#define SLOWDOWN\n#define S_CURVE_ACCELERATION\n")
     settings = MarlinSettings([answers, header])
     assert settings.kinematics()[0] == ("corexy", "hbot")
     assert any("SLOWDOWN" in line for line in settings.warnings())
-    marlin = profile(settings, "hbot").firmware.marlin
-    assert marlin is not None
-    assert marlin.s_curve_acceleration
+    assert profile(settings, "hbot").firmware.own(MarlinTable).s_curve_acceleration
     header.write_text("#define NO_STANDARD_MOTION\n")
     only = MarlinSettings([answers, header]).planner
     assert only is not None
