@@ -24,7 +24,7 @@ from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, Position
 from tests.gcode_tools import assert_same_stream, converted, follow, layers, sample
-from tests.printers import with_marlin
+from tests.printers import JERK, with_marlin
 from tests.quantities import below
 
 QUIRKS = Path(__file__).parent.parent / "quirks"
@@ -85,8 +85,7 @@ def test_stream_ends_with_the_users_settings_to_the_last_digit(marlin: Printer) 
 def test_segments_begin_at_their_own_speed_with_classic_jerk(marlin: Printer, planner: str) -> None:
     """Its jerk in the stream limits nothing; with a junction deviation they begin at rest."""
     at = np.array([[100.0, 100.0, 1.0, 0.0], [110.0, 100.0, 1.0, 0.5]])
-    jerk = {"junction_deviation": 0.0, "jerk": (8.0, 9.0), "jerk_e": 5.0}
-    for own, begins in ((jerk, 80.0), ({}, 0.0)):
+    for own, begins in ((JERK, 80.0), ({}, 0.0)):
         mine = motion(with_marlin(marlin, planner=planner, **own))
         assert mine.entry(at, 80.0, 0.0) == begins, "mm/s"
         assert mine.entry(at, 80.0, 90.0) == 80.0, "mm/s, after a faster one"
@@ -133,7 +132,7 @@ def test_turning_back_is_a_stop_and_going_on_is_none(marlin: Printer) -> None:
 
 
 def test_limits_are_set_in_whole_numbers_and_corners_to_a_hundredth(marlin: Printer) -> None:
-    assert code(with_marlin(marlin, **JERKS)).set_limits(150.4, 1234.6, 3.14159)[4:] == [
+    assert code(with_marlin(marlin, **JERK)).set_limits(150.4, 1234.6, 3.14159)[4:] == [
         "M201 X1235 Y1235", "M203 X150 Y150", "M204 P1235 T1235", "M205 X3.14 Y3.14",
     ]  # fmt: skip
     assert code(marlin).set_limits(150.0, 1000.0, 5.0)[-1] == "M205 J0.0104"
@@ -303,12 +302,9 @@ def test_a_slow_sender_gets_fewer_lines(marlin: Printer) -> None:
     assert "takes 4 ms (latency)" in code(slow).notices[0]
 
 
-JERKS: dict[str, object] = {"junction_deviation": 0.0, "jerk": (8.0, 9.0), "jerk_e": 5.0}
-
-
 @pytest.mark.parametrize(
     ("own", "users", "ours"),
-    [({}, b"M205 J0.013", b"M205 J0.3"), (JERKS, b"M205 E5", b"M205 E1000")],
+    [({}, b"M205 J0.013", b"M205 J0.3"), (JERK, b"M205 E5", b"M205 E1000")],
 )
 def test_retractions_begin_as_the_users_do(
     marlin: Printer, own: dict[str, object], users: bytes, ours: bytes

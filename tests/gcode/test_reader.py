@@ -16,7 +16,7 @@ from hframe_post.printer.profile import load
 from hframe_post.stream.types import Handling, Moves, Passthrough
 from tests.gcode.reading import HOME, carried, ends, items, moves
 from tests.mark_tools import mark
-from tests.printers import with_marlin
+from tests.printers import JERK, with_marlin
 
 KLIPPER = FIRMWARES["klipper"].dialect
 
@@ -49,12 +49,7 @@ def test_limits_of_the_file() -> None:
         ({}, "M205 X8 Y6", math.inf, 0.013),
         ({}, "M205 X8 J0.02", math.inf, 0.02),
         ({}, "M205 J0", math.inf, 0.0),
-        (
-            {"junction_deviation": 0.0, "jerk": (8.0, 8.0), "jerk_e": 5.0},
-            "M205 X8 Y6 J0.02",
-            6.0,
-            math.inf,
-        ),
+        (JERK, "M205 X8 Y6 J0.02", 6.0, math.inf),
     ],
 )
 def test_a_board_obeys_its_own_kind_of_corners(

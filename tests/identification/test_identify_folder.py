@@ -16,7 +16,7 @@ from hframe_post.errors import IdentificationError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import text_from_klipper
 from hframe_post.identification.estimation.measured import MeasurementSettings, axis_responses
-from hframe_post.identification.gather import gather
+from hframe_post.identification.gather import Gathered, gather
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer
 from tests.printers import with_plant
@@ -34,6 +34,18 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def held(tmp_path: Path) -> Path:
+    """Return an empty folder for recordings."""
+    (path := tmp_path / "held").mkdir()
+    return path
+
+
+def gathered(held: Path, config: Path) -> Gathered:
+    printer = KlipperConfig(config)
+    return gather([held], printer, parse(text_from_klipper(printer), "mine").travel)
+
+
 def invoked(*arguments: str | Path) -> Result:
     return CliRunner().invoke(main, ["identify", *map(str, arguments)])
 
@@ -47,10 +59,9 @@ def check_refused(folder: Path, message: str, *arguments: str | Path, status: in
 
 
 @pytest.mark.slow
-def test_a_real_recording_becomes_a_profile(tmp_path: Path, config: Path) -> None:
+def test_a_real_recording_becomes_a_profile(tmp_path: Path, held: Path, config: Path) -> None:
     """A Sovol SV08, its sensor's −z along y, thinned to 333 samples a second."""
-    held, mine = tmp_path / "held", tmp_path / "mine.toml"
-    held.mkdir()
+    mine = tmp_path / "mine.toml"
     shutil.copy(REAL, held)
     (held / "resonances_y.csv").write_text("freq,psd_x,psd_y,psd_z,psd_xyz\n1,2,3,4,5\n")
     summary, page = tmp_path / "summary.json", tmp_path / "page.html"
@@ -81,7 +92,9 @@ def test_a_real_recording_becomes_a_profile(tmp_path: Path, config: Path) -> Non
     assert "left aside" in page.read_text()
 
 
-def test_folders_that_give_nothing_are_refused_in_one_line(tmp_path: Path, config: Path) -> None:
+def test_folders_that_give_nothing_are_refused_in_one_line(
+    tmp_path: Path, held: Path, config: Path
+) -> None:
     lines = lzma.decompress(REAL.read_bytes()).splitlines(keepends=True)
     rng = np.random.default_rng(0)
     noise = [
@@ -94,12 +107,11 @@ def test_folders_that_give_nothing_are_refused_in_one_line(tmp_path: Path, confi
         (lines[0] + b"".join(noise), "shows no resonance test"),
         (b"freq,psd_x,psd_y,psd_z,psd_xyz\n1,2,3,4,5\n", "a spectrum"),
     ):
-        (tmp_path / "held").mkdir(exist_ok=True)
-        (tmp_path / "held" / "raw_data_y_1.csv").write_bytes(text)
-        check_refused(tmp_path, rf"raw_data_y_1\.csv: .*{words}", tmp_path / "held",
+        (held / "raw_data_y_1.csv").write_bytes(text)
+        check_refused(tmp_path, rf"raw_data_y_1\.csv: .*{words}", held,
                       "--printer-cfg", config)  # fmt: skip
-    (tmp_path / "held" / "raw_data_y_1.csv").unlink()
-    check_refused(tmp_path, "no recordings here", tmp_path / "held", "--printer-cfg", config)
+    (held / "raw_data_y_1.csv").unlink()
+    check_refused(tmp_path, "no recordings here", held, "--printer-cfg", config)
     check_refused(tmp_path, "give the folder", "--printer-cfg", config, status=2)
 
 
@@ -113,30 +125,25 @@ def test_a_corexy_that_racks_is_an_hbot(paper: Printer, config: Path) -> None:
     assert parse(without, "mine").kinematics.type == "corexy"
 
 
-def test_what_axes_map_mirrored_is_undone(tmp_path: Path, config: Path) -> None:
+def test_what_axes_map_mirrored_is_undone(held: Path, config: Path) -> None:
     """Else the other axis, of which a test of one axis shows no sign, would lie opposite."""
-    travel = parse(text_from_klipper(KlipperConfig(config)), "mine").travel
-    held = tmp_path / "held"
-    held.mkdir()
     shutil.copy(REAL, held)
-    (plain,) = gather([held], KlipperConfig(config), travel).runs
+    (plain,) = gathered(held, config).runs
     config.write_text(f"{SV08_CONFIG}[adxl345]\naxes_map: -x, z, y\n")
-    (undone,) = gather([held], KlipperConfig(config), travel).runs
+    (undone,) = gathered(held, config).runs
     x, y, z = plain.nozzle.a.T
     np.testing.assert_array_equal(undone.nozzle.a, np.column_stack([-x, z, y]))
     config.write_text(f"{SV08_CONFIG}[adxl345]\naxes_map: x, y\n")
     with pytest.raises(IdentificationError, match="invalid axes_map"):
-        gather([held], KlipperConfig(config), travel)
+        gathered(held, config)
 
 
-def test_a_real_belt_of_2023_is_taken(tmp_path: Path, config: Path) -> None:
+def test_a_real_belt_of_2023_is_taken(held: Path, config: Path) -> None:
     """A Voron 2.4, its LIS2DW at 394 Hz, up to 40 Hz: the stamps wander by 30 ms.
 
     The first 26 ms of its motion, around the point, are missing. The file holds tenths of
     milliseconds and steps of the sensor, as differences.
     """
-    held = tmp_path / "held"
-    held.mkdir()
     text = lzma.decompress(BELT.read_bytes()).decode()
     steps = np.loadtxt(text.splitlines(), delimiter=",").cumsum(axis=0)
     z = np.random.default_rng(0).normal(9575.0, 100.0, len(steps))
@@ -144,15 +151,14 @@ def test_a_real_belt_of_2023_is_taken(tmp_path: Path, config: Path) -> None:
     np.savetxt(held / "belt_20231129_B.csv", rows, "%.4f,%.0f,%.0f,%.0f",
                header="time,accel_x,accel_y,accel_z", comments="#")  # fmt: skip
     config.write_text(SV08_CONFIG.replace("accel_per_hz: 90", "accel_per_hz: 75\nmax_freq: 40"))
-    travel = parse(text_from_klipper(KlipperConfig(config)), "mine").travel
-    gathered = gather([held], KlipperConfig(config), travel)
-    (used,) = gathered.used
+    found = gathered(held, config)
+    (used,) = found.used
     assert used.motion == (
         "TEST_RESONANCES of Klipper before December 2024 of 1,1 at 175,175: min_freq 5, max_freq "
         "40, accel_per_hz 75"
     )
     assert used.notes[0].startswith("its time stamps wander by up to 2")
-    groups = axis_responses(gathered.runs, MeasurementSettings((3.0, 38.0), racks=False))
+    groups = axis_responses(found.runs, MeasurementSettings((3.0, 38.0), racks=False))
     for name, group in groups.items():
         (response,) = (run.response for run in group.runs)
         slow = response.within((10.0, 20.0))
@@ -164,7 +170,6 @@ def test_a_real_belt_of_2023_is_taken(tmp_path: Path, config: Path) -> None:
 @pytest.mark.slow
 def test_exchanged_files_and_unusual_settings_are_noticed(tmp_path: Path, config: Path) -> None:
     config.write_text(SV08_CONFIG.replace("accel_per_hz: 90", "hz_per_sec: 2\nmax_freq: 100"))
-    travel = parse(text_from_klipper(KlipperConfig(config)), "mine").travel
     chip = replace(drawn_sensor(4, "lis2dw-394"), lead=0.4)
     tests = [klipper(way, hz_per_sec=2.0, max_freq=100.0) for way in ((1.0, 0.0), (0.0, 1.0))]
     tests[1] = replace(tests[1], accel_per_hz=100.0)
@@ -172,7 +177,7 @@ def test_exchanged_files_and_unusual_settings_are_noticed(tmp_path: Path, config
     for names, exchanged in (("xy", False), ("yx", True)):
         for name, recording in zip(names, made, strict=True):
             write_klipper(tmp_path / f"raw_data_{name}_1.csv", recording)
-        used = gather([tmp_path], KlipperConfig(config), travel).used
+        used = gathered(tmp_path, config).used
         shown = ["the names of the two files are exchanged" in one.as_text() for one in used]
         assert shown == [exchanged, exchanged]
         assert re.search(r"accel_per_hz \d+ .default: 60.", used[not exchanged].motion)

@@ -1,5 +1,6 @@
 """Models from recordings that tell neither start, clock, axes nor gain: TEST_RESONANCES."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,6 +34,7 @@ from tests.resonance_recordings import (
 )
 from tests.simulator import Axis, Machine, Mode
 
+Directions = Sequence[tuple[float, ...]]
 HEAD = Axis((Mode(47.0, 0.06, 0.85), Mode(78.0, 0.05, 0.15)), 4e-4)
 BED = Axis((Mode(33.0, 0.08),), 4e-4)
 MACHINE = Machine(HEAD, BED, kinematics="corexy")
@@ -93,8 +95,10 @@ def test_clock_and_axis_are_found_from_the_motion(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_modes_are_those_of_the_printer_and_below_them_it_follows_its_command() -> None:
-    result = found(short(X), short(Y))
+@pytest.mark.parametrize("ways", [(X, Y), BELTS], ids=["axes", "belts"])
+def test_modes_are_the_printers_and_below_them_it_follows_its_command(ways: Directions) -> None:
+    """Neither test of belts moves one axis alone."""
+    result = found(*map(short, ways))
     check_modes(result, "Gxx", HEAD)
     check_modes(result, "Gyy", BED)
     assert result.refusal is None
@@ -117,14 +121,6 @@ def written_config(folder: Path) -> Path:
         "min_freq: 8\nmax_freq: 105\nhz_per_sec: 2\n"
     )
     return config
-
-
-@pytest.mark.slow
-def test_belts_tell_both_axes() -> None:
-    """Neither test of belts moves one axis alone."""
-    result = found(*(short(each) for each in BELTS))
-    check_modes(result, "Gxx", HEAD)
-    check_modes(result, "Gyy", BED)
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ ALL = [
     Kinematics(kind, swap, (a, b))
     for kind, swap, a, b in itertools.product(TYPES, (False, True), (1.0, -1.0), (1.0, -1.0))
 ]
+LINES = sample("rectangle.gcode")
 X, Y = np.array([3.0, -1.0, 0.0]), np.array([4.0, 0.5, 2.0])
 
 
@@ -49,20 +50,18 @@ def test_matrix_and_speed_ratio_are_those_of_the_belts(kinematics: Kinematics) -
 def test_stream_in_x_and_y_does_not_depend_on_how_the_motors_are_connected(change: str) -> None:
     mine = parse(f'extends = "paper"\n[kinematics]\n{change}\n', "mine")
     paper = load("paper")
-    lines = sample("rectangle.gcode")
-    assert unstamped(converted(lines, mine)[0]) == unstamped(converted(lines, paper)[0])
+    assert unstamped(converted(LINES, mine)[0]) == unstamped(converted(LINES, paper)[0])
 
 
 def test_corexz_plays_as_cartesian_but_its_z_steps_with_x() -> None:
     text = 'extends = "example-cartesian"\n[kinematics]\ntype = "{}"\n'
-    lines = sample("rectangle.gcode")
     plays, cartesian = (
-        unstamped(converted(lines, parse(text.format(kind), kind), Options("fbs"))[0])
+        unstamped(converted(LINES, parse(text.format(kind), kind), Options("fbs"))[0])
         for kind in ("corexz", "cartesian")
     )
     assert plays == cartesian
     with pytest.raises(PrinterError, match="the motor of z moves with x"):
-        next(WholeFile(iter(lines), parse(text.format("corexz"), "mine"), Options("fbs")).steps())
+        next(WholeFile(iter(LINES), parse(text.format("corexz"), "mine"), Options("fbs")).steps())
 
 
 def test_bed_slinger_is_compensated_in_x_and_y_each_by_its_own_resonance() -> None:
@@ -70,8 +69,7 @@ def test_bed_slinger_is_compensated_in_x_and_y_each_by_its_own_resonance() -> No
     printer = load("example-cartesian")
     right_plant = printer.plant
     wrong_plant = replace(right_plant, Gxx=right_plant.Gyy, Gyy=right_plant.Gxx)
-    lines = sample("rectangle.gcode")
-    command = join(list(WholeFile(iter(lines), printer, Options("fbs")).commands()))
+    command = join(list(WholeFile(iter(LINES), printer, Options("fbs")).commands()))
     errors = [
         np.concatenate([j.contour["fbs"] for j in judge([command], plant, 1)])
         for plant in (right_plant, wrong_plant)
