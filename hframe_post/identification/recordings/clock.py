@@ -141,9 +141,9 @@ def not_found() -> IdentificationError:
 
 AT_REST = 1e-3  # share of the greatest acceleration below which a command is at rest
 TAIL = 1000  # samples recorded after the command, in which the printer stops ringing
-SEGMENT, STRIDE = 2000, 500  # samples, of the spectra that are compared over time
+SEGMENT = 2000  # samples, of the spectra that are compared over time
 CLOCK_BAND_HZ = (4.0, 100.0)
-WITHIN = (9e-3, 6e-4, 4e-5)  # by which the rate may be off, from step to step
+WITHIN = (9e-3, 6e-4)  # by which the rate may be off: by a line, by a test or the step before
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +213,7 @@ def _refined(command: Array, acceleration: Array, reach: float) -> float:
     Spectra of short pieces are turned in phase as a drift would delay them.
     """
     taper = np.hanning(SEGMENT)
-    starts = np.arange(0, len(command) - SEGMENT + 1, STRIDE)
+    starts = np.arange(0, len(command) - SEGMENT + 1, SEGMENT // 4)
     pieces = starts[:, None] + np.arange(SEGMENT)
     hz = rfftfreq(SEGMENT, TS)
     inside = (hz >= CLOCK_BAND_HZ[0]) & (hz <= CLOCK_BAND_HZ[1])
@@ -232,7 +232,17 @@ def _refined(command: Array, acceleration: Array, reach: float) -> float:
         explained = (np.abs(summed) ** 2).sum(axis=1) / np.maximum(sent * received, 1e-300)
         unexplained.append(np.log(np.maximum(1.0 - explained, 1e-6)).sum())
         phase *= step
-    return float(drifts[np.argmin(unexplained)])
+    at = summit(-np.array(unexplained))
+    return float(np.interp(at, np.arange(len(drifts)), drifts))
+
+
+def summit(values: Array) -> float:
+    """Return where values (k,) at 0, 1, 2, … are greatest: the summit of a parabola."""
+    k = int(np.clip(np.argmax(values), 1, len(values) - 2))
+    before, at, after = values[k - 1 : k + 2].tolist()
+    return (
+        k + float(np.clip((before - after) / min(before - 2.0 * at + after, -1e-300), -2, 2)) / 2.0
+    )
 
 
 # ---------------------------------------------------------------------- reported by the printer
@@ -306,14 +316,26 @@ def _check_in_time(slow: Array, shown: Array) -> None:
         )
 
 
+def follows(u: Array, shown: Array) -> tuple[Array, Array]:
+    """Return how a motion u (n, k) is in what a sensor shows (m, j), for each lag of m − n + 1.
+
+    That is the share of the shown part that u explains by least squares, (lags,), and the sizes
+    with which it does so, (lags, k, j).
+    """
+    products = np.stack(
+        [[fftconvolve(a, part[::-1], "valid") for a in shown.T] for part in u.T]
+    )  # (k, j, lags)
+    sizes = np.moveaxis(np.tensordot(np.linalg.inv(u.T @ u), products, 1), -1, 0)
+    summed = np.cumsum(np.pad(np.square(shown).sum(axis=1), (1, 0)))
+    energy = summed[len(u) :] - summed[: -len(u)]
+    explained = (sizes * np.moveaxis(products, -1, 0)).sum(axis=(1, 2))
+    return explained / np.maximum(energy, 1e-300), sizes
+
+
 def _lag(slow: Array, shown: Array, first: int) -> tuple[float, float]:
     """Return the likeness, 0 … 1, of a part of a recording to its command, and its lag in s."""
-    part = slow[first : first + PART]
     low = max(first - LAG_REACH, 0)
-    region = shown[low : first + len(part) + LAG_REACH]
-    products = sum(
-        fftconvolve(a, u[::-1], "valid") ** 2 / (u @ u) for u in part.T for a in region.T
-    )
-    best = int(np.argmax(products))
-    energy = (region[best : best + len(part)] ** 2).sum()
-    return float(np.sqrt(products[best] / max(energy, 1e-300))), (low + best - first) * TS
+    part = slow[first : first + PART]
+    share, _ = follows(part, shown[low : first + len(part) + LAG_REACH])
+    best = int(np.argmax(share))
+    return float(np.sqrt(share[best])), (low + best - first) * TS

@@ -8,222 +8,39 @@ of pulses, the start, and the levels of pulses and sweeping.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
-from scipy.fft import next_fast_len, rfft, rfftfreq
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import fftconvolve
 from scipy.signal.windows import hann
 
-from hframe_post.arrays import TS, Array
+from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
 from hframe_post.identification.recordings.accelerometer import Recording
-from hframe_post.identification.recordings.chirp import (
-    RATE,
-    ChirpLine,
-    find_line,
-    robust_fit,
-    uniform,
-)
-from hframe_post.identification.recordings.clock import Clock
+from hframe_post.identification.recordings.chirp import ChirpLine, find_line, robust_fit, uniform
+from hframe_post.identification.recordings.clock import Clock, follows, summit
 from hframe_post.identification.recordings.resonance_test import (
     DEFAULTS,
     FORMER_MAX_FREQ,
     ResonanceTest,
 )
 
+USUAL_RATES = (1.0, 0.5, 2.0, 0.25, 0.2, 0.1, 1.5, 0.75, 3.0, 4.0, 5.0)  # Hz/s
+LOW_HZ = 20.0  # to which motions are compared, unless the printer resonates earlier
+RISE = 1.4  # of the level, where that is
 SMOOTHING = 9.0  # ms, of motions before they are compared
-STEP = 5  # ms between their samples
-START_REACH = 16  # steps by which the start may be off the line's
-# of the share explained, by which the first frequency expected may fall behind another
+REACH = 80  # ms by which the start may be off the line's
+# of the share explained, by which what is expected may fall behind something else
 ALIKE = 0.01
-LEAD = 11  # steps of rest before a motion
-
-
-@dataclass(frozen=True, slots=True)
-class Match:
-    """A test compared with a recording.
-
-    start: s on the command's clock; like: share explained; sweeping: size of the response to a
-    sweeping of 1, along the direction in which the recording is strongest, axis (3,).
-    """
-
-    test: ResonanceTest
-    start: float
-    like: float
-    sweeping: float
-    axis: Array
-
-
-def low_part(a: Array, drift: float) -> Array:
-    """Return the slow part of a recording every ``STEP`` ms of the command's clock."""
-    smooth = gaussian_filter1d(a, SMOOTHING * TS * RATE, axis=0)
-    t = np.arange(len(a)) / RATE / (1.0 + drift)
-    at = np.arange(int(t[-1] / (STEP * TS))) * STEP * TS
-    return np.column_stack([np.interp(at, t, column) for column in smooth.T])
-
-
-def best_match(
-    low: Array, known: ResonanceTest, line: ChirpLine, drift: float, high: float
-) -> Match:
-    """Return the best comparison among all first frequencies and kinds of pulses."""
-    origin = line.origin / (1.0 + drift)
-    earliest = -known.hz_per_sec * origin - 0.5 * known.hz_per_sec
-    latest = line.first * (1.0 + drift) + 1.0
-    usual = np.arange(1.0, 300.0, 0.5)
-    starts = [known.min_freq, *usual[usual != known.min_freq].tolist()]
-    starts = [f for f in starts if max(earliest, 1.0) <= f <= latest]
-    if not starts:
-        raise cut_at_start(line, known.min_freq)
-    seconds = high / known.hz_per_sec + origin
-    low, axis = _strongest(low[: max(int(seconds / (STEP * TS)), 1)])
-    hz = np.maximum((np.arange(len(low)) * STEP * TS - origin) * known.hz_per_sec, latest - 1.0)
-    kinds = [False] if known.sweeping_period else [False, True]
-    unit = replace(known, accel_per_hz=1.0, sweeping_accel=1.0)
-    fits = [
-        _compared(low, axis, 1.0 / hz, replace(unit, min_freq=f, around_point=kind),
-                  f / known.hz_per_sec + origin)
-        for f, kind in product(starts, kinds)
-    ]  # fmt: skip
-    most = max(fit.like for fit in fits)
-    good = [fit for fit in fits if fit.like >= most - ALIKE]
-    return max(good, key=lambda fit: (fit.test.min_freq == known.min_freq, fit.like))
-
-
-def _strongest(a: Array) -> tuple[Array, Array]:
-    """Return the component (n,) of a signal (n, 3) along its strongest direction, and that (3,).
-
-    The motion has one direction, noise has three.
-    """
-    centred = a - a.mean(axis=0)
-    axis = np.linalg.eigh(centred.T @ centred)[1][:, -1]
-    return np.asarray(centred @ axis), np.asarray(axis)
-
-
-def _compared(low: Array, axis: Array, weight: Array, test: ResonanceTest, start: float) -> Match:
-    """Return the comparison at the best start near the one given, in s."""
-    n, first = len(low), round(start / (STEP * TS))
-    parts = [_slow(test.pulses())]
-    if test.sweeping_period:
-        parts.append(_slow(test.sweeping()))
-    margin = n + START_REACH + LEAD
-    least = margin - first + LEAD - START_REACH
-    views = [
-        sliding_window_view(np.pad(part, margin)[least : least + n + 2 * START_REACH], n)[::-1]
-        for part in parts
-    ]
-    columns = np.stack([*views, np.ones_like(views[0])], axis=2) * weight[:, None]
-    wanted = low * weight
-    transposed = columns.transpose(0, 2, 1)
-    solved = np.linalg.solve(transposed @ columns, (transposed @ wanted)[:, :, None])
-    left = np.square(wanted - (columns @ solved)[:, :, 0]).sum(axis=1)
-    still = wanted - weight * (weight @ wanted) / (weight @ weight)
-    like = 1.0 - left / float(still @ still)
-    k = int(np.argmax(like))
-    late, top = float(k - START_REACH), float(like[k])
-    if 0 < k < len(like) - 1:  # the summit of a parabola
-        before, after = like[k - 1], like[k + 1]
-        by = 0.5 * float((before - after) / (before - 2.0 * top + after))
-        late, top = late + by, top - 0.25 * float(before - after) * by
-    sweeping = abs(float(solved[k, 1, 0])) if test.sweeping_period else 0.0
-    return Match(test, (first + late) * STEP * TS, top, sweeping, axis)
-
-
-def _slow(displacement: Array) -> Array:
-    """Return the slow part of an acceleration, every ``STEP`` ms from ``LEAD`` steps before it."""
-    padded = np.pad(displacement, (LEAD * STEP, 0), mode="edge")
-    acceleration = np.diff(padded, 2, prepend=padded[0], append=padded[-1]) / TS**2
-    return np.asarray(gaussian_filter1d(acceleration, SMOOTHING)[::STEP])
-
-
-def cut_at_start(line: ChirpLine, expected: float) -> IdentificationError:
-    """Return the error for a recording that lacks the beginning of the test."""
-    begins = -line.slope * line.origin
-    return IdentificationError(
-        f"the recording begins in the middle of the resonance test, at {begins:.0f} Hz: it was cut "
-        f"(use the whole file), or min_freq was not {expected:g} as in [resonance_tester]: set it "
-        "as it was in the test"
-    )
-
-
-REST = 0.05  # s before the motion that a whole recording has
+SAME_LEVEL = 0.2  # by which sensors and printers may differ from the level expected
+SOON = 1.0  # s from the motion's end to that of a recording
 ELSEWHERE = (
     "the sensor did not move with this axis (it sat on the frame, on another head, or on the head "
     "while the bed moves, or the other way round)"
 )
-
-
-def rests_before(a: Array, start: float) -> bool:
-    """Return whether the printer of a recording rests before a motion that starts at s."""
-    first = int((start - REST) * RATE)
-    moving = float(a[max(first, 0) :][: int(RATE)].std(axis=0).max())
-    return first > 0 and float(a[:first].std(axis=0).max()) < 0.5 * moving
-
-
-def check_motion(fit: Match, line: ChirpLine, hz: Array, level: Array) -> None:
-    """Raise IdentificationError if what a recording shows at low frequencies is another motion."""
-    grows = f"the recording's frequency grows by {line.slope:.3g} Hz/s as in a resonance test, but"
-    growth = float(np.polyfit(np.log(hz), np.log(level), 1)[0])
-    if growth < verdict.TEST_GROWTH:
-        raise IdentificationError(
-            f"{grows} its acceleration does not grow with it (to its power of {1.0 + growth:.2f}; "
-            f"a test to {1.0 + verdict.TEST_GROWTH:g} or more): this is another program's sweep"
-        )
-    if fit.like < verdict.TEST_EXPLAINED:
-        raise IdentificationError(
-            f"{grows} only {100.0 * max(fit.like, 0.0):.0f} % of what it shows below "
-            f"{hz[-1]:.0f} Hz is that motion, not {100.0 * verdict.TEST_EXPLAINED:.0f} % or more. "
-            f"Either {ELSEWHERE}, or input shaping was on (INPUT_SHAPING=1), or another program "
-            "made it"
-        )
-
-
-def check_level(fit: Match, level: float, expected: ResonanceTest) -> None:
-    """Raise IdentificationError if the sensor moved far less than the axis did.
-
-    A test of weak pulses still has its sweeping in full.
-    """
-    share = level / expected.accel_per_hz
-    swept = fit.sweeping / expected.sweeping_accel
-    if share >= verdict.TEST_LEVEL or swept > 2.0 * verdict.TEST_LEVEL:
-        return
-    cause = ELSEWHERE
-    if not fit.test.sweeping_period and level > 1.0:
-        cause = (
-            f"either {ELSEWHERE}, or the test was run with ACCEL_PER_HZ={level:.2g}: set "
-            f"accel_per_hz in [resonance_tester], which is {expected.accel_per_hz:g}"
-        )
-    raise IdentificationError(
-        f"the recording shows {100.0 * share:.0f} % of the acceleration that the test makes, not "
-        f"{100.0 * verdict.TEST_LEVEL:.0f} % or more: {cause}"
-    )
-
-
-def check_shaping(hz: Array, level: Array, base: float) -> None:
-    """Raise IdentificationError if a printer that falls behind its motors resonates nowhere."""
-    if level.max() < verdict.TEST_PEAK * base and level.min() < 0.5 * base:
-        fades = float(hz[np.flatnonzero(level < 0.5 * base)[0]])
-        raise IdentificationError(
-            f"the recording shows no resonance (at most {level.max() / base:.1f} times its level "
-            f"at low frequencies, not {verdict.TEST_PEAK:g}), and from {fades:.0f} Hz on less than "
-            "half of the test's motion. Either input shaping was on (repeat TEST_RESONANCES "
-            "without INPUT_SHAPING=1), or something soft lies between motors and sensor, such as "
-            "a slack belt or a sensor that is not screwed on"
-        )
-
-
-USUAL_RATES = (1.0, 0.5, 2.0, 0.25, 0.2, 0.1, 1.5, 0.75, 3.0, 4.0, 5.0)  # Hz/s
-LOW_HZ = 20.0  # to which motions are compared, unless the printer resonates earlier
-RISE = 1.4  # of the level, where that is
-PERIODS = (0.3, 4.0)  # s, of sweeping
-LEAST_SWEEPING = 30.0  # mm/s²
-SAME_LEVEL = 0.2  # by which sensors and printers may differ from the level expected
-END = 0.15  # s over which the end of the pulses is looked for
-SOON = 1.0  # s from the motion's end to that of a recording
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,6 +56,38 @@ class Found:
     axis: Array
 
 
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What a recording shows along the line of a test.
+
+    a (n, 3): every 1 ms of the sensor's clock; drift: of that. hz, level (k,): frequencies, and
+    the response to the pulses there, mm/s² per Hz. base: that at 0 Hz. low_hz: up to which the
+    printer follows its motors.
+    """
+
+    a: Array
+    line: ChirpLine
+    drift: float
+    hz: Array
+    level: Array
+    base: float
+    low_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Match:
+    """A test compared with a recording.
+
+    start: s on the command's clock. like: share explained. sweeping: size of the response to a
+    sweeping of 1.
+    """
+
+    test: ResonanceTest
+    start: float
+    like: float
+    sweeping: float
+
+
 def find(recording: Recording, expected: ResonanceTest) -> Found:
     """Return the resonance test in a recording, which printer.cfg describes as ``expected``.
 
@@ -252,23 +101,18 @@ def find(recording: Recording, expected: ResonanceTest) -> Found:
             "the recording shows no resonance test, whose frequency grows steadily. If it is of "
             "a sweep, put the CSV file that 'hframe-post measure' wrote next to it"
         )
-    hz_per_sec, drift = _rate(line.slope, expected.hz_per_sec)
-    hz, level = _levels(a, line)
-    low, high = _low_band(hz, level)
-    known = replace(_swept(a, expected, drift), hz_per_sec=hz_per_sec, max_freq=high + 2.0)
-    fit = best_match(low_part(a, drift), known, line, drift, high)
-    check_level(fit, low, expected)
-    slow = hz <= high
-    if fit.test.min_freq != expected.min_freq and not rests_before(a, fit.start * (1.0 + drift)):
-        if -line.slope * line.origin < expected.min_freq + SOON * line.slope:
-            check_motion(fit, line, hz[slow], level[slow])  # else nothing is missing
-        raise cut_at_start(line, expected.min_freq)
-    check_motion(fit, line, hz[slow], level[slow])
-    last = _last_hz(a, line, drift, fit, expected)
-    check_shaping(hz, level, low)
-    test = _with_levels(fit, low / (1.0 + drift), expected)
+    rate, drift = _rate(line.slope, expected.hz_per_sec)
+    seen = _seen(a, line, drift)
+    low, axis = _low_part(seen)
+    known = replace(expected, hz_per_sec=rate, max_freq=seen.low_hz + 2.0)
+    fit = _best_match(low, known, seen)
+    whole = fit.test.min_freq == expected.min_freq or _rests_before(a, fit.start * (1.0 + drift))
+    last = _last_hz(seen, expected)
+    for refusal in _refusals(seen, fit, expected, whole, last):
+        raise refusal
+    test = _with_levels(fit, seen.base / (1.0 + drift), expected)
     clock = Clock(float(recording.t[0] + fit.start * (1.0 + drift)), drift)
-    return Found(replace(test, max_freq=last), clock, fit.axis)
+    return Found(replace(test, max_freq=last), clock, axis)
 
 
 def _rate(slope: float, expected: float) -> tuple[float, float]:
@@ -284,28 +128,17 @@ def _rate(slope: float, expected: float) -> tuple[float, float]:
     )
 
 
-def _along_line(a: Array, line: ChirpLine, seconds: float) -> tuple[Array, Array]:
-    """Return, at each sample, the line's frequency in Hz and the response's size there, (n,) each.
-
-    seconds: over which the size is averaged.
-    """
-    since = np.arange(len(a)) / RATE - line.origin
-    turning = np.exp(-1j * np.pi * line.slope * np.square(since))
-    window = hann(round(seconds * RATE))[:, None]
-    size = np.linalg.norm(fftconvolve(a * turning[:, None], window / window.sum(), "same"), axis=1)
-    return line.slope * since, size
-
-
-def _levels(a: Array, line: ChirpLine) -> tuple[Array, Array]:
-    """Return frequencies (k,) and the responses (k,) to pulses there, mm/s² per Hz."""
-    hz, size = _along_line(a, line, 1.0)
-    keep = (hz >= line.first + 0.5) & (hz <= line.last - 0.5)
+def _seen(a: Array, line: ChirpLine, drift: float) -> _Seen:
+    since = np.arange(len(a)) * TS - line.origin
+    turned = a * np.exp(-1j * np.pi * line.slope * np.square(since))[:, None]
+    window = hann(1001)[:, None]
+    turned = np.pad(turned, ((500, 500), (0, 0)), mode="reflect")
+    slow: Complex = fftconvolve(turned, window / window.sum(), "valid")
+    hz = np.asarray(line.slope * since, dtype=np.float64)
+    kept = slice(int(np.searchsorted(hz, line.first + 0.5)), None, 50)
     # a square wave's fundamental is 4/π times as large, half of it at positive frequencies
-    return hz[keep][::25], (size[keep] / hz[keep])[::25] * np.pi / 2.0
-
-
-def _low_band(hz: Array, level: Array) -> tuple[float, float]:
-    """Return the level at 0 Hz and the frequency up to which a printer follows its motors."""
+    level: Array = np.linalg.norm(slow[kept], axis=1) / hz[kept] * np.pi / 2.0
+    hz = hz[kept]
     base = float(np.median(level[hz < hz[0] + 5.0]))
     risen = np.flatnonzero(level > RISE * base)
     edge = max(float(hz[risen[0]]) if risen.size else LOW_HZ, hz[0] + 4.0)
@@ -313,50 +146,98 @@ def _low_band(hz: Array, level: Array) -> tuple[float, float]:
     # below a mode at f₀ the level is that at 0 Hz / (1 − (f/f₀)²); other modes are outliers
     columns = np.column_stack([np.ones(int(low.sum())), -np.square(hz[low])])
     fit = robust_fit(columns, 1.0 / level[low])
-    return (1.0 / float(fit[0]) if fit.min() > 0.0 else base), min(edge, max(LOW_HZ, hz[0] + 8.0))
+    base = 1.0 / float(fit[0]) if fit.min() > 0.0 else base
+    return _Seen(a, line, drift, hz, level, base, min(edge, max(LOW_HZ, hz[0] + 8.0)))
 
 
-def _swept(a: Array, expected: ResonanceTest, drift: float) -> ResonanceTest:
-    """Return the test with the period of sweeping that a recording shows, 0 if there is none."""
-    size = next_fast_len(4 * len(a), real=True)
-    hz = rfftfreq(size, 1.0 / RATE) * (1.0 + drift)
-    inside = (hz > 1.0 / PERIODS[1]) & (hz < 1.0 / PERIODS[0])
-    wave = np.linalg.norm(np.abs(rfft(a * hann(len(a))[:, None], size, axis=0))[inside], axis=1)
-    wave *= 4.0 / len(a) * np.pi / 4.0
-    at = int(np.argmax(wave))
-    if wave[at] < max(LEAST_SWEEPING, 10.0 * float(np.median(wave))):
-        return replace(expected, sweeping_period=0.0)
-    period = 1.0 / float(hz[inside][at])
-    usual = (p for p in (expected.sweeping_period, 1.2) if abs(period - p) < 0.02 * period)
-    return replace(expected, sweeping_period=next(usual, round(period, 2)))
+# ---------------------------------------------------------------------- the slow motion
 
 
-def _last_hz(a: Array, line: ChirpLine, drift: float, fit: Match, expected: ResonanceTest) -> float:
-    """Return the frequency at which the pulses end; raises IdentificationError if cut off."""
-    hz, size = _along_line(a, line, END)
-    before = (hz > line.last - 2.0 * line.slope) & (hz < line.last - line.slope)
-    near = np.abs(hz - line.last) < 2.0 * line.slope
-    strong = size > 0.5 * np.median(size[before])
-    last = float(hz[near & strong][-1]) * (1.0 + drift)
-    end = float(hz[-1]) * (1.0 + drift)
-    ended = end - last > END * line.slope
+def _low_part(seen: _Seen) -> tuple[Array, Array]:
+    """Return the slow part (n,) of a recording along its strongest direction, and that (3,).
+
+    Every 1 ms of the command's clock. The motion has one direction, noise has three.
+    """
+    seconds = seen.low_hz / seen.line.slope + seen.line.origin
+    slow = _smooth(seen.a[: int(seconds / TS)])
+    slow = slow - slow.mean(axis=0)
+    axis = np.linalg.eigh(slow.T @ slow)[1][:, -1]
+    rows = np.arange(int(len(slow) / (1.0 + seen.drift))) * (1.0 + seen.drift)
+    return np.interp(rows, np.arange(len(slow)), slow @ axis), np.asarray(axis)
+
+
+def _smooth(a: Array) -> Array:
+    return np.asarray(gaussian_filter1d(a, SMOOTHING, axis=0))
+
+
+def _best_match(low: Array, known: ResonanceTest, seen: _Seen) -> _Match:
+    """Return the best comparison among all first frequencies and kinds of pulses."""
+    rate, origin = known.hz_per_sec, seen.line.origin / (1.0 + seen.drift)
+    earliest = max(-rate * (origin + 0.5), 1.0)
+    latest = max(seen.line.first * (1.0 + seen.drift) + 1.0, earliest + 1.0)
+    usual = {known.min_freq, *np.arange(1.0, 300.0, 0.5).tolist()}
+    unit = replace(known, accel_per_hz=1.0, sweeping_accel=1.0)
+    kinds = [replace(unit, sweeping_period=p) for p in {known.sweeping_period or 1.2, 1.2}]
+    kinds.append(replace(unit, sweeping_period=0.0, around_point=True))
+    hz = np.maximum((np.arange(len(low)) * TS - origin) * rate, latest - 1.0)
+    fits = [
+        _compared(low, 1.0 / hz, replace(kind, min_freq=f), f / rate + origin)
+        for f in usual
+        if earliest <= f <= latest
+        for kind in kinds
+    ]
+    most = max(fit.like for fit in fits)
+    good = [fit for fit in fits if fit.like >= most - ALIKE]
+    best = max(good, key=lambda fit: (fit.test.min_freq == known.min_freq, fit.like))
+    if best.sweeping > verdict.TEST_LEVEL * known.sweeping_accel:
+        return best
+    return replace(best, test=replace(best.test, sweeping_period=0.0), sweeping=0.0)
+
+
+def _compared(low: Array, weight: Array, test: ResonanceTest, start: float) -> _Match:
+    """Return the comparison at the best start near the one given, in s."""
+    first = round(start / TS)
+    parts = [test.pulses(), test.sweeping()] if test.sweeping_period else [test.pulses()]
+    rows = np.arange(len(low)) - first
+    columns = [np.ones(len(low))]
+    for part in parts:
+        slow = _smooth(np.diff(np.pad(part, 100, mode="edge"), 2) / TS**2)
+        columns.append(np.interp(rows, np.arange(len(slow)) - 99, slow, 0.0, 0.0))
+    u = (np.column_stack(columns) * weight[:, None])[REACH:-REACH]
+    like, sizes = follows(u, (low * weight)[:, None])
+    k = int(np.argmax(like))
+    sweeping = abs(float(sizes[k, 2, 0])) if test.sweeping_period else 0.0
+    return _Match(test, (first + summit(like) - REACH) * TS, float(like[k]), sweeping)
+
+
+def _rests_before(a: Array, start: float) -> bool:
+    """Return whether the printer of a recording rests before a motion that starts at s."""
+    first = int(start / TS) - 50
+    moving = float(a[max(first, 0) :][:1000].std(axis=0).max())
+    return first > 0 and float(a[:first].std(axis=0).max()) < 0.5 * moving
+
+
+# ---------------------------------------------------------------------- the end, and levels
+
+
+def _last_hz(seen: _Seen, expected: ResonanceTest) -> float:
+    """Return the frequency at which the pulses end."""
+    hz, line = seen.hz, seen.line
+    before = (hz > line.last - 3.0) & (hz < line.last - 1.0)
+    strong = (seen.level > 0.5 * np.median(seen.level[before])) & (np.abs(hz - line.last) < 2.0)
+    last, end = (float(f) * (1.0 + seen.drift) for f in (hz[strong][-1], hz[-1]))
+    ended = end - last > 0.2 * line.slope
     usual = [expected.max_freq, DEFAULTS["max_freq"], FORMER_MAX_FREQ]
-    rounded = [5.0 * round(last / 5.0)] if ended else []
-    found = min([*usual, *rounded], key=lambda f: abs(f - last))
+    found = min([*usual, 5.0 * round(last / 5.0)] if ended else usual, key=lambda f: abs(f - last))
     if abs(found - last) < 0.4 * max(1.0, line.slope):
         return found
     # the firmware stops recording soon after the motion, whose end noise may hide
     usual = [*usual, 5.0 * (end // 5.0)] if ended else usual[:1]
-    hidden = [f for f in usual if f <= end < f + SOON * line.slope]
-    if not (hidden or ended):
-        raise IdentificationError(
-            f"the recording ends in the middle of the resonance test, at {last:.0f} Hz of "
-            f"{expected.max_freq:g} Hz: it was cut. Use the whole file"
-        )
-    return hidden[0] if hidden else round(last, 1)
+    hidden = (f for f in usual if f <= end < f + SOON * line.slope)
+    return next(hidden, round(last, 1) if ended else expected.max_freq)
 
 
-def _with_levels(fit: Match, level: float, expected: ResonanceTest) -> ResonanceTest:
+def _with_levels(fit: _Match, level: float, expected: ResonanceTest) -> ResonanceTest:
     """Return the test with levels from the recording where they are not those expected."""
     sweeping_accel, gain = expected.sweeping_accel, 1.0
     if fit.test.sweeping_period:
@@ -372,3 +253,70 @@ def _usual(found: float, usual: tuple[float, ...], step: float) -> float:
         if abs(found / value - 1.0) < tolerance:
             return value
     return max(step, step * round(found / step))
+
+
+# ---------------------------------------------------------------------- verdict
+
+
+def _refusals(
+    seen: _Seen, fit: _Match, expected: ResonanceTest, whole: bool, last: float
+) -> Iterator[IdentificationError]:
+    """Yield why a recording does not show the motion of a test, the likeliest cause first.
+
+    whole: whether it begins before the motion. last: the frequency at which the test ends, Hz.
+    """
+    line, hz, level, base = seen.line, seen.hz, seen.level, seen.base
+    begins, ends = -line.slope * line.origin, float(hz[-1]) * (1.0 + seen.drift)
+    share = base / expected.accel_per_hz
+    # a test of weak pulses still has its sweeping in full
+    if max(share, 0.5 * fit.sweeping / expected.sweeping_accel) < verdict.TEST_LEVEL:
+        cause = ELSEWHERE
+        if not fit.test.sweeping_period and base > 1.0:
+            cause = (
+                f"either {ELSEWHERE}, or the test was run with ACCEL_PER_HZ={base:.2g}: set "
+                f"accel_per_hz in [resonance_tester], which is {expected.accel_per_hz:g}"
+            )
+        yield IdentificationError(
+            f"the recording shows {100.0 * share:.0f} % of the acceleration that the test makes, "
+            f"not {100.0 * verdict.TEST_LEVEL:.0f} % or more: {cause}"
+        )
+    if whole or begins < expected.min_freq + SOON * line.slope:
+        slow = hz <= seen.low_hz
+        growth = float(np.polyfit(np.log(hz[slow]), np.log(level[slow]), 1)[0])
+        grows = (
+            f"the recording's frequency grows by {line.slope:.3g} Hz/s as in a resonance test, but"
+        )
+        if growth < verdict.TEST_GROWTH:
+            yield IdentificationError(
+                f"{grows} its acceleration does not grow with it (to its power of "
+                f"{1.0 + growth:.2f}; a test to {1.0 + verdict.TEST_GROWTH:g} or more): this is "
+                "another program's sweep"
+            )
+        if fit.like < verdict.TEST_EXPLAINED:
+            yield IdentificationError(
+                f"{grows} only {100.0 * max(fit.like, 0.0):.0f} % of what it shows below "
+                f"{seen.low_hz:.0f} Hz is that motion, not {100.0 * verdict.TEST_EXPLAINED:.0f} % "
+                f"or more. Either {ELSEWHERE}, or input shaping was on (INPUT_SHAPING=1), or "
+                "another program made it"
+            )
+    if not whole:
+        yield IdentificationError(
+            f"the recording begins in the middle of the resonance test, at {begins:.0f} Hz: it was "
+            f"cut (use the whole file), or min_freq was not {expected.min_freq:g} as in "
+            "[resonance_tester]: set it as it was in the test"
+        )
+    if last > ends + SOON * line.slope:
+        yield IdentificationError(
+            f"the recording ends in the middle of the resonance test, at {ends:.0f} Hz of "
+            f"{last:g} Hz: it was cut. Use the whole file"
+        )
+    inside = level[hz < line.last]
+    if inside.max() < verdict.TEST_PEAK * base and inside.min() < 0.5 * base:
+        fades = float(hz[np.argmax(inside < 0.5 * base)])
+        yield IdentificationError(
+            f"the recording shows no resonance (at most {inside.max() / base:.1f} times its level "
+            f"at low frequencies, not {verdict.TEST_PEAK:g}), and from {fades:.0f} Hz on less than "
+            "half of the test's motion. Either input shaping was on (repeat TEST_RESONANCES "
+            "without INPUT_SHAPING=1), or something soft lies between motors and sensor, such as "
+            "a slack belt or a sensor that is not screwed on"
+        )
