@@ -1,7 +1,7 @@
 """Sample files, their conversion, and a reader of written streams independent of the package."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -123,36 +123,27 @@ def assert_same_stream(now: bytes, then: bytes, place: float = 0.002, feed: floa
             assert value == pytest.approx(words[1][letter], abs=scale), (a, b)
 
 
-def strokes(seed: int, count: int, lift: float = 0.0, away: float = 40.0) -> list[str]:
-    """Return strokes of 10 to 30 mm in random directions, with retraction and travel between."""
+def strokes(seed: int, count: int, *lifts: float, between: Sequence[str] = ()) -> list[str]:
+    """Return strokes of 10 to 30 mm in random directions, with retraction and travel between.
+
+    The travel is at one of the lifts, mm, if there are any. between: lines before it.
+    """
     rng, lines, here = np.random.default_rng(seed), list(HEAD), np.array([100.0, 100.0])
     for _ in range(count):
         angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(10.0, 30.0)
         there = np.clip(here + length * np.array([np.cos(angle), np.sin(angle)]), 20, 250)
-        lines += [
-            f"G1 X{there[0]:.3f} Y{there[1]:.3f} E{0.04 * length:.5f} F6000",
-            "G1 E-1.6 F2400",
-        ]
-        lines += [f"G1 Z{0.3 + lift:g} F1200"] if lift else []
-        here = np.clip(there + rng.uniform(-away, away, 2), 20, 250)
-        lines += [f"G0 X{here[0]:.3f} Y{here[1]:.3f} F12000"]
-        lines += ["G1 Z0.3 F1200"] if lift else []
-        lines += ["G1 E1.6 F2400"]
+        here = np.clip(there + rng.uniform(-40.0, 40.0, 2), 20, 250)
+        stroke = f"G1 X{there[0]:.3f} Y{there[1]:.3f} E{0.04 * length:.5f} F6000"
+        lines += [stroke, "G1 E-1.6 F2400"]
+        lines += [f"G1 Z{0.3 + rng.choice(lifts):g} F1200"] if lifts else []
+        lines += [*between, f"G0 X{here[0]:.3f} Y{here[1]:.3f} F12000"]
+        lines += [*(["G1 Z0.3 F1200"] if lifts else []), "G1 E1.6 F2400"]
     return lines
 
 
 def hops(seed: int, count: int) -> list[bytes]:
-    """Return lines in any direction; between them retraction, lift, travel, drop, priming."""
-    rng, at = np.random.default_rng(seed), np.array([100.0, 100.0])
-    lines = ["G28", "M83", "G1 Z0.3 F600", "G0 X100 Y100 F9000"]
-    for _ in range(count):
-        angle, length = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(10.0, 30.0)
-        there = np.clip(at + length * np.array([np.cos(angle), np.sin(angle)]), 20.0, 250.0)
-        at = np.clip(there + rng.uniform(-40.0, 40.0, 2), 20.0, 250.0)
-        lift = rng.choice([0.05, 0.2, 0.4, 1.0])
-        lines += [f"G1 X{there[0]:.3f} Y{there[1]:.3f} E{0.04 * length:.4f} F6000"]
-        lines += ["G1 E-1.6 F2400", f"G1 Z{0.3 + lift} F1200", "M106 S99"]
-        lines += [f"G0 X{at[0]:.3f} Y{at[1]:.3f} F12000", "G1 Z0.3 F1200", "G1 E1.6 F2400"]
+    """Return strokes with lifts of many heights, and a line for a fan in each."""
+    lines = strokes(seed, count, 0.05, 0.2, 0.4, 1.0, between=["M106 S99"])
     return [line.encode() + b"\n" for line in lines]
 
 

@@ -64,10 +64,12 @@ def errors(blocks: list[Samples], printer: Printer, name: str = "racking") -> Ar
 
 
 @pytest.mark.parametrize("kind", ["fast", "exact"])
-@pytest.mark.parametrize("lift", [0.0, 0.4])
-def test_the_command_stands_while_the_machine_waits(paper: Printer, kind: str, lift: float) -> None:
+@pytest.mark.parametrize("lifts", [(), (0.4,)])
+def test_the_command_stands_while_the_machine_waits(
+    paper: Printer, kind: str, lifts: tuple[float, ...]
+) -> None:
     printer = replace(paper, compensation=replace(paper.compensation, stops=kind))
-    (block,) = whole_stretches(compensated(planned(strokes(0, 12, lift), printer), printer))
+    (block,) = whole_stretches(compensated(planned(strokes(0, 12, *lifts), printer), printer))
     assert len(standstills(block)) >= 24
     for name in NAMES:
         command = block.commands[name]
