@@ -29,6 +29,29 @@ static inline double greater(double a, double b) { return a > b ? a : b; }
 static inline double lesser(double a, double b) { return a < b ? a : b; }
 static inline double between(double x, double least, double most) { return lesser(greater(x, least), most); }
 
+/* Return the lesser, or the one that is a number: fmin would be called for each. */
+INSIDE double lesser_number(double a, double b)
+{
+    double low = lesser(a, b);
+    return b == b ? low : a;
+}
+
+/* Return the square of the speed on an arc that is tangent to both moves of a junction and misses it by a
+ * deviation, here times the acceleration; cosine: of the angle between the way back and the way on. */
+INSIDE double on_arc(double cosine, double deviation)
+{
+    double sin_half = sqrt(0.5 * (1.0 - cosine));
+    return deviation * sin_half / (1.0 - sin_half);
+}
+
+/* The same for Klipper, where the arc must fit into half of each move. x, y, z: products of their
+ * directions; turn, fit: deviation and half the length, times the acceleration. */
+INSIDE double klipper_corner(double x, double y, double z, double turn, double fit)
+{
+    double cosine = between(-(x + y + z), -1.0, 1.0);
+    return lesser_number(on_arc(cosine, turn), fit * sqrt(0.5 * (1.0 - cosine)) / sqrt(0.5 * (1.0 + cosine)));
+}
+
 /* Add to sum the columns from low to before high of four rows, each times its factor. */
 INSIDE void add_rows(const double *factor, const double *rows, int64_t width, int64_t low,
                      int64_t high, double *restrict sum)

@@ -122,7 +122,7 @@ static double deviation_speed(const double *one, const double *other, struct lim
     for (int c = 0; c < COLUMNS; c++) /* of all motors, one after the other */
         if (fabs(turn[c]) * a > rules->axis_acceleration[c] * sqrt(squared))
             a = rules->axis_acceleration[c] * sqrt(squared) / fabs(turn[c]);
-    double sin_half = sqrt(0.5 * (1.0 - cosine)), v2 = a * to.deviation * sin_half / (1.0 - sin_half);
+    double v2 = on_arc(cosine, a * to.deviation);
     if (to.length < SHORT && cosine < -GENTLE)
         v2 = lesser(v2, to.length * a / acos(-cosine));
     return sqrt(v2);
@@ -136,11 +136,9 @@ static double junction_speed(const double *one, const double *other, struct limi
     double one_scale = 1.0 / a.length, other_scale = 1.0 / b.length, along[E];
     for (int c = 0; c < E; c++)
         along[c] = (one[c] * one_scale) * (other[c] * other_scale);
-    double cosine = lesser(greater(-(along[X] + along[Y] + along[Z]), -1.0), 1.0);
-    double sin_half = sqrt(0.5 * (1.0 - cosine)), cos_half = sqrt(0.5 * (1.0 + cosine));
     double turn = lesser(a.deviation * a.acceleration, b.deviation * b.acceleration);
     double fit = lesser(0.5 * a.length * a.acceleration, 0.5 * b.length * b.acceleration);
-    double v2 = fmin(turn * sin_half / (1.0 - sin_half), fit * sin_half / cos_half);
+    double v2 = klipper_corner(along[X], along[Y], along[Z], turn, fit);
     return fmin(sqrt(v2), extruder_corner / fabs(other[E] / b.length - one[E] / a.length));
 }
 
@@ -237,7 +235,6 @@ static void fit_squares(const double *caps2, const double *reach2, int64_t n, do
         least = lesser(least, v2[k] - reach2[k]);
         v2[k] = lesser(greater(least + reach2[k], 0.0), caps2[k]);
     }
-    v2[0] = caps2[0];
 }
 
 enum { PLATEAU = 256 }; /* moves at cruise speed in a run */
@@ -258,6 +255,7 @@ static int64_t runs_between_rests(const struct limited *moves, const double *cap
     }
     caps2[0] = first * first, caps2[n] = last * last;
     fit_squares(caps2, reach2, n, v2);
+    v2[0] = caps2[0];
     double rounding = 1e-15 * reach2[n];
     for (int64_t k = 0; k <= n; k++) {
         if (k > 0 && k < n) {
@@ -337,22 +335,15 @@ static int64_t smoothed_between_rests(const double *s, const int64_t *ends, cons
                              double *speed, double *top, double *seconds)
 {
     double *summed = room, *both = summed + r + 1, *gain = both + r + 1, *height = gain + r + 1;
-    double least = INFINITY;
     summed[0] = 0.0;
     for (int64_t i = 0; i < r; i++) {
         struct planned run = planned(s, ends, speed, acceleration, i);
         gain[i] = 2.0 * (1.0 - ratios[i]) * run.acceleration * run.length;
         summed[i + 1] = summed[i] + gain[i];
     }
-    for (int64_t i = 0; i <= r; i++) {
-        least = lesser(least, speed[i] * speed[i] - summed[i]);
-        both[i] = (least + summed[i]) + summed[i];
-    }
-    least = INFINITY;
-    for (int64_t i = r; i >= 0; i--) {
-        least = lesser(least, both[i]);
-        both[i] = least - summed[i];
-    }
+    for (int64_t i = 0; i <= r; i++)
+        height[i] = speed[i] * speed[i];
+    fit_squares(height, summed, r, both);
     double rounding = 1e-12 * summed[r], following = INFINITY;
     int climbs_after = 1;
     for (int64_t i = r - 1; i >= 0; i--) { /* height: of the next peak; of no climb, NAN */

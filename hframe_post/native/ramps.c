@@ -14,13 +14,6 @@ struct ramped {
     double before;             /* cruise speed of the segment before them */
 };
 
-/* Return the lesser, or the one that is a number: fmin would be called for each. */
-INSIDE double lesser_number(double a, double b)
-{
-    double low = lesser(a, b);
-    return b == b ? low : a;
-}
-
 /* Find length, acceleration, greatest speed, mm of filament a mm and unit vector (k, and 3 k) of
  * segments between places at (k + 1, 4). */
 INSIDE void find_segments(const double *at, int64_t k, const struct limits *limits,
@@ -50,12 +43,10 @@ INSIDE void find_corners(const double *d, const double *a, const double *filamen
     const double *way_y = way + k, *way_z = way_y + k;
     double deviation = limits->deviation, e_corner = limits->e_corner;
     for (int64_t i = 1; i < k; i++) {
-        double cosine = -(way[i - 1] * way[i] + way_y[i - 1] * way_y[i] + way_z[i - 1] * way_z[i]);
-        cosine = lesser(greater(cosine, -1.0), 1.0);
-        double sin_half = sqrt(0.5 * (1.0 - cosine)), cos_half = sqrt(0.5 * (1.0 + cosine));
         double turn = lesser(deviation * a[i - 1], deviation * a[i]);
         double fit = lesser(0.5 * d[i - 1] * a[i - 1], 0.5 * d[i] * a[i]);
-        double v2 = lesser_number(turn * sin_half / (1.0 - sin_half), fit * sin_half / cos_half);
+        double v2 = klipper_corner(way[i - 1] * way[i], way_y[i - 1] * way_y[i], way_z[i - 1] * way_z[i],
+                                   turn, fit);
         caps[i] = lesser_number(sqrt(v2), e_corner / fabs(filament[i] - filament[i - 1]));
     }
 }

@@ -196,8 +196,7 @@ INSIDE double corner(const double *unit, const double *next, double a, double de
 {
     const double STRAIGHT = 0.999999; /* Marlin's cosine from which on blocks turn straight back */
     double cosine = -(unit[0] * next[0] + unit[1] * next[1] + unit[2] * next[2] + unit[3] * next[3]);
-    double sin_half = sqrt(0.5 * (1.0 - between(cosine, -STRAIGHT, STRAIGHT)));
-    return cosine > STRAIGHT ? 0.0 : sqrt(deviation * a * sin_half / (1.0 - sin_half));
+    return cosine > STRAIGHT ? 0.0 : sqrt(on_arc(greater(cosine, -STRAIGHT), deviation * a));
 }
 
 /* n, d, a (k), corners (k + 1): of blocks between places at (k + 1, 4). matrix (2, 2): from x, y to
