@@ -29,7 +29,6 @@ if TYPE_CHECKING:  # these import SciPy, which takes a second
     from hframe_post.printer.settings import Printer
 
 FORM = ".form.toml"
-FINEST = 6.0  # %, by which squares to compare differ at first
 NO_WINDOW = "the motors' limits are too low to compensate these waves: raise both under [motors]"
 
 
@@ -96,10 +95,12 @@ def calibrate_print(
     profile = load(printer)
     if form is not None:
         _read(form, output, printer, profile)
-    elif pick is not None:
+        return
+    if pick is not None or compare is not None:
+        check_identified(profile)
+    if pick is not None:
         _picked(pick, output, printer, profile)
     elif compare is not None:
-        check_identified(profile)
         _compare(compare, output, printer, profile, heat or _asked())
     else:
         _tower(output, printer, profile, heat or _asked())
@@ -133,29 +134,24 @@ def _tower(output: Path, printer: str, profile: Printer, heat: tuple[float, floa
 
 
 def _read(form: Path, output: Path, printer: str, profile: Printer) -> None:
-    from hframe_post.identification.by_eye import (
-        LEAST_UNCERTAINTY,
-        MOST_UNCERTAINTY,
-        filled,
-    )
+    from hframe_post.identification.by_eye import filled, uncertainty
     from hframe_post.model.plant import Plant
 
-    sheet, middle = filled(form.read_text("utf-8"), str(form)), sum(profile.travel.x) / 2.0
+    sheet = filled(form.read_text("utf-8"), str(form))
     modes = sheet.modes()
-    x, y = modes["x"], modes["y"]
-    plant = Plant(x.response(), y.response(), None, middle)
-    off = max(LEAST_UNCERTAINTY, 2.0 * x.uncertainty, 2.0 * y.uncertainty)
-    shown = [
-        f"{axis}: {one.hz:.1f} Hz, damping ratio {one.damping:.2f}" for axis, one in modes.items()
-    ]
-    for rows in sheet.hertz().values():
-        say(f"rows         {', '.join(f'{name} {hz:.1f} Hz' for name, hz in rows.items())}")
+    for axis, mode in modes.items():
+        rows = (f"{axis}{k} {hz:.1f} Hz" for k, hz in enumerate(mode.rows, 1) if hz)
+        say(f"rows         {', '.join(rows)}")
     for doubt in sheet.doubts(modes, profile.kinematics.bed_moves):
         say(f"LOOK AGAIN   {doubt}")
     if profile.kinematics.racks:
         say("note         a print does not show racking: the profile cancels ringing only")
-    off = min(off, MOST_UNCERTAINTY)
-    by = max(FINEST, 50.0 * off)
+    x, y = (mode.response() for mode in modes.values())
+    plant = Plant(x, y, None, sum(profile.travel.x) / 2.0)
+    off = uncertainty(modes.values())
+    shown = [f"{axis}: {one.hz:.1f} Hz, damping ratio {one.damping:.2f}"
+             for axis, one in modes.items()]  # fmt: skip
+    by = max(6.0, 50.0 * off)  # %, as a ruler reads a frequency
     _publish(
         output, printer, profile, plant, off, [f"Read from {form.name}", *shown],
         f"hframe-post calibrate-print -p {quoted(output)} --compare {by:.0f}% -o three.gcode",
@@ -182,7 +178,6 @@ def _compare(
 
 
 def _picked(pick: tuple[float, float], output: Path, printer: str, profile: Printer) -> None:
-    check_identified(profile)
     x, y = pick
     plant = _shifted(profile.plant, x, y)
     note = f"Frequencies changed by {100.0 * x:+g} % in x and {100.0 * y:+g} % in y, by eye"

@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -36,8 +36,7 @@ PLAUSIBLE_HZ = (8.0, 120.0)
 # waves behind a corner where a reading begins: the form says the second crest, and the first one is
 # a quarter of a wave behind the corner, since the axis stops at once
 SECOND_CREST = 1.25
-FREQUENCIES, HALVINGS = (1.0, 2000.0), 40  # Hz within which a reading's is sought
-CANDIDATES = 400
+SOUGHT: Array = np.geomspace(2.0, 2000.0, 4000)  # Hz that a reading may mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,37 +53,41 @@ class Reading:
 class PrintedMode:
     """A mode read from a print.
 
-    uncertainty: standard deviation of its frequency, relative. seen_from: mm, the lowest wave that
-    was seen.
+    uncertainty: standard deviation of its frequency, relative. rows: Hz of each reading, 0 of one
+    without waves.
     """
 
     hz: float
     damping: float
     uncertainty: float
-    seen_from: float
+    rows: list[float]
 
     def response(self) -> ImpulseResponse:
         return ImpulseResponse.from_mode(self.hz, self.damping)
 
 
-def corner_path(band: Band, a: float, side: float) -> tuple[Array, int]:
+def corner_path(band: Band, a: float) -> tuple[Array, int]:
     """Return the path around a corner, (n, 2) mm every 1 ms, and the sample of the corner.
 
     It comes along the first axis and leaves along the second, each time from the corner's speed to
-    the band's and back. a: mm/s²; side: mm.
+    the band's and back. a: mm/s².
     """
     ramp = (band.speed - band.corner) / a
-    cruise = (side - (band.speed + band.corner) * ramp) / band.speed
-    t = np.arange(round((2.0 * ramp + cruise) / TS)) * TS
-    gaining, braking = np.minimum(t, ramp), np.maximum(t - ramp - cruise, 0.0)
-    fast = (band.speed - band.corner) * np.maximum(t - ramp, 0.0)
-    way = band.corner * t + fast + 0.5 * a * (gaining**2 - braking**2)
-    still = np.zeros(len(way))
-    first, second = np.concatenate([way - side, still]), np.concatenate([still, way])
+    cruise = (SIDE - (band.speed + band.corner) * ramp) / band.speed
+    t = TS * np.arange(round((2.0 * ramp + cruise) / TS), dtype=np.float64)
+    braked = 0.5 * a * np.maximum(t - ramp - cruise, 0.0) ** 2
+    way, still = _way(band, a, t) - braked, np.zeros(len(t))
+    first, second = np.concatenate([way - SIDE, still]), np.concatenate([still, way])
     return np.column_stack([first, second]), len(way)
 
 
-def printed_mode(readings: Sequence[Reading], a: float, side: float) -> PrintedMode:
+def _way(band: Band, a: float, t: Array) -> Array:
+    """Return mm behind a corner at times t (n,) in s, while the head gains the band's speed."""
+    gaining = np.minimum(t, (band.speed - band.corner) / a)
+    return band.corner * t + a * gaining * (t - 0.5 * gaining)
+
+
+def printed_mode(readings: Sequence[Reading], a: float) -> PrintedMode:
     """Return the mode that readings of one axis show. Raises IdentificationError.
 
     A reading that differs from the others, such as one with a wave too many, hardly counts.
@@ -92,63 +95,57 @@ def printed_mode(readings: Sequence[Reading], a: float, side: float) -> PrintedM
     measured = [one for one in readings if one.waves > 0.0]
     if not measured:
         raise IdentificationError("no row has a distance and a number of waves: fill in the form")
-    hz = np.array([frequency(one, a, side) for one in measured])
-    steps = np.diff([[frequency(replace(one, distance=one.distance + sign * RULER), a, side)
-                      for sign in (-1.0, 1.0)] for one in measured])  # fmt: skip
-    by_ruler = np.abs(steps[:, 0]) / (2.0 * hz)  # relative, of each
+    hz, high, low = np.transpose(
+        [[frequency(one, a, off) for off in (0.0, -RULER, RULER)] for one in measured]
+    )
+    by_ruler = (high - low) / (2.0 * hz)  # relative, of each
     mean = _agreed(hz, by_ruler)
-    low, high = PLAUSIBLE_HZ
-    if not low <= mean <= high:
+    if not PLAUSIBLE_HZ[0] <= mean <= PLAUSIBLE_HZ[1]:
         raise IdentificationError(
-            f"these waves mean {mean:.0f} Hz, but printers ring at {low:g} to {high:g} Hz: check "
-            "that each distance is in mm and over all of the waves that you counted, not over one"
+            "these waves mean {:.0f} Hz, but printers ring at {:g} to {:g} Hz: check that each "
+            "distance is in mm and over all of the waves that you counted, not over one".format(
+                mean, *PLAUSIBLE_HZ
+            )
         )
     weight = by_ruler**-2.0
     apart = math.sqrt(weight @ np.log(hz / mean) ** 2 / weight.sum())
-    damping, seen_from = _fading(readings, mean, a, side)
+    damping = _damping(readings, mean, a)
     natural = mean / math.sqrt(1.0 - damping**2)
     uncertainty = max(float(weight.sum() ** -0.5), apart)
-    return PrintedMode(natural, damping, uncertainty, seen_from)
+    rows = [frequency(one, a) if one.waves else 0.0 for one in readings]
+    return PrintedMode(natural, damping, uncertainty, rows)
 
 
-def frequency(one: Reading, a: float, side: float) -> float:
+def frequency(one: Reading, a: float, off: float = 0.0) -> float:
     """Return the frequency, Hz, at which waves are as far apart as they were read.
 
     They are closer together where the head is still gaining speed: in the ramp behind the corner.
+    off: mm by which the distance may be wrong.
     """
-    path, corner = corner_path(one.band, a, side)
-    along, t = path[corner:, 1], np.arange(len(path) - corner) * TS
-    low, high = FREQUENCIES
-    for _ in range(HALVINGS):
-        hz = math.sqrt(low * high)
-        crests = (SECOND_CREST + np.array([0.0, one.waves])) / hz
-        near, far = np.interp(crests, t, along, right=2.0 * side).tolist()
-        low, high = (hz, high) if far - near > one.distance else (low, hz)
-    return math.sqrt(low * high)
+    near, far = (_way(one.band, a, (SECOND_CREST + n) / SOUGHT) for n in (0.0, one.waves))
+    return float(np.interp(-one.distance - off, near - far, SOUGHT))
 
 
 def _agreed(hz: Array, off: Array) -> float:
     """Return the frequency that most of some (k,) agree on; off (k,): their relative errors."""
-    candidates = np.geomspace(hz.min(), hz.max(), CANDIDATES)
+    candidates = np.geomspace(hz.min(), hz.max(), 400)
     apart = np.log(hz / candidates[:, None]) / off
     return float(candidates[np.argmin(np.log1p(apart**2).sum(axis=1))])
 
 
-def _fading(readings: Sequence[Reading], hz: float, a: float, side: float) -> tuple[float, float]:
-    """Return the damping and the lowest visible wave that explain how many waves are seen."""
+def _damping(readings: Sequence[Reading], hz: float, a: float) -> float:
+    """Return the damping that explains how many waves are seen, whatever the lowest visible one."""
     cost = np.tile((np.log(SEEN_FROM / USUAL) / SPREAD) ** 2, (len(DAMPING), 1))
     for one in readings:
-        path, corner = corner_path(one.band, a, side)
+        path, corner = corner_path(one.band, a)
         for row, damping in zip(cost, DAMPING.tolist(), strict=True):
             G = FiniteFilter(ImpulseResponse.from_mode(hz, damping), 0)
-            wall = np.abs(G.run(path[:, 0] + side) - side)[corner:]
+            wall = np.abs(G.run(path[:, 0] + SIDE) - SIDE)[corner:]
             heights = wall[find_peaks(wall)[0]]  # of crests and troughs
             seen = (heights > SEEN_FROM[:, None]).sum(axis=1) / 2.0
             row += ((seen - one.seen) / MISCOUNT) ** 2
-    likely = np.exp(-0.5 * (cost - cost.min()))
-    likely /= likely.sum()
-    damping, lowest = likely.sum(axis=1) @ np.log(DAMPING), likely.sum(axis=0) @ np.log(SEEN_FROM)
-    return math.exp(damping), math.exp(lowest)
+    likely = np.exp(-0.5 * (cost - cost.min())).sum(axis=1)
+    return math.exp(likely @ np.log(DAMPING) / likely.sum())
 
 
 # ----------------------------------------------------------------------
@@ -156,7 +153,6 @@ def _fading(readings: Sequence[Reading], hz: float, a: float, side: float) -> tu
 
 WALLS = {"x": "right wall", "y": "back wall"}
 LEAST_UNCERTAINTY, MOST_UNCERTAINTY = 0.1, 0.3  # second modes are not seen; a ruler reads no worse
-MOST = 1e5  # of any number
 APART, HEAVIER = 0.15, 1.25  # share by which a row may differ; of the frequencies of y and x
 HEAD = """\
 # What the tower shows. Hold it so that light falls along a wall, and look at the waves behind the
@@ -198,52 +194,38 @@ class Filled:
         found = {}
         for axis, readings in self.readings.items():
             try:
-                found[axis] = printed_mode(readings, self.acceleration, SIDE)
+                found[axis] = printed_mode(readings, self.acceleration)
             except IdentificationError as error:
                 raise IdentificationError(f"{axis}, {WALLS[axis]}: {error}") from None
         return found
 
-    def hertz(self) -> dict[str, dict[str, float]]:
-        """Return the frequencies, Hz, that the rows of each axis mean, by the rows' names."""
-        return {
-            axis: {
-                f"{axis}{k}": frequency(one, self.acceleration, SIDE)
-                for k, one in enumerate(readings, 1)
-                if one.waves
-            }
-            for axis, readings in self.readings.items()
-        }
-
-    def doubts(self, modes: dict[str, PrintedMode], bed_moves: bool) -> list[str]:
-        """Return what the owner should look at again, in words.
+    def doubts(self, modes: dict[str, PrintedMode], bed_moves: bool) -> Iterator[str]:
+        """Yield what the owner should look at again, in words.
 
         bed_moves: the bed, with the print on it, is what y moves.
         """
-        found = [
-            doubt
-            for axis, rows in self.hertz().items()
-            for name, its_own in rows.items()
-            for doubt in self._doubts_of_row(axis, name, its_own, modes[axis].hz)
-        ]
+        for axis, mode in modes.items():
+            for k, (one, its_own) in enumerate(zip(self.readings[axis], mode.rows, strict=True), 1):
+                if its_own and abs(its_own / mode.hz - 1.0) > APART:
+                    yield (
+                        f"row {axis}{k} means {its_own:.0f} Hz and {axis} has {mode.hz:.0f}: count "
+                        "its waves again. Is it the row of another height?"
+                    )
+                elif its_own and one.seen < SECOND_CREST + one.waves:
+                    yield (
+                        f"row {axis}{k} has {one.waves:g} waves from the second crest on, but only "
+                        f"{one.seen:g} from the corner on, in all: did you count crests?"
+                    )
         if bed_moves and modes["y"].hz > HEAVIER * modes["x"].hz:
-            found.append(
+            yield (
                 "the bed rings faster in y than the head in x. Beds are heavier: did you exchange "
                 "the rows of x and y?"
             )
-        return found
 
-    def _doubts_of_row(self, axis: str, name: str, its_own: float, hz: float) -> Iterator[str]:
-        one = self.readings[axis][int(name[1:]) - 1]
-        if abs(its_own / hz - 1.0) > APART:
-            yield (
-                f"row {name} means {its_own:.0f} Hz and {axis} has {hz:.0f}: count its waves "
-                "again. Is it the row of another height?"
-            )
-        elif one.seen < SECOND_CREST + one.waves:
-            yield (
-                f"row {name} has {one.waves:g} waves from the second crest on, but only "
-                f"{one.seen:g} from the corner on, in all: did you count crests?"
-            )
+
+def uncertainty(modes: Iterable[PrintedMode]) -> float:
+    """Return the share by which the printer may differ from the modes."""
+    return min(max(LEAST_UNCERTAINTY, *(2.0 * one.uncertainty for one in modes)), MOST_UNCERTAINTY)
 
 
 def filled(text: str, source: str) -> Filled:
@@ -272,7 +254,7 @@ def filled(text: str, source: str) -> Filled:
 def _reading(band: Band, row: Any, name: str) -> Reading:
     """Return a row of the form. Raises HframeError for what no ruler shows."""
     valid = isinstance(row, list) and len(row) == 3
-    if not (valid and all(isinstance(one, int | float) and 0.0 <= one < MOST for one in row)):
+    if not (valid and all(isinstance(one, int | float) and 0.0 <= one < 1e5 for one in row)):
         raise HframeError(f"{name} must be three numbers. {ROW}")
     one = Reading(band, *map(float, row))
     if (one.distance > 0.0) != (one.waves > 0.0):
