@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
 HEIGHT = 10.0  # mm, at which a motion is played; the line G1 Z10 of the G-code
-ONLY_FOR = {"places": "identify", "times": "identify"}
 
 
 def _chip(text: str) -> str:
@@ -76,11 +75,9 @@ def measure(
     Example:
       hframe-post measure -p my.toml -o measure.gcode
     """
-    given = {"places": places, "times": times > 1}
-    for name, only in ONLY_FOR.items():
-        if given[name] and purpose != only:
-            option = {"places": "position"}.get(name, name)
-            raise click.UsageError(f"--{option} is for --for {only}")
+    for option, given in (("--position", bool(places)), ("--times", times > 1)):
+        if given and purpose != "identify":
+            raise click.UsageError(f"{option} is for --for identify")
     profile = load(printer)
     if purpose == "identify" and not profile.firmware.kind.records:
         files, summary = _sweeps(output, profile, places)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import IO, TYPE_CHECKING, Any, Protocol
 
 import click
 
@@ -62,7 +62,7 @@ class Findings:
     printer: Printer | None = None
     fault: HframeError | None = None
     aside: Sequence[str] = ()
-    page: Callable[[], bytes] | None = None
+    page: Callable[[], bytes] = bytes
     notes: Sequence[str] | None = None
     advice: str = ""
 
@@ -73,20 +73,28 @@ def publish(
 ) -> None:  # fmt: skip
     """Write what ``find`` returns: reports first, the profile last and only without a fault.
 
-    All files are opened before the work, so that none of it is in vain. source, text: as of
-    ModelOutput.
+    All files are opened before the work, so that none of it is in vain. source: name or file of the
+    profile that is completed. text: of that, if it is in no file.
     """
     summary = summary or Summary()
+    if output is not None and output.suffix != ".toml":
+        raise HframeError(
+            f"{output}: the model is written next to the profile, whose name must end in .toml"
+        )
     with Outputs(reads) as profiles:
-        file = ModelOutput(profiles, output, source, text) if output is not None else None
+        files = list[IO[bytes]]()
+        if output is not None:
+            own = Path(source) if text is None else None
+            files += [
+                profiles.open(output, own),
+                profiles.open(model_path(output), model_path(output)),
+            ]
         with Outputs([*reads, *([output] if output else [])]) as reports:
             summary.open(reports)
             html = reports.open(report_file) if report_file is not None else None
             found = find()
             summary.write(found.report.as_json(), error=found.fault)
             if html is not None:
-                if found.page is None:
-                    raise click.UsageError("these recordings have no report for a browser")
                 html.write(found.page())
         for one in found.aside:
             say(f"left aside   {one}")
@@ -95,40 +103,12 @@ def publish(
             raise found.fault
         if found.printer is None:
             return
-        if output is None:
-            say(f"Nothing is written. To keep it, add -o {quoted(kept(source))}")
+        if output is None:  # it is kept in the profile that was read, if that is a file
+            kept = source if Path(source).suffix == ".toml" else PROFILE
+            say(f"Nothing is written. To keep it, add -o {quoted(kept)}")
             return
-        assert file is not None
-        file.write(found.printer, found.notes)
+        written = texts(found.printer, source, output, found.notes, text)
+        for file, content in zip(files, (written.profile, written.model), strict=True):
+            file.write(content.encode())
+        write_kernel(profiles, output, written.printer)
     say(f"Next: {found.advice or f'hframe-post PART.GCODE -o OUT.GCODE -p {quoted(output)}'}")
-
-
-def kept(source: str) -> str:
-    """Return the profile in which to keep what was found: the one that was read, if it can be."""
-    return source if Path(source).suffix == ".toml" else PROFILE
-
-
-class ModelOutput:
-    """A profile and its model, opened before the work so that it is not done in vain.
-
-    output: the profile's file. source: name or file of the profile that is completed. text: of
-    that, if it is in no file.
-    """
-
-    def __init__(
-        self, outputs: Outputs, output: Path, source: str, text: str | None = None
-    ) -> None:
-        if output.suffix != ".toml":
-            raise HframeError(
-                f"{output}: the model is written next to the profile, whose name must end in .toml"
-            )
-        self._outputs, self._output, self._source, self._text = outputs, output, source, text
-        self._profile = outputs.open(output, Path(source) if text is None else None)
-        self._model = outputs.open(model_path(output), model_path(output))
-
-    def write(self, printer: Printer, notes: Sequence[str] | None = None) -> None:
-        """Write the plant, windows and marks of a printer. notes: None keeps the present ones."""
-        found = texts(printer, self._source, self._output, notes, self._text)
-        self._profile.write(found.profile.encode())
-        self._model.write(found.model.encode())
-        write_kernel(self._outputs, self._output, found.printer)
