@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -39,7 +38,6 @@ from hframe_post.printer.settings import Verified
 
 if TYPE_CHECKING:  # these import SciPy, as do the imports in functions: that takes a second
     from hframe_post.identification.gather import Gathered
-    from hframe_post.identification.identify import MeasurementSettings
     from hframe_post.printer.settings import Printer
 
 NO_WINDOW = (
@@ -104,33 +102,32 @@ def identify(
     """
     from hframe_post.identification.recordings.folder import files_in
 
-    _check_usage([*recordings, *nozzle], band)
+    if not (recordings or nozzle):
+        raise click.UsageError("give the folder with the recordings, or --nozzle COMMAND RECORDING")
+    if not 0.0 < band[0] < band[1] < 500.0:
+        raise click.UsageError("--band goes from a frequency above 0 to a higher one below 500 Hz")
     config = KlipperConfig(config_file) if config_file is not None else None
     for warning in warnings(config) if config is not None else ():
         say(f"WARNING      {warning}")
     source, text = _profile_source(printer, config, output)
     profile = load(source) if text is None else parse(text, "printer", source)
     files = files_in(recordings)
-    pairs = [path for files in nozzle for path in files]
-    sources = [*files_read(source, *files), *pairs]
 
     def model() -> Findings:
         from hframe_post.identification.gather import gather
-        from hframe_post.identification.pages import identification_page
+        from hframe_post.identification.identify import MeasurementSettings
         from hframe_post.identification.report import conclude
 
         gathered = gather(recordings, config, profile.travel, columns, pairs=nozzle)
-        settings = _settings(profile, config if text else None, band, offset)
+        # a new profile's printer may be an H-bot: Klipper calls that corexy, too
+        either = config is not None and text is not None and "hbot" in kinematics_in(config)
+        settings = MeasurementSettings(band, profile.kinematics.racks or either, offset)
         report = conclude(gathered, profile, settings)
-        found = Findings(
-            report,
-            page=lambda: identification_page(report, profile.description or profile.name),
-        )
+        found = Findings(report, page=lambda: report.page(profile.description or profile.name))
         if report.compensation is None:
             found.fault = IdentificationError(report.identified.refusal or NO_WINDOW)
             return found
-        day = gathered.day(gathered.runs)
-        error = round(report.identified.model_error, 4)
+        day, error = gathered.day(gathered.runs), round(report.identified.model_error, 4)
         updated = measured(profile, report.plant, error, day)
         if updated.kinematics != profile.kinematics and output is not None:
             say("note         it racks, so the profile's kinematics.type is hbot")
@@ -138,6 +135,7 @@ def identify(
         found.notes = report.origin()
         return found
 
+    sources = files_read(source, *files, *(path for pair in nozzle for path in pair))
     publish(model, sources, source, output, summary, report_file, text)
 
 
@@ -153,26 +151,6 @@ def _profile_source(
             return str(output), None
         return str(config.path), text_from_klipper(config)
     return choose(printer, os.environ).profile, None
-
-
-def _settings(
-    profile: Printer,
-    config: KlipperConfig | None,
-    band: tuple[float, float],
-    offset: tuple[float, float],
-) -> MeasurementSettings:
-    from hframe_post.identification.identify import MeasurementSettings
-
-    # config: of a new profile, whose printer may be an H-bot: Klipper calls that corexy, too
-    racks = profile.kinematics.racks or (config is not None and "hbot" in kinematics_in(config))
-    return MeasurementSettings(band, racks, offset)
-
-
-def _check_usage(given: Sequence[object], band: tuple[float, float]) -> None:
-    if not given:
-        raise click.UsageError("give the folder with the recordings, or --nozzle COMMAND RECORDING")
-    if not 0.0 < band[0] < band[1] < 500.0:
-        raise click.UsageError("--band goes from a frequency above 0 to a higher one below 500 Hz")
 
 
 # ---------------------------------------------------------------------- check
@@ -199,15 +177,16 @@ def check(
     """
     profile = load(printer)
     check_identified(profile)
-    if not recordings:
-        publish(lambda: _aged(printer, profile), files_read(printer), printer, output, summary)
-        return
-    from hframe_post.identification.recordings.folder import files_in
+    files = list[Path]()
+    if recordings:
+        from hframe_post.identification.recordings.folder import files_in
 
-    publish(
-        lambda: _drifted(recordings, profile), [*files_read(printer), *files_in(recordings)],
-        printer, output, summary,
-    )  # fmt: skip
+        files = [*files_in(recordings)]
+
+    def findings() -> Findings:
+        return _drifted(recordings, profile) if recordings else _aged(printer, profile)
+
+    publish(findings, files_read(printer, *files), printer, output, summary)
 
 
 def _drifted(recordings: tuple[Path, ...], profile: Printer) -> Findings:

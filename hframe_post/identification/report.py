@@ -1,15 +1,22 @@
-"""The results of an identification as text and JSON."""
+"""The results of an identification as text, as JSON and as a page for a browser."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification import verdict
+from hframe_post.identification.estimation.fit import Fit
+from hframe_post.identification.estimation.measured import Measured
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identify import AXIS, Identified, MeasurementSettings, identify
 from hframe_post.identification.recommend import Recommendation, recommend
+from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
+from hframe_post.page.charts import Card, Chart, Curve, Section, page
 from hframe_post.printer.settings import Printer
 
 
@@ -177,3 +184,108 @@ class IdentificationReport:
         ]
         gain = [f"predicted {self.compensation.gain()}"] if self.compensation else []
         return ["Identified by hframe-post from:", *self.setup, *rows, *gain]
+
+    def page(self, name: str) -> bytes:
+        """Return the report as a page for a browser, of the printer with this name."""
+        fits, cards, lead = self.identified.fits, list[Card](), list[str]()
+        for G, axis in AXIS.items():
+            if G in fits:
+                hz, damping = _strongest(fits[G])
+                rings = f"at {hz:.0f} Hz, damping {damping:.2f}"
+                lead.append(f"{axis} rings {rings}" if hz else f"{axis} does not ring")
+                cards.append(
+                    Card(f"{axis} rings at", f"{hz:.1f}", "Hz", f"damping {damping:.2f}")
+                    if hz else Card(f"{axis} rings at", "–", "", "no mode rings")
+                )  # fmt: skip
+        predicted = "No profile can be made from these recordings."
+        if self.compensation is not None:
+            none, racking = (self.compensation.rms(strategy) for strategy in ("none", "racking"))
+            up_to = f"up to {self.compensation.most:.1f} as the printer changes"
+            cards.append(Card("Predicted, rectangle", f"{racking:.1f}", "µm RMS",
+                              f"{up_to}, {none:.0f} µm without compensation", "best"))  # fmt: skip
+            predicted = (
+                f"With compensation the nozzle would be {racking:.1f} µm (RMS) off a 120 × 20 mm "
+                f"rectangle, {up_to}, instead of {none:.0f} µm."
+            )
+        measured = self.identified.measured
+        sections = [
+            Section(TITLES[G], _charts(G, measured[G], found, getattr(self.plant, G)))
+            for G, found in fits.items()
+        ]
+        facts = [
+            (G, "; ".join(f"{column}: {text}" for column, text in zip(COLUMNS, row, strict=True)))
+            for G, row in functions(self.identified).items()
+        ]
+        facts += self.gathered.rows()
+        text = f"{', '.join(lead)}. {predicted}"
+        return page(name, text, cards, sections, self.remarks(), facts)
+
+
+# ---------------------------------------------------------------------- charts
+
+TITLES = {
+    "Gxx": "x: from the motors to the nozzle (Gxx)",
+    "Gyy": "y: from the motors to the nozzle (Gyy)",
+    "Gxtheta": "Racking: from x to the rotation of the gantry (Gxθ)",
+}
+LEAST_SHOWN = 1e-3  # of |G|
+RELIABLE = 0.5  # coherence below which the phase of a response is noise
+
+
+def _strongest(found: Fit) -> tuple[float, float]:
+    """Return Hz and damping ratio of the mode that rings most, zeros if none rings."""
+    strength = np.abs(_at(found.G, np.array([hz for hz, _ in found.modes])))
+    return found.modes[int(strength.argmax())] if len(strength) else (0.0, 0.0)
+
+
+def _charts(name: str, measured: Measured, found: Fit, held: ImpulseResponse | None) -> list[Chart]:
+    """Return charts of the responses without the sensor's gain and the recording's delay.
+
+    held: the response in the profile, which may say how well it is known.
+    """
+    mean, hz = measured.mean, measured.mean.hz
+    runs = [(f"x = {at:.0f} mm", run, "") for at, run in measured.places]
+    runs += [("mean", mean, "var(--ink)")] if len(runs) > 1 else []
+    magnitudes, phases = list[Curve](), list[Curve]()
+    for label, run, ink in runs:
+        clean, model = run.corrected(found.gain, found.delay).H, _at(found.G, run.hz)
+        near = degrees(model) + np.degrees(np.angle(clean / model))
+        phase = np.where(run.coherence >= RELIABLE, near, np.nan)
+        magnitudes.append(Curve(label, run.hz, decibel(clean), ink or None))
+        phases.append(Curve(label, run.hz, phase, ink or None))
+    model, clean = _at(found.G, hz), mean.corrected(found.gain, found.delay).H
+    for curves, shown in ((magnitudes, decibel(model)), (phases, degrees(model))):
+        curves.append(Curve("model", hz, shown, "var(--racking)", strong=True, dashed=True))
+    if held is not None and held.doubts:
+        for label, size in (("model + 2 σ", 2.0), ("model − 2 σ", -2.0)):
+            edge = np.maximum(np.abs(model) + size * uncertain(held, hz), LEAST_SHOWN)
+            magnitudes.append(Curve(label, hz, decibel(edge.astype(complex)), "var(--soft)"))
+    coherence = Curve("coherence", hz, mean.coherence, "var(--ink)")
+    residual = Curve("residual", hz, np.abs(clean / model - 1.0), "var(--fbs)")
+    unit = "dB (rad/mm)" if name == "Gxtheta" else "dB (mm/mm)"
+    peaks, frequency = [(at, f"{at:.1f} Hz") for at, _ in found.modes], "frequency, Hz"
+    return [
+        Chart("Magnitude", frequency, unit, magnitudes, (True, False), peaks),
+        Chart("Phase, where the coherence is above 0.5", frequency, "°", phases, (True, False)),
+        Chart("Coherence", frequency, "", [coherence], (True, False)),
+        Chart("Residual of the model", frequency, "relative", [residual], (True, True)),
+    ]
+
+
+def _at(G: ImpulseResponse, hz: Array) -> Complex:
+    return G.response(2.0 * np.pi * TS * hz)
+
+
+def uncertain(G: ImpulseResponse, hz: Array) -> Array:
+    """Return the standard deviation of |G| at ``hz`` (k,), by drift and by what is not known."""
+    doubts = [np.abs(_at(one, hz)) ** 2 for one in G.doubts]
+    return np.asarray(np.sqrt(np.sum(doubts, axis=0)))
+
+
+def decibel(H: Complex) -> Array:
+    return np.asarray(20.0 * np.log10(np.maximum(np.abs(H), 1e-12)))
+
+
+def degrees(H: Complex) -> Array:
+    """Return the unwrapped phase of ``H`` in degrees."""
+    return np.degrees(np.unwrap(np.angle(H)))
