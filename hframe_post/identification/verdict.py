@@ -32,4 +32,3 @@ SHOWN = 0.3  # of a command's slow part; of any axis that the sensor rides
 LIKENESS = 0.4  # of each part to what the sensor shows
 LAG_S = 0.03  # of each part; printers have less
 COHERENCE = 0.25  # of a command and what the sensor shows, by their median; 0.65 and more is usual
-OUT_OF_PHASE = 0.5  # of the response at low frequencies; 0.18 was seen

@@ -14,10 +14,12 @@ from hframe_post.identification.estimation.frequency_response import (
     average,
     spread,
 )
-from hframe_post.identification.estimation.kernel import Decay, Prior, ringing
 from hframe_post.identification.estimation.regression import (
     Data,
+    Decay,
+    Prior,
     regress,
+    ringing,
 )
 from hframe_post.identification.estimation.response import estimated
 from hframe_post.identification.places import centre, line
@@ -113,7 +115,7 @@ def test_columns_that_low_noise_leaves_nearly_alike_have_a_posterior() -> None:
     X, q = np.concatenate([rows.real, rows.imag]), 5.0 * np.exp(-0.02 * np.abs(k))
     found = regress(
         Data.of(X, X @ q, k, np.zeros(0), lambda modes, onset: np.zeros((len(X), 2 * len(modes)))),
-        Prior(Decay(1e3, regression.BETA[0], 1e-2)),
+        Prior(Decay(1e3, regression.LEAST.beta, 1e-2)),
     )
     assert np.abs(X @ (found.response(k) - q)).max() < 1e-3 * np.abs(X @ q).max()
 

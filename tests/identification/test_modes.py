@@ -8,9 +8,9 @@ import pytest
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.estimation.fit import Fit, described, shares
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
-from hframe_post.identification.estimation.kernel import Mode
-from hframe_post.identification.report import uncertain
+from hframe_post.identification.estimation.regression import Mode
 from hframe_post.identification.recommend import recommend
+from hframe_post.identification.report import uncertain
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant

@@ -77,7 +77,7 @@ def seen(made: Recorded, seed: int) -> Direction:
     assert found.clock.drift == pytest.approx(drawn_sensor(seed, "adxl345").drift, abs=1e-5)
     band = (3.0, 100.0)
     (responses,) = Spectra.of(found.command, found.acceleration).responses(band)
-    return direction(responses)
+    return direction(found, responses)
 
 
 @pytest.mark.parametrize("seed", few([1, 4], 1))

@@ -5,14 +5,14 @@ that moves, whatever way the sensor is mounted. No mounting is wrong: a sensor o
 sees y the other way round, and owners mirror axes in printer.cfg, since a spectrum does not show a
 sign.
 
-What the nozzle adds to its command grows with the frequency, with a quarter turn and in phase.
-Strokes excite slow motion of all axes at once, and show their directions D (k, 3) by
+What the nozzle adds to its command grows with the frequency, with a quarter turn and in phase. So
+slow motion shows the directions D (k, 3) of what moves by
 
-    a ≈ D·u + E·du/dt + F·d²u/dt² + b
+    a ≈ D·u + E·du/dt + F·d²u/dt²
 
-A test of resonances moves along one line, and shows its delay, too. Runs in two directions with the
-sensor mounted alike show where x and y point; of one direction the other lies at right angles, by
-gravity.
+Strokes move all axes at once. A test of resonances moves along one line, and shows its delay, too.
+Runs in two directions with the sensor mounted alike show where x and y point; of one direction the
+other lies at right angles, by gravity.
 """
 
 from __future__ import annotations
@@ -28,12 +28,16 @@ from hframe_post.arrays import TS, Array, Complex, Flags, X, Y
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
-from hframe_post.identification.recordings.clock import Aligned, not_found, slow_part
+from hframe_post.identification.recordings.clock import (
+    SLOW_HZ,
+    Aligned,
+    not_found,
+    slow_part,
+)
 
 EXCITED = 0.1  # of a test's usual power, from which a frequency counts as excited
 LATEST_GAP_HZ = 30.0  # at which a test begins at the latest
 LEAST_HZ = 8.0  # to which a test lasts at least; slow sweeping lies below
-STEP = 2e-4  # s between the delays that are tried
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +55,10 @@ class Direction:
     excited_hz: tuple[float, float]
 
 
-def direction(responses: list[FrequencyResponse]) -> Direction:
-    """Return the axis that three responses (one for each of the sensor's axes) show.
+def direction(found: Aligned, responses: list[FrequencyResponse]) -> Direction:
+    """Return the axis that a test shows, by three responses, one for each of the sensor's axes.
 
-    Raises IdentificationError if the printer does not follow the command at low frequencies.
+    Raises IdentificationError if the printer does not follow the command.
     """
     hz, power = responses[0].hz, responses[0].power
     H = np.array([one.H for one in responses])
@@ -63,28 +67,22 @@ def direction(responses: list[FrequencyResponse]) -> Direction:
     excited = _excited(hz, power, whole)
     resonance = _first_resonance(hz, size, excited)
     low, high = hz[excited][[0, -1]].tolist()
-    low_end = max(0.7 * resonance, 2.5 * low)
-    used = excited & (hz <= low_end)
-    unit, weight = H[:, used] / size[used], np.clip(whole, 0.0, 1.0)[used]
-    delay = _delay(unit * weight, hz[used])
-    lowest = hz[used] <= 0.6 * low_end
-    along = (unit * np.exp(2j * np.pi * hz[used] * delay))[:, lowest]
-    axis = _at_rest(along, hz[used][lowest], weight[lowest])
-    mean = along @ weight[lowest]
-    if np.linalg.norm(mean.imag) > verdict.OUT_OF_PHASE * np.linalg.norm(mean.real):
-        raise not_found()
+    below = max(0.7 * resonance, 2.5 * low)
+    used = excited & (hz <= below)
+    delay = _delay(H[:, used] / size[used] * np.clip(whole[used], 0.0, 1.0), hz[used])
+    (axis,) = slow_directions(found, (low, 0.6 * below))
     return Direction(axis / np.linalg.norm(axis), delay, resonance, (low, high))
 
 
 def _delay(unit: Complex, hz: Array) -> float:
     """Return the delay in s with which directions (3, k) at hz (k,), evenly spaced, are one."""
-    step = float(hz[1] - hz[0])
-    n = round(1.0 / (STEP * step))
+    step, tried = float(hz[1] - hz[0]), 2e-4  # Hz; s between the delays that are tried
+    n = round(1.0 / (tried * step))
     at = np.rint(hz / step).astype(int)
     spectrum = np.zeros((3, n), dtype=complex)
     spectrum[:, at] = unit
     best = int(np.argmax((np.abs(ifft(spectrum, axis=1)) ** 2).sum(axis=0)))
-    return STEP * (best - n if best > n // 2 else best)
+    return tried * (best - n if best > n // 2 else best)
 
 
 def _excited(hz: Array, power: Array, coherence: Array) -> Flags:
@@ -131,32 +129,21 @@ def _smoothed(values: Array, hz: Array, width_hz: float) -> Array:
     return np.convolve(padded, np.ones(n) / n, "valid")
 
 
-def _at_rest(response: Complex, hz: Array, weight: Array) -> Array:
-    """Return the response (3,) at rest by a line through (3, k): racking grows with j·f."""
-    columns = np.column_stack([weight, 1j * weight * hz / hz[-1]])
-    stacked = np.concatenate([columns.real, columns.imag])
-    response = response * weight
-    wanted = np.concatenate([response.T.real, response.T.imag])
-    return np.asarray(np.linalg.lstsq(stacked, wanted, rcond=None)[0][0])
-
-
-def slow_directions(found: Aligned) -> Array:
+def slow_directions(found: Aligned, band_hz: tuple[float, float] = SLOW_HZ) -> Array:
     """Return where the directions of a command point, as the sensor sees their slow motion, (k, 3).
 
-    Raises IdentificationError if the recording does not show one of them.
+    band_hz: of that motion.
     """
-    slow, shown = slow_part(found.command), slow_part(found.acceleration)
+    slow, shown = slow_part(found.command, band_hz), slow_part(found.acceleration, band_hz)
     rates = np.gradient(slow, TS, axis=0)
     columns = np.hstack([slow, rates, np.gradient(rates, TS, axis=0)])
-    D = np.linalg.lstsq(columns / columns.std(axis=0), shown, rcond=None)[0]
-    D = (D / columns.std(axis=0)[:, None])[: slow.shape[1]]
-    if (np.linalg.norm(D, axis=1) < verdict.SHOWN).any():
-        raise not_found()
-    return np.asarray(D)
+    size = columns.std(axis=0)
+    D = np.linalg.lstsq(columns / size, shown, rcond=None)[0] / size[:, None]
+    return np.asarray(D[: slow.shape[1]])
 
 
 def axes_in_sensor(commanded: Array, seen: Array, up: Array) -> Array:
-    """Return the printer's axes as the sensor sees them: x, y and z, in rows (3, 3).
+    """Return what shows the printer's x and y, (3, 2), in what the sensor shows, (n, 3).
 
     commanded (k, 2): directions in x and y that moved; seen (k, 3): where the sensor saw them, of
     any length. up: as of ``Recording``, needed if all moved along one line; raises
@@ -174,4 +161,5 @@ def axes_in_sensor(commanded: Array, seen: Array, up: Array) -> Array:
         seen = np.vstack([seen, across / np.linalg.norm(across)])
     x, y = np.linalg.lstsq(commanded, seen, rcond=None)[0]
     z = np.cross(x, y)
-    return np.array([x, y, z / np.linalg.norm(z) * (np.sign(z @ up) or 1.0)])
+    z *= (np.sign(z @ up) or 1.0) / np.linalg.norm(z)
+    return np.asarray(np.linalg.inv([x, y, z])[:, [X, Y]])

@@ -18,11 +18,10 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.estimation.frequency_response import (
     FrequencyResponse,
-    lowest,
     share_left,
     weights,
 )
-from hframe_post.identification.estimation.kernel import Mode
+from hframe_post.identification.estimation.regression import Mode
 from hframe_post.model.impulse_response import ImpulseResponse
 
 LISTED = 0.03  # of the motion at rest: modes that contribute less are not listed
@@ -98,8 +97,7 @@ def shares(
     seen = (weight * measured.H)[:, None] * np.exp(np.outer(s, delays / TS))
     Q, R = np.linalg.qr(np.concatenate([columns.real, columns.imag]))
     explained = Q.T @ np.concatenate([seen.real, seen.imag])  # by each delay
-    delay = lowest(delays, (-np.square(explained).sum(axis=0)).tolist())
-    nearest = int(np.abs(delays - delay).argmin())
-    found = np.linalg.solve(R, explained[:, nearest])
+    best = int(np.square(explained).sum(axis=0).argmax())
+    found = np.linalg.solve(R, explained[:, best])
     c, d = found[: len(modes)], found[len(modes) :] if speed else 0.0
-    return np.hypot(c, d) / abs(float(c.sum())), delay
+    return np.hypot(c, d) / abs(float(c.sum())), float(delays[best])

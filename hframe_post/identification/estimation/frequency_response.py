@@ -22,15 +22,13 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg, signal
 
-from hframe_post.arrays import Array, Complex, Flags
+from hframe_post.arrays import TS, Array, Complex, Flags
 from hframe_post.errors import IdentificationError
 
-RATE_HZ = 1000.0
 SEGMENT = 16000  # samples; bias 0.4 % at the peak of a resonance at 20 Hz with damping 0.03
 SHORTEST = 4000  # samples of a record
 OVERLAP = 7 / 8
 BANDWIDTH = 2.08  # bins of a Hann window: independent estimates per segment length
-LEAST_NOISE = 1e-4  # power, assumed at least when runs are weighted
 TINY = np.finfo(float).tiny
 
 
@@ -56,6 +54,10 @@ class FrequencyResponse:
         return FrequencyResponse(
             self.hz[kept], self.H[kept], self.coherence[kept], self.power[kept], self.averages
         )
+
+    def corrected(self, gain: float = 1.0, late: float = 0.0) -> FrequencyResponse:
+        """Return the response without a sensor's gain, as if it had begun ``late`` s later."""
+        return replace(self, H=self.H * np.exp(2j * np.pi * self.hz * late) / gain)
 
     @property
     def noise(self) -> Array:
@@ -90,7 +92,7 @@ class Spectra:
         segment = min(segment, len(u) // 2)
         padded = np.pad(np.hstack([u, y]), ((segment, segment), (0, 0))).T
         options = {
-            "fs": RATE_HZ, "window": "hann", "nperseg": segment,
+            "fs": 1.0 / TS, "window": "hann", "nperseg": segment,
             "noverlap": int(OVERLAP * segment), "detrend": False,
         }  # fmt: skip
         hz, spectra = signal.csd(padded[None, :, :], padded[:, None, :], **options)
@@ -136,7 +138,7 @@ def average(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
         )
     H, gamma = (np.array([getattr(r, name) for r in responses]) for name in ("H", "coherence"))
     averages = np.array([[r.averages] for r in responses])
-    w = averages * np.maximum(gamma, 1e-12) / (1.0 - gamma + LEAST_NOISE)
+    w = averages * np.maximum(gamma, 1e-12) / np.maximum(1.0 - gamma, 1e-9)
     mean = (w * H).sum(0) / w.sum(0)
     output = (w * np.abs(H) ** 2 / np.maximum(gamma, 1e-12)).sum(0) / w.sum(0)
     coherence = np.minimum(np.abs(mean) ** 2 / np.maximum(output, TINY), 1.0)
@@ -156,11 +158,6 @@ def spread(responses: Sequence[FrequencyResponse]) -> float:
     return float(np.sqrt((w * np.abs(H - mean) ** 2).sum() / size)) if size else 0.0
 
 
-def advanced(response: FrequencyResponse, seconds: float) -> FrequencyResponse:
-    """Return the response as if the recording had begun ``seconds`` later."""
-    return replace(response, H=response.H * np.exp(2j * np.pi * response.hz * seconds))
-
-
 def share_left(H: Complex, response: FrequencyResponse, weight: Array) -> float:
     """Return the share of a measured response that H (k,) leaves, whatever their gain and delay."""
     cross = weight * response.H * H.conj()
@@ -176,24 +173,9 @@ def _turned(hz: bytes) -> Complex:
     return np.asarray(np.exp(2j * np.pi * np.outer(late, np.frombuffer(hz))))
 
 
-def lowest(x: Array, costs: Sequence[float]) -> float:
-    """Return the x (n,), evenly spaced, of the lowest cost, by a parabola through three."""
-    k = int(np.clip(np.argmin(costs), 1, len(x) - 2))
-    before, here, after = costs[k - 1 : k + 2]
-    curve = before - 2.0 * here + after
-    step = float(np.clip(0.5 * (before - after) / curve, -1.0, 1.0)) if curve > 0.0 else 0.0
-    return float(x[k] + step * (x[1] - x[0]))
-
-
-# ---------------------------------------------------------------------- noise
-
-LEAST_FREQUENCIES = 50  # of a model
-SENSOR = (1.0, 0.03)  # gain of a sensor, as mean and standard deviation
-
-
 def largest_response(part: FrequencyResponse) -> float:
     """Return the largest |H|; raise IdentificationError if too little was measured."""
-    if len(part.hz) < LEAST_FREQUENCIES:
+    if len(part.hz) < 50:
         raise IdentificationError(
             f"only {len(part.hz)} frequencies were excited, too few for a model"
         )

@@ -16,6 +16,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, X, Y
 from hframe_post.errors import IdentificationError
+from hframe_post.identification import verdict
 from hframe_post.identification.estimation.directions import (
     Direction,
     axes_in_sensor,
@@ -26,12 +27,17 @@ from hframe_post.identification.estimation.frequency_response import (
     SEGMENT,
     FrequencyResponse,
     Spectra,
-    advanced,
     average,
     spread,
 )
 from hframe_post.identification.recordings.accelerometer import Recording
-from hframe_post.identification.recordings.clock import Aligned, Clock, acceleration, aligned
+from hframe_post.identification.recordings.clock import (
+    Aligned,
+    Clock,
+    acceleration,
+    aligned,
+    not_found,
+)
 
 AXIS = {"Gxx": "x", "Gyy": "y"}
 ALONE = 1.0 - 1e-6  # share of a motion along an axis, from which no other one moves
@@ -81,9 +87,9 @@ class Run:
         Raises IdentificationError if they are not in it.
         """
         seen = slow_directions(self.aligned())
-        return np.asarray(
-            np.linalg.inv(axes_in_sensor(self.directions, seen, self.nozzle.up))[:, :2]
-        )
+        if (np.linalg.norm(seen, axis=1) < verdict.SHOWN).any():
+            raise not_found()
+        return axes_in_sensor(self.directions, seen, self.nozzle.up)
 
     @property
     def direction(self) -> Array:
@@ -127,13 +133,9 @@ class RunResponse:
     y: FrequencyResponse
     direction: tuple[float, float] | None = None
 
-    def advanced(self, seconds: float) -> RunResponse:
-        """Return the responses as if the recording had begun ``seconds`` later."""
-        response, y = advanced(self.response, seconds), advanced(self.y, seconds)
-        return replace(self, response=response, y=y)
-
-    def scaled(self, gain: float) -> RunResponse:
-        response, y = (replace(one, H=one.H * gain) for one in (self.response, self.y))
+    def corrected(self, gain: float, late: float = 0.0) -> RunResponse:
+        """Return the responses without a sensor's gain, as if it had begun ``late`` s later."""
+        response, y = (one.corrected(gain, late) for one in (self.response, self.y))
         return replace(self, response=response, y=y)
 
 
@@ -222,7 +224,7 @@ def _seen(run: Run, settings: MeasurementSettings, segment: int) -> _Seen:
         spectra = Spectra.of(found.command, found.acceleration, segment)
         if run.known_start:
             return _Seen(run, spectra, None, run.own_axes())
-        return _Seen(run, spectra, direction(spectra.responses(settings.band_hz)[0]))
+        return _Seen(run, spectra, direction(found, spectra.responses(settings.band_hz)[0]))
     except IdentificationError as error:
         raise IdentificationError(f"{run.name}: {error}") from None
 
@@ -231,6 +233,7 @@ def _run_response(
     axis: int, one: _Seen, seen: Sequence[_Seen], settings: MeasurementSettings
 ) -> RunResponse:
     axes = _axes(one, seen) if one.axes is None else one.axes
+    late = 0.0 if one.direction is None else one.direction.delay
     responses = one.spectra.along(axes.T).responses(settings.band_hz)
     directions = one.run.directions[:, axis]
     k = int(np.argmax(np.abs(directions)))
@@ -239,8 +242,7 @@ def _run_response(
     y = responses[k][Y if abs(share) > ALONE else axis]
     x_part, y_part = one.run.directions[k].tolist()
     place = one.run.place + settings.offset[X]
-    found = RunResponse(place, responses[k][axis], y, (x_part, y_part)).scaled(1.0 / share)
-    return found if one.direction is None else found.advanced(one.direction.delay)
+    return RunResponse(place, responses[k][axis], y, (x_part, y_part)).corrected(share, late)
 
 
 def _measured(directions: Sequence[Direction | None], found: list[RunResponse]) -> Measured:
@@ -260,12 +262,9 @@ def _axes(one: _Seen, seen: Sequence[_Seen]) -> Array:
     """
     mates = [other for other in seen if _mounted_alike(one, other)]
     commanded = np.array([mate.run.direction for mate in mates])
-    up, shown = (
-        one.run.nozzle.up,
-        np.array([mate.direction.axis for mate in mates if mate.direction]),
-    )
+    shown = np.array([mate.direction.axis for mate in mates if mate.direction])
     try:
-        return np.asarray(np.linalg.inv(axes_in_sensor(commanded, shown, up))[:, :2])
+        return axes_in_sensor(commanded, shown, one.run.nozzle.up)
     except IdentificationError as error:
         raise IdentificationError(f"{one.run.name}: {error}") from None
 
@@ -290,4 +289,4 @@ def _with_common_gain(
     hz = responses[0].response.hz
     below = (hz >= low) & (hz <= max(0.6 * resonance_hz, 1.5 * low))
     sizes = [float(np.abs(one.response.H[below]).mean()) for one in responses]
-    return [one.scaled(sizes[0] / size) for one, size in zip(responses, sizes, strict=True)]
+    return [one.corrected(size / sizes[0]) for one, size in zip(responses, sizes, strict=True)]

@@ -1,5 +1,16 @@
 """Bayesian linear regression with a kernel whose hyperparameters are those of greatest evidence.
 
+What is known of an impulse response q before it is measured:
+
+    q ~ N(0, K),   K = K_D + K_M
+    K_D(j, k) = c² e^{−β(|j| + |k|)} e^{−α|j − k|}        it decays, and neighbours are alike
+    K_M       = a² Σ_i Φ_i Φ_iᵀ,                          it rings in a few modes
+    Φ_i(k)    = e^{−ζω_i(k−d)} [cos ω'_i(k−d), sin ω'_i(k−d)] / norm,  k ≥ d
+
+K_D is the DC kernel, and K_M one of rank two a mode (Pillonetto, Chen, Chiuso, De Nicolao, Ljung,
+Regularized System Identification, Springer 2022, ch. 5). A printer that is a sum of modes needs no
+K_D, one without clear modes no K_M. c, β, α, the modes and d are hyperparameters. Measured is
+
     y = X θ + Ψ a + e,   e ~ N(0, I),   θ = (s, q),   s ~ N(0, S),   q ~ N(0, K_D),   a ~ N(0, a² I)
 
 s are a few scalars, q the samples in which the response decays, and Ψ is what modes add, which may
@@ -20,32 +31,99 @@ where M and v do not change with the modes.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from scipy import linalg, optimize
 
 from hframe_post.arrays import TS, Array, Complex
-from hframe_post.identification.estimation.kernel import Decay, Mode, Prior, ringing
+
+
+@dataclass(frozen=True, slots=True)
+class Decay:
+    """Hyperparameters of K_D: size c, and per sample the decay β and the roughness α."""
+
+    c: float
+    beta: float
+    alpha: float
+
+    def precision(self, k: Array) -> tuple[Array, float]:
+        """Return K_D⁻¹ (m, m) and log det K_D at consecutive samples k (m,).
+
+        The sequence is a Markov chain, so the inverse is tridiagonal.
+        """
+        m, rho = len(k), np.exp(-self.alpha)
+        fresh = -np.expm1(-2.0 * self.alpha)  # 1 − ρ²
+        log_sd = np.log(self.c) - self.beta * np.abs(k)
+        inner = np.full(m, (1.0 + rho * rho) / fresh)
+        inner[[0, -1]] = 1.0 / fresh
+        inverse = np.diag(inner)
+        at = np.arange(m - 1)
+        inverse[at, at + 1] = inverse[at + 1, at] = -rho / fresh
+        sd = np.exp(log_sd)
+        return inverse / np.outer(sd, sd), float(2.0 * log_sd.sum() + (m - 1) * np.log(fresh))
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A mode: its frequency in rad/sample and its damping ratio."""
+
+    omega: float
+    zeta: float
+
+    @property
+    def hz(self) -> float:
+        return self.omega / (2.0 * np.pi * TS)
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """All hyperparameters."""
+
+    decay: Decay
+    modes: tuple[Mode, ...] = ()
+    onset: int = 1
+
+
+def _poles(modes: Sequence[Mode]) -> tuple[Complex, Array]:
+    """Return the poles of modes, −ζω + iω' per sample, and the norms of their Φ over all time."""
+    omega, zeta = np.array([(mode.omega, mode.zeta) for mode in modes]).reshape(-1, 2).T
+    return omega * (1j * np.sqrt(1.0 - zeta**2) - zeta), (
+        -2.0 * np.expm1(-2.0 * zeta * omega)
+    ) ** -0.5
+
+
+def ringing(k: Array, modes: Sequence[Mode], onset: int) -> Array:
+    """Return Φ (m, 2·modes), every column with a norm of 1 over all time, at samples k (m,)."""
+    poles, norms = _poles(modes)
+    t = np.maximum(k - onset, 0.0)[:, None]
+    turning = np.where(k[:, None] >= onset, np.exp(poles * t), 0.0) / norms
+    return np.stack([turning.real, turning.imag], axis=2).reshape(len(k), -1)
+
+
+def transfer(z: Complex, modes: Sequence[Mode], onset: int) -> Complex:
+    """Return Φ as transfer functions of z (k,), k × 2·modes."""
+    poles, norms = _poles(modes)
+    z = z[:, None]
+    turning, back = (z**-onset / (1.0 - np.exp(each) / z) / norms for each in (poles, poles.conj()))
+    both = np.stack([(turning + back) / 2.0, (turning - back) / 2j], axis=2)
+    return both.reshape(len(z), -1)
+
 
 AMPLITUDE = 30.0  # a, samples²: more than the q of any printer
 FIRST = Decay(0.02, 0.04, 0.1)  # so little that modes are sought first
 MUCH = Decay(1.0, 0.04, 0.1)  # so much that it needs no modes
-ENOUGH, MOST_ROUNDS = 0.5, 3  # gain of log evidence, up to which a search goes on
 LEAST_GAIN = 8.0  # of log evidence, for a mode: four numbers
 MOST_MODES = 4
 OMEGA = 2.0 * np.pi * TS * 8.0, 2.0 * np.pi * TS * 150.0  # of modes
 STEPS = 1e-3, 0.02  # of log ω and log ζ, that count alike
-SLIGHTLY = 1e-4  # of these steps, for slopes
 DAMPING = (0.01, 0.9)
 TRIED = tuple(
     Mode(2.0 * np.pi * TS * hz, zeta)
     for hz in np.geomspace(12.0, 115.0, 60) for zeta in (0.02, 0.05, 0.12, 0.3)
 )  # fmt: skip
-CLOSEST = 0.03  # relative distance of two modes
 LATEST = 8  # samples: onset of the modes at the latest
-C, BETA, ALPHA = (1e-6, 30.0), (1.5e-3, 0.2), (7e-3, 4.0)  # bounds of K_D's hyperparameters
-ROUNDING = 1e-11  # of XᵀX, for some hundred columns
+LEAST, MOST = Decay(1e-6, 1.5e-3, 7e-3), Decay(30.0, 0.2, 4.0)  # bounds of K_D
 WORST = 1e15  # cost of what cannot be computed
 
 
@@ -122,8 +200,6 @@ def regress(data: Data, start: Prior | None = None) -> Posterior:
         search.add_modes()
     search.improve()
     if start is None:
-        if search.add_modes():
-            search.improve()
         plain = _Search(data, Prior(MUCH))
         plain.improve()
         search = min(search, plain, key=lambda one: one.cost())
@@ -174,9 +250,8 @@ class _Search:
     def cost(self) -> float:
         return self._normal().solved(self.prior.decay)[2]
 
-    def add_modes(self) -> bool:
-        """Add modes while each makes the measurement likelier than chance; tell if any does."""
-        first = self.prior
+    def add_modes(self) -> None:
+        """Add modes while each makes the measurement likelier than chance."""
         while len(self.prior.modes) < MOST_MODES:
             before, now = self.prior, self.cost()
             self.prior = replace(before, modes=(*before.modes, self._likeliest(TRIED)))
@@ -184,7 +259,6 @@ class _Search:
             if self.cost() > now - LEAST_GAIN:
                 self.prior = before
                 break
-        return self.prior is not first
 
     def drop_modes(self) -> None:
         """Drop modes without which the measurement is likelier."""
@@ -203,20 +277,16 @@ class _Search:
         return apart[int(np.argmin(costs))]
 
     def improve(self) -> None:
-        """Move K_D and the modes in turn, as long as the evidence grows."""
-        for _ in range(MOST_ROUNDS):
-            before = self.cost()
-            self.fit_decay()
-            self.refine()
-            if not self.prior.modes or before - self.cost() < ENOUGH:
-                break
+        """Move K_D, then the modes, to greater evidence."""
+        self.fit_decay()
+        self.refine()
 
     def refine(self) -> None:
         """Move the modes and their onset to greater evidence."""
         if not self.prior.modes:
             return
         start = np.log([[mode.omega, mode.zeta] for mode in self.prior.modes]).ravel()
-        n, steps = len(start), np.tile(STEPS, len(self.prior.modes))
+        n, steps, slightly = len(start), np.tile(STEPS, len(self.prior.modes)), 1e-4
         bounds = np.log([OMEGA, DAMPING] * len(self.prior.modes))
 
         def modes(steps_away: Array) -> tuple[Mode, ...]:
@@ -225,11 +295,11 @@ class _Search:
 
         def cost(x: Array) -> tuple[float, Array]:
             """Return the cost and its slope. One product with Z serves all differences."""
-            moved = [modes(each)[j // 2] for j, each in enumerate(x + SLIGHTLY * np.eye(n))]
+            moved = [modes(each)[j // 2] for j, each in enumerate(x + slightly * np.eye(n))]
             usual = range(n // 2)
             instead = [[n // 2 + j if k == j // 2 else k for k in usual] for j in range(n)]
             here, *there = self._costs((*modes(x), *moved), [usual, *instead], self.prior.onset)
-            return here, (np.array(there) - here) / SLIGHTLY
+            return here, (np.array(there) - here) / slightly
 
         found = optimize.minimize(
             cost, np.zeros(n), jac=True, method="L-BFGS-B", options={"maxiter": 30, "ftol": 1e-7},
@@ -246,14 +316,13 @@ class _Search:
         normal = self._normal()
 
         def decay(x: Array) -> Decay:
-            c, beta, alpha = np.clip(np.exp(x), *np.transpose([C, BETA, ALPHA])).tolist()
+            c, beta, alpha = np.clip(np.exp(x), astuple(LEAST), astuple(MOST)).tolist()
             return Decay(c, beta, alpha)
 
         def cost(x: Array) -> float:
             return normal.solved(decay(x))[2]
 
-        now = self.prior.decay
-        start = np.log([now.c, now.beta, now.alpha])
+        start = np.log(astuple(self.prior.decay))
         simplex = np.vstack([start, start + np.diag([1.5, 0.6, 0.6])])
         options = {"initial_simplex": simplex, "maxfev": 45, "xatol": 0.05, "fatol": 0.3}
         found = optimize.minimize(cost, start, method="Nelder-Mead", options=options)
@@ -284,7 +353,7 @@ class _Normal:
         X_Psi = data.X.T @ Psi
         A = np.block([[data.X_X, X_Psi], [X_Psi.T, Psi.T @ Psi]])
         # rounding must leave A positive definite, where low noise makes columns nearly alike
-        A[np.diag_indices_from(A)] *= 1.0 + ROUNDING
+        A[np.diag_indices_from(A)] *= 1.0 + 1e-11
         b = np.concatenate([data.X_y, Psi.T @ data.y])
         return cls(A, b, float(data.y @ data.y), data.k, data.precision)
 
@@ -309,8 +378,9 @@ class _Normal:
 
 
 def _apart(modes: Sequence[Mode]) -> bool:
+    """Return whether the frequencies of modes differ by 3 % or more."""
     omega = np.log(sorted(mode.omega for mode in modes))
-    return bool((np.diff(omega) > CLOSEST).all())
+    return bool((np.diff(omega) > 0.03).all())
 
 
 def _integrated(M: Array, v: Array) -> float:

@@ -4,14 +4,14 @@
 
 G is linear in lag and q: a regression with the kernel of ``kernel`` for q. What no linear model
 explains counts as noise, whose power by frequency is that of what is left (the best linear
-approximation; Pintelon, Schoukens, System Identification, 2012). Priors differ:
+approximation; Pintelon, Schoukens, System Identification, 2012). What is known beforehand differs:
 
 ===================  ==========  ==================  ============================================
 recordings           gain g      start τ             response
 ===================  ==========  ==================  ============================================
-strokes              1 ± 0.03    0                   rest = 1, lag within ± 10 ms
-racking              as x        as x                rest = 0, lag = 0
-others, linear       1 ± 0.05    the rest of it      lag = what the damping of the modes explains
+``STROKES``          1 ± 0.03    0                   rest = 1, lag within ± 10 ms
+``RACKING``          as x        as x                rest = 0, lag = 0
+``TESTS``, linear    1 ± 0.05    the rest of it      lag = what the damping of the modes explains
 others               from below resonance            one ideal mode there, lag = 0
 ===================  ==========  ==================  ============================================
 
@@ -22,14 +22,14 @@ is the start. Other printers are not sums of a few modes. Their response h is es
 
     ĥ = argmin Σ_f W(f) |H(f) − Σ_k h_k e^{−2πifk}|² + (h − δ)ᵀ K⁻¹ (h − δ)
 
-with the ideal mode from ASSUMED[0]·f₀ down, and up to ASSUMED[1]·f₀ less and less, and written as
+with the ideal mode from 0.25 f₀ down, and up to 0.42 f₀ less and less, and written as
 what acceleration does, so that its gain at rest is exact.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import irfft, rfft
@@ -40,35 +40,50 @@ from hframe_post.errors import IdentificationError
 from hframe_post.identification.estimation.fit import Fit, described, shares
 from hframe_post.identification.estimation.frequency_response import (
     BANDWIDTH,
-    SENSOR,
     FrequencyResponse,
-    advanced,
     largest_response,
     share_left,
 )
-from hframe_post.identification.estimation.kernel import Decay, Mode, Prior, transfer
 from hframe_post.identification.estimation.regression import (
     LEAST_GAIN,
     Data,
+    Decay,
+    Mode,
     Posterior,
+    Prior,
     posterior,
     regress,
     rows,
+    transfer,
 )
 from hframe_post.model.impulse_response import ImpulseResponse
 
-ROUGH = (1.0, 0.05)  # gain, as mean and standard deviation, after a rough one
-RACKING = (0.0, 1e-6)  # what is 0 at rest
-LAG_SD = 10.0  # samples
-BEFORE = 4  # samples of q before the command, since it is band-limited
-AFTER = 436  # samples in which it decays; modes may ring for longer
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What is known of recordings: the gain at rest of their response, and standard deviations.
+
+    gain_sd: of the sensor's gain. lag_sd: of the lag, samples.
+    """
+
+    rest: float
+    gain_sd: float
+    lag_sd: float
+
+
+STROKES = Expected(1.0, 0.03, 10.0)
+TESTS = Expected(1.0, 0.05, 10.0)  # whose gain is known roughly
+RACKING = Expected(0.0, 1e-6, 1e-6)
+
+# samples of q, which begins before the command, since that is band-limited, and in which it decays;
+# modes may ring for longer
+DECAYING: Array = np.arange(-4.0, 436.0)
 LONGEST = 1900  # samples of q
 SILENT = 2e-3  # of the largest q
 NOISE_HZ = 4.0  # over which the noise is alike
 NOISE = 0.1  # share of command and response that counts as noise at first
 LEAST_NOISE = 2e-3  # and at least
 UNKNOWN = 64  # samples of the filter that holds the uncertainty
-FINE = 4096
 
 
 # ---------------------------------------------------------------------- a known start
@@ -89,41 +104,37 @@ def fit_racking(whole: FrequencyResponse, x: Fit, gain: float) -> Fit:
     whole: rad/mm, as measured by a sensor of that gain in the recordings that ``x`` is of. Raises
     IdentificationError if there are too few frequencies.
     """
-    in_step, scale = advanced(whole, x.delay), largest_response(whole)
-    found, resonance_hz = _regressed(replace(in_step, H=in_step.H / scale), RACKING, 0.0)
-    G = _response(found, 0.0, 0.0, scale / gain)
-    fit = Fit(G, gain, 0.0, resonance_hz, found.prior.modes)
-    left = share_left(fit.response(whole.hz), in_step, whole.power)
-    return replace(fit, residual=left, delay=x.delay)
+    scale = largest_response(whole)
+    in_step = whole.corrected(scale, x.delay)
+    found = estimated(in_step, RACKING)
+    left = share_left(found.G.response(2.0 * np.pi * TS * whole.hz), in_step, whole.power)
+    q, unknown = (values * (scale / gain) for values in (found.G.deviation, found.G.unknown))
+    G = replace(found.G, deviation=q, unknown=unknown)
+    return replace(found, G=G, gain=gain, delay=x.delay, residual=left)
 
 
-def estimated(measured: FrequencyResponse, sensor: tuple[float, float] = SENSOR) -> Fit:
-    """Return the response of an axis that was measured, with what is not known of it.
+def estimated(measured: FrequencyResponse, expected: Expected = STROKES) -> Fit:
+    """Return the response that was measured, with what is not known of it.
 
-    All delay is the printer's. sensor: mean and standard deviation of its gain. Raises
-    IdentificationError if there are too few frequencies.
+    All delay is the printer's. Raises IdentificationError if there are too few frequencies.
     """
-    found, resonance_hz = _regressed(measured, sensor, LAG_SD)
-    gain, lag = float(sensor[0] + found.mean[0]), float(found.mean[1])
-    G = _response(found, 1.0, lag / gain, 1.0 / gain)
+    found, resonance_hz = _regressed(measured, expected)
+    gain, lag = 1.0, 0.0
+    if expected.rest:
+        gain += float(found.mean[0])
+        lag = float(found.mean[1]) / gain
+    k = np.arange(DECAYING[0], LONGEST)
+    q = found.response(k) / gain
+    loud = int(np.flatnonzero(np.abs(q) >= SILENT * np.abs(q).max())[-1]) + 1
+    unknown = _unknown(found.known(k[:loud]) / gain**2)
+    G = ImpulseResponse(q[:loud], int(-k[0]), expected.rest, lag, unknown=unknown)
     return Fit(G, gain, 0.0, resonance_hz, found.prior.modes)
 
 
-def _response(found: Posterior, rest: float, lag: float, scale: float) -> ImpulseResponse:
-    """Return the response, as far as it is loud, and what is not known of it."""
-    k = np.arange(-BEFORE, LONGEST, dtype=float)
-    q = found.response(k)
-    loud = int(np.flatnonzero(np.abs(q) >= SILENT * np.abs(q).max())[-1]) + 1
-    unknown = _unknown(found.known(k[:loud]) * scale**2)
-    return ImpulseResponse(scale * q[:loud], BEFORE, rest, lag, unknown=unknown)
-
-
-def _regressed(
-    measured: FrequencyResponse, sensor: tuple[float, float], lag_sd: float
-) -> tuple[Posterior, float]:
+def _regressed(measured: FrequencyResponse, expected: Expected) -> tuple[Posterior, float]:
     """Return the posterior of (g − ĝ, g·lag, g·q), and where its mean is greatest, Hz."""
     largest_response(measured)
-    linear, H, power = _Linear(measured, sensor, lag_sd), measured.H, measured.power
+    linear, H, power = _Linear(measured, expected), measured.H, measured.power
     least = power * (np.abs(H) ** 2 + 1.0) / measured.averages
     own = np.maximum(power * (measured.noise * np.abs(H)) ** 2, LEAST_NOISE**2 * least)
     left, prior = np.zeros(len(H)), None
@@ -144,15 +155,12 @@ def _regressed(
 class _Linear:
     """A measured response as a linear function of (g − ĝ, g·lag, g·q) and of what modes add."""
 
-    def __init__(
-        self, measured: FrequencyResponse, sensor: tuple[float, float], lag_sd: float
-    ) -> None:
-        self._k = np.arange(-BEFORE, AFTER, dtype=float)
+    def __init__(self, measured: FrequencyResponse, expected: Expected) -> None:
         self._z: Complex = np.exp(2j * np.pi * TS * measured.hz)
-        self._H, self._gain = measured.H, sensor[0]
-        self._precision = np.array([sensor[1], max(lag_sd, RACKING[1])]) ** -2.0
+        self._H, self._rest = measured.H, expected.rest
+        self._precision = np.array([expected.gain_sd, expected.lag_sd]) ** -2.0
         self._acceleration = self._z - 2.0 + 1.0 / self._z
-        q = self._acceleration[:, None] * _turn(measured.hz, self._k)
+        q = self._acceleration[:, None] * _turn(measured.hz, DECAYING)
         self._columns = np.column_stack([np.ones(len(self._z)), 1.0 / self._z - 1.0, q])
 
     def data(self, weight: Array) -> Data:
@@ -161,14 +169,14 @@ class _Linear:
         def by_modes(modes: Sequence[Mode], onset: int) -> Array:
             return rows(weight, self._ringing(modes, onset))
 
-        X, y = rows(weight, self._columns), rows(weight, self._H - self._gain)
-        return Data.of(X, y, self._k, self._precision, by_modes)
+        X, y = rows(weight, self._columns), rows(weight, self._H - self._rest)
+        return Data.of(X, y, DECAYING, self._precision, by_modes)
 
     def modelled(self, found: Posterior) -> Complex:
         """Return the mean of the response (k,)."""
         ringing = self._ringing(found.prior.modes, found.prior.onset)
         columns = np.hstack([self._columns, ringing])
-        return np.asarray(self._gain + columns @ found.mean.astype(complex))
+        return np.asarray(self._rest + columns @ found.mean.astype(complex))
 
     def _ringing(self, modes: Sequence[Mode], onset: int) -> Complex:
         return np.asarray(self._acceleration[:, None] * transfer(self._z, modes, onset))
@@ -189,17 +197,17 @@ def _unknown(covariance: Array) -> Array:
 
     Of all filters of that gain the one of minimum phase, from the cepstrum of the gain.
     """
-    m = len(covariance)
+    m, fine = len(covariance), 4096  # frequencies; more than twice the longest response
     # var Q(f) = Σ_d e^{−2πifd} Σ_k cov(k + d, k)
     sums = np.array([np.trace(covariance, d) for d in range(m)])
-    around = np.zeros(FINE)
-    around[:m], around[FINE - m + 1 :] = sums, sums[:0:-1]
+    around = np.zeros(fine)
+    around[:m], around[fine - m + 1 :] = sums, sums[:0:-1]
     variance = np.maximum(rfft(around).real, 0.0)
     log_gain = 0.5 * np.log(np.maximum(variance, 1e-12 * variance.max() + 1e-300))
-    cepstrum = irfft(log_gain, FINE)
-    cepstrum[1 : FINE // 2] *= 2.0
-    cepstrum[FINE // 2 + 1 :] = 0.0
-    return np.asarray(irfft(np.exp(rfft(cepstrum)), FINE)[:UNKNOWN])
+    cepstrum = irfft(log_gain, fine)
+    cepstrum[1 : fine // 2] *= 2.0
+    cepstrum[fine // 2 + 1 :] = 0.0
+    return np.asarray(irfft(np.exp(rfft(cepstrum)), fine)[:UNKNOWN])
 
 
 # ---------------------------------------------------------------------- an unknown start
@@ -212,10 +220,10 @@ ASSUMED = (0.25, 0.42)  # of f₀: one ideal mode below, the measurement above
 MIDDLE = sum(ASSUMED) / 2.0
 IDEAL_SD = 0.003  # of that mode, below the middle
 UNEXPLAINED = 0.25  # share of the response that counts as noise, since no linear model explains it
-SIZE, BETA, ALPHA = 0.06, 0.0151, 0.1054  # of the kernel of h, and of the result's
-ADVANCE, RINGING = 12, 400  # samples of h before the command, since it is band-limited, and after
-LEAD, LENGTH = 32, 440  # samples of the result
-FIT_HZ = 125.0, 0.25  # up to which, and how densely, the result is fitted
+SMOOTH = Decay(0.06, 0.0151, 0.1)  # the kernel of h, and but for its size of the result
+H_AT: Array = np.arange(-12.0, 400.0)  # samples of h, which begins early, since it is band-limited
+Q_AT: Array = np.arange(-32.0, 408.0)  # of the result
+FIT_HZ = 125.0  # up to which the result is fitted
 FIT_WEIGHT = 270.0  # of the result at SLOW_HZ, against its kernel
 SLOW_HZ = 5.0  # of strokes as long as a bed
 
@@ -237,16 +245,15 @@ def fit_unknown_start(axes: Mapping[str, FrequencyResponse]) -> dict[str, Fit]:
 def _from_its_damping(whole: FrequencyResponse) -> Fit:
     """Return the response that is as late at low speed as the damping of its modes explains."""
     gain, late = _gain_and_delay(whole, strongest(whole))
-    late -= BEFORE * TS  # the rough one may be late
-    scaled = replace(whole, H=whole.H / gain)
-    in_time = advanced(scaled, late)
-    rough = estimated(in_time, ROUGH)
+    late += DECAYING[0] * TS  # the rough one may be late
+    in_time = whole.corrected(gain, late)
+    rough = estimated(in_time, TESTS)
     if modes := rough.ringing:
         seen = in_time.where(whole.hz >= rough.resonance_hz * MIDDLE)
         late += shares(seen, modes, rough.lag, speed=False)[1]
     else:  # too stiff to ring, so in time with it
         late += rough.lag
-    found = estimated(advanced(scaled, late), ROUGH)
+    found = estimated(whole.corrected(gain, late), TESTS)
     return described(replace(found, gain=gain * found.gain, delay=late), whole, late)
 
 
@@ -258,8 +265,7 @@ def with_an_ideal_mode(whole: FrequencyResponse) -> Fit:
     largest_response(whole)
     f0 = strongest(whole)
     gain, delay = _gain_and_delay(whole, f0)
-    in_time = advanced(replace(whole, H=whole.H / gain), delay)
-    h = _estimate(in_time, f0)
+    h = _estimate(whole.corrected(gain, delay), f0)
     return described(Fit(_handed_over(h, f0), gain, delay, f0), whole, delay)
 
 
@@ -287,38 +293,39 @@ def _gain_and_delay(measured: FrequencyResponse, f0: float) -> tuple[float, floa
 
 
 def _estimate(measured: FrequencyResponse, f0: float) -> Array:
-    """Return ĥ − δ (ADVANCE + RINGING,) from sample −ADVANCE on."""
+    """Return ĥ − δ at H_AT."""
     seen = measured.where(measured.hz >= MIDDLE * f0)
-    low, k = np.arange(0.0, MIDDLE * f0, 0.5), np.arange(-ADVANCE, RINGING, dtype=float)
+    low = np.arange(0.0, MIDDLE * f0, 0.5)
     power = seen.power / (seen.power @ np.abs(seen.H) ** 2)
     step = float(np.median(np.diff(measured.hz)))
     samples = measured.averages * 2.0 / (BANDWIDTH * step * TS)
     by_noise = np.sqrt(samples * power) / UNEXPLAINED
     weight = np.concatenate([np.full(len(low), 1.0 / IDEAL_SD), by_noise])
     wanted = np.concatenate([_one_mode(low, f0), seen.H]) - 1.0
-    turn = _turn(np.concatenate([low, seen.hz]), k)
-    return _mean(weight, turn, wanted, k, SIZE)
+    turn = _turn(np.concatenate([low, seen.hz]), H_AT)
+    return _mean(weight, turn, wanted, H_AT, SMOOTH)
 
 
 def _handed_over(h: Array, f0: float) -> ImpulseResponse:
     """Return h − δ as what acceleration does, with one ideal mode where the phase is unknown."""
-    hz = np.arange(FIT_HZ[1], FIT_HZ[0], FIT_HZ[1])
+    hz = np.arange(0.25, FIT_HZ, 0.25)
     at = np.clip((hz / f0 - ASSUMED[0]) / (ASSUMED[1] - ASSUMED[0]), 0.0, 1.0)
     known = at * at * (3.0 - 2.0 * at)
     ideal = _one_mode(np.minimum(hz, 0.7 * f0), f0) - 1.0
-    off = (1.0 - known) * ideal + known * (_turn(hz, np.arange(-ADVANCE, RINGING, dtype=float)) @ h)
-    k = np.arange(-LEAD, LENGTH - LEAD, dtype=float)
-    X = -((2.0 * np.sin(np.pi * TS * hz[:, None])) ** 2) * _turn(hz, k)
+    off = (1.0 - known) * ideal + known * (_turn(hz, H_AT) @ h)
+    X = -((2.0 * np.sin(np.pi * TS * hz[:, None])) ** 2) * _turn(hz, Q_AT)
     # the acceleration of a stroke is as strong below SLOW_HZ, where Q counts as a whole
     weight = FIT_WEIGHT * np.maximum(SLOW_HZ / hz, 1.0) ** 2 / np.maximum(hz / SLOW_HZ, 1.0) ** 1.5
-    q = _mean(weight, X, off, k, 1.0 / (2.0 * np.pi * TS * f0))
-    return ImpulseResponse(q, LEAD)
+    q = _mean(weight, X, off, Q_AT, replace(SMOOTH, c=1.0 / (2.0 * np.pi * TS * f0)))
+    return ImpulseResponse(q, int(-Q_AT[0]))
 
 
-def _mean(weight: Array, columns: Complex, wanted: Array | Complex, k: Array, size: float) -> Array:
+def _mean(
+    weight: Array, columns: Complex, wanted: Array | Complex, k: Array, kernel: Decay
+) -> Array:
     """Return the mean of a response at samples k (m,), by a kernel that is known."""
     data = Data.of(rows(weight, columns), rows(weight, wanted), k)
-    return posterior(data, Prior(Decay(size, BETA, ALPHA))).mean
+    return posterior(data, Prior(kernel)).mean
 
 
 def _one_mode(hz: Array, f0: float) -> Array:

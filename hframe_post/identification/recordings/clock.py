@@ -285,11 +285,11 @@ def known_start(
     return first, (f"{differ}: the sample counts",)
 
 
-def slow_part(values: Array) -> Array:
-    """Return the part of values (n, k), one a millisecond, that lies in ``SLOW_HZ``."""
+def slow_part(values: Array, band_hz: tuple[float, float] = SLOW_HZ) -> Array:
+    """Return the part of values (n, k), one a millisecond, that lies in a band."""
     hz = rfftfreq(len(values), TS)
     spectra = rfft(values, axis=0)
-    spectra[(hz < SLOW_HZ[0]) | (hz > SLOW_HZ[1])] = 0.0
+    spectra[(hz < band_hz[0]) | (hz > band_hz[1])] = 0.0
     return np.asarray(irfft(spectra, len(values), axis=0))
 
 
