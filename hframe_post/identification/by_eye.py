@@ -100,12 +100,11 @@ def printed_mode(readings: Sequence[Reading], a: float) -> PrintedMode:
     )
     by_ruler = (high - low) / (2.0 * hz)  # relative, of each
     mean = _agreed(hz, by_ruler)
-    if not PLAUSIBLE_HZ[0] <= mean <= PLAUSIBLE_HZ[1]:
+    least, most = PLAUSIBLE_HZ
+    if not least <= mean <= most:
         raise IdentificationError(
-            "these waves mean {:.0f} Hz, but printers ring at {:g} to {:g} Hz: check that each "
-            "distance is in mm and over all of the waves that you counted, not over one".format(
-                mean, *PLAUSIBLE_HZ
-            )
+            f"these waves mean {mean:.0f} Hz, but printers ring at {least:g} to {most:g} Hz: check "
+            "that each distance is in mm and over all of the waves that you counted, not over one"
         )
     weight = by_ruler**-2.0
     apart = math.sqrt(weight @ np.log(hz / mean) ** 2 / weight.sum())
