@@ -87,9 +87,6 @@ class Moonraker:
 
     def connecting(self, profile: Path) -> list[Change]:
         """Return the changes that connect a profile. Raises HframeError."""
-        common = self._components.with_name("common.py")
-        if not common.is_file() or "class RequestType" not in common.read_text("utf-8"):
-            raise HframeError("this Moonraker is older than December 2023: update it first")
         self._component()  # raises before anything is written
         here = profile.absolute().parent == self._printer.absolute().parent
         found = (self._with_command(profile), self._with_sections(here))

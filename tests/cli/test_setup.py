@@ -222,7 +222,6 @@ def moonraker(config: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     )
     components = config.parent / "moonraker/moonraker/components"
     components.mkdir(parents=True)
-    components.with_name("common.py").write_text("class RequestType: ...\n")
     config.with_name("printer.toml").write_text((ROOT / "tests/measured.toml").read_text())
     return components
 

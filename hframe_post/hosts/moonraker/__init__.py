@@ -17,12 +17,11 @@ import sys
 import tempfile
 import time
 from dataclasses import asdict
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from . import recordings
-from .recordings import ENDPOINT, FOLDER, NAME, Settings
+from .recordings import FOLDER, NAME, Settings
 
 JOB_S = 3600.0  # timeout of a file that is played
 GONE = ("uploads", "keep", "stale", "fresh")  # options of a component that converted uploads
@@ -38,8 +37,8 @@ class HframePost:
         (gcodes / FOLDER).mkdir(exist_ok=True)
         files.add_reserved_path(NAME, gcodes / FOLDER, False)
         settings = Settings(
-            str(gcodes), server.get_app_args()["unix_socket_path"],
-            shlex.split(config.get("command")), config.get("recordings", tempfile.gettempdir()),
+            str(gcodes), shlex.split(config.get("command")),
+            config.get("recordings", tempfile.gettempdir()),
         )  # fmt: skip
         self._words = json.dumps(asdict(settings))
         if gone := [name for name in GONE if config.get(name, None) is not None]:
@@ -49,8 +48,6 @@ class HframePost:
             )
         self._processes = set[asyncio.subprocess.Process]()
         self._busy = False
-        kinds = import_module("moonraker.common").RequestType
-        server.register_endpoint(ENDPOINT, kinds.POST, self._report)
         server.register_remote_method("hframe_calibrate", self._calibrate)
         server.register_remote_method("hframe_check", self._check)
 
@@ -61,10 +58,6 @@ class HframePost:
                 process.kill()
 
     # ------------------------------------------------------------------ for Moonraker
-
-    async def _report(self, request: Any) -> str:
-        self._show(request.get_str("text"), request.get_boolean("failed"))
-        return "ok"
 
     def _fail(self, text: str) -> None:
         self._show(f"hframe-post: {text}", True)
@@ -102,24 +95,29 @@ class HframePost:
             return
         self._busy = True
         try:
-            status, output = await self._run("prepare", kind, axis)
-            if status == 0:
-                job, began = json.loads(output)["job"], time.time()
-                if await self._played(job):
-                    await self._run("conclude", kind, job, repr(began))
+            job, began = await self._run("prepare", kind, axis), time.time()
+            if job and await self._played(job):
+                await self._run("conclude", kind, job, repr(began))
         finally:
             self._busy = False
 
-    async def _run(self, duty: str, *words: str) -> tuple[int, str]:
-        """Run a duty as a process, which ends in time; return its status and what it printed."""
+    async def _run(self, duty: str, *words: str) -> str:
+        """Run a duty as a process, which ends in time, and show what it says; return its job."""
         process = await asyncio.create_subprocess_exec(
             sys.executable, recordings.__file__, duty, self._words, *words,
             stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
         )  # fmt: skip
         self._processes.add(process)
         try:
-            output, _ = await process.communicate()
-            return process.returncode or 0, output.decode()
+            job, output = "", process.stdout
+            assert output is not None
+            while line := await output.readline():
+                said = json.loads(line)
+                job = said.get("job", job)
+                if "text" in said:
+                    self._show(said["text"], said["failed"])
+            await process.wait()
+            return job
         finally:
             self._processes.remove(process)
             if process.returncode is None:

@@ -3,7 +3,8 @@
 Both kinds have a folder in FOLDER, with the G-code, the exact commands and the recordings. Those of
 one axis stay until it is recorded again, so that the sensor may be moved in between.
 
-``component`` runs this file as a process: ``python recordings.py DUTY SETTINGS WORD...``.
+The component runs this file as a process: ``python recordings.py DUTY SETTINGS WORD...``. It prints
+what to show, and the job to play, as a line of JSON each.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ import json
 import os
 import re
 import shutil
-import socket
 import subprocess
 import sys
 import threading
@@ -26,7 +26,6 @@ from typing import Any
 
 NAME = "hframe_post"
 FOLDER = ".hframe_post"  # in the folder of G-code, from which Klipper prints
-ENDPOINT = "/server/hframe_post/report"
 MEMORY_BYTES = 1_000_000_000  # of data of a process; 370 MB are the most that any has needed
 WRITING = {  # the file of G-code, and the words of the command that writes it
     "calibration": ("measure.gcode", "--times", "2"),
@@ -43,10 +42,10 @@ OTHER_PLACE = {
 }
 
 
-def prepare(settings: Settings, kind: str, axis: str = "") -> int:
-    """Write the G-code of a kind and print the job to play, as JSON: its name below the folder.
+def prepare(settings: Settings, kind: str, axis: str) -> None:
+    """Write the G-code of a kind and print the job to play: its name below the folder; or why not.
 
-    axis: X or Y where one sensor records both, in two places. Exit status 1: said why not.
+    axis: X or Y where one sensor records both, in two places.
     """
     folder = settings.folder / kind
     try:
@@ -59,21 +58,20 @@ def prepare(settings: Settings, kind: str, axis: str = "") -> int:
             target = ("-p", str(profile), "-q", "-o", str(folder / job))
             _run([*program, "measure", *words, *target], MEASURING_S)
     except (FailureError, OSError) as error:
-        settings.report(f"nothing is measured: {_cause(error)}", failed=True)
-        return 1
+        report(f"nothing is measured: {_cause(error)}", failed=True)
+        return
     jobs = sorted(folder.glob("*.gcode"))
     if len(jobs) > 1:
         jobs = [job for job in jobs if job.stem.endswith(f"-{(axis or 'X').lower()}")]
     elif axis:
-        settings.report("this printer's sensors record x and y at once, so AXIS does nothing")
-    print(json.dumps({"job": f"{FOLDER}/{kind}/{jobs[0].name}"}))
-    return 0
+        report("this printer's sensors record x and y at once, so AXIS does nothing")
+    print(json.dumps({"job": f"{FOLDER}/{kind}/{jobs[0].name}"}), flush=True)
 
 
-def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
+def conclude(settings: Settings, kind: str, job: str, began: str) -> None:
     """Update the profile from what was recorded since a time, and say what came out.
 
-    job: as ``prepare`` prints it. began: s since 1970. Exit status 0: the profile was written.
+    job: as ``prepare`` prints it. began: s since 1970.
     """
     try:
         folder = settings.folder / kind
@@ -81,20 +79,24 @@ def conclude(settings: Settings, kind: str, job: str, began: str) -> int:
         program, profile = settings.program_and_profile()
         if kind == "calibration":
             for axis in _missing(folder):
-                settings.report(f"recorded. {OTHER_PLACE[axis]}")
-                return 1
-        settings.report("recorded. The model is computed, which may take some minutes")
+                report(f"recorded. {OTHER_PLACE[axis]}")
+                return
+        report("recorded. The model is computed, which may take some minutes")
         known = _computed(folder, program, profile)
         lines = [*(_identified if kind == "calibration" else _checked)(known)]
     except (FailureError, OSError, ValueError) as error:
-        settings.report(f"the model was not changed: {_cause(error)}", failed=True)
-        return 1
+        report(f"the model was not changed: {_cause(error)}", failed=True)
+        return
     plots = f", plots into {profile.stem}.html next to it" if kind == "calibration" else ""
     lines.append(f"the model is written into {profile}{plots}")
     if profile.with_suffix(".kernel").is_file():
         lines.append("with [hframe_live] in printer.cfg, restart Klipper: it takes this model")
-    settings.report("\n".join(lines))  # at once: some consoles show the newest message first
-    return 0
+    report("\n".join(lines))  # at once: some consoles show the newest message first
+
+
+def report(text: str, failed: bool = False) -> None:
+    """Let the component show a message in the console of the web interface."""
+    print(json.dumps({"text": f"hframe-post: {text}", "failed": failed}), flush=True)
 
 
 def _computed(folder: Path, program: list[str], profile: Path) -> Any:
@@ -208,12 +210,11 @@ class FailureError(Exception):
 class Settings:
     """What the component passes to its processes.
 
-    gcodes: the folder of G-code. socket: Moonraker's. command: that runs hframe-post with the
-    profile. recordings: the folder into which Klipper writes those of accelerometers.
+    gcodes: the folder of G-code. command: that runs hframe-post with the profile. recordings: the
+    folder into which Klipper writes those of accelerometers.
     """
 
     gcodes: str
-    socket: str
     command: list[str]
     recordings: str
 
@@ -230,18 +231,6 @@ class Settings:
         raise FailureError(
             f"command in [{NAME}] of moonraker.conf names no profile. Add -p and the profile's path"
         )
-
-    def report(self, text: str, failed: bool = False) -> None:
-        """Show a message in the console of the web interface, through Moonraker's socket."""
-        request = {
-            "jsonrpc": "2.0", "method": ENDPOINT.strip("/").replace("/", "."), "id": 1,
-            "params": {"text": f"hframe-post: {text}", "failed": failed},
-        }  # fmt: skip
-        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as connection:
-            connection.settimeout(10.0)
-            connection.connect(self.socket)
-            connection.sendall(json.dumps(request).encode() + b"\x03")
-            connection.recv(4096)
 
 
 def _run(command: Sequence[str], seconds: float) -> None:
@@ -296,4 +285,4 @@ if __name__ == "__main__":
     _stand_back()
     duty, own, *words = sys.argv[1:]
     run = prepare if duty == "prepare" else conclude
-    sys.exit(run(Settings(**json.loads(own)), *words))
+    run(Settings(**json.loads(own)), *words)
