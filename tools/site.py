@@ -17,8 +17,7 @@ import click
 
 import hframe_post as hp
 from hframe_post.cli.main import COMMANDS, main
-from hframe_post.model.kinematics import Kinematics
-from hframe_post.printer import firmware_tables, settings
+from hframe_post.printer import firmware_tables, profile
 
 if TYPE_CHECKING:  # an extra, for the site alone
     from mkdocs.structure.files import Files
@@ -71,10 +70,7 @@ def where(name: str) -> str:
 
 
 TABLES = {  # of a profile, and what holds their keys
-    "travel": settings.Travel, "limits": settings.Limits, "motors": settings.Motors,
-    "kinematics": Kinematics, "steps": settings.Steps, "compensation": settings.Compensation,
-    "speed": settings.Speed, "sweep": settings.Sweep, "retraction": settings.Retraction,
-    "extruder": settings.Extruder,
+    **profile.TABLES,
     **{f"firmware.{name}": table for name, table in firmware_tables.TABLES.items()},
 }  # fmt: skip
 

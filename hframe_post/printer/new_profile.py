@@ -11,16 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
-from hframe_post.printer.firmware_tables import TABLES
-from hframe_post.printer.settings import (
-    Extruder,
-    Limits,
-    Printer,
-    Retraction,
-    Speed,
-    Steps,
-    Sweep,
-)
+from hframe_post.printer.firmware_tables import TABLES as FIRMWARES
+from hframe_post.printer.profile import TABLES
+from hframe_post.printer.settings import Printer, Sweep
 
 Value = float | tuple[float, ...] | tuple[tuple[float, float], ...] | tuple[str] | str | bool
 
@@ -63,11 +56,6 @@ def sweep(acceleration: Known) -> dict[str, Known]:
     return {"amplitude": Known(usual, "usual; the acceleration above allows it")}
 
 
-KINDS = {  # of tables whose keys may have a default
-    "limits": Limits, "steps": Steps, "retraction": Retraction, "extruder": Extruder,
-    "sweep": Sweep, "speed": Speed,
-    **{f"firmware.{name}": kind for name, kind in TABLES.items()},
-}  # fmt: skip
 TITLES = {
     "kinematics": "how the belts move the nozzle",
     "travel": "where the nozzle may go",
@@ -106,18 +94,22 @@ dialect = "{dialect}"
 
 
 def _table(name: str, table: dict[str, Known]) -> Iterator[str]:
-    usual = {each.name: each.default for each in fields(KINDS[name])} if name in KINDS else {}
-    kept = [key for key, known in table.items() if known.value != usual.get(key)]
+    usual = {each.name: each.default for each in fields(_kind(name))}
+    kept = [key for key, known in table.items() if known.value != usual[key] or key == "type"]
     if not table:
         return
-    own = name.startswith(FIRMWARE)
-    title = TABLES[name[len(FIRMWARE) :]].title if own else TITLES[name]
+    title = TITLES[name] if name in TITLES else _kind(name).title
     yield f"{f'[{name}]':24s}# {title}"
     for key in kept or [*table][:1]:  # that there is a table says something, too
         yield _line(key, table[key])
     if name == "speed":
         yield MAX_ERROR
     yield ""
+
+
+def _kind(name: str) -> Any:
+    """Return what a table of a profile becomes."""
+    return FIRMWARES[name[len(FIRMWARE) :]] if name.startswith(FIRMWARE) else TABLES[name]
 
 
 def _line(key: str, known: Known) -> str:
@@ -172,7 +164,7 @@ def differences(tables: Tables, printer: Printer) -> Iterator[Difference]:
 def _table_of(printer: Printer, name: str) -> Any:
     """Return what a table of a profile has become; None if the profile has none."""
     if name.startswith(FIRMWARE):
-        return printer.firmware.table(TABLES[name[len(FIRMWARE) :]])
+        return printer.firmware.table(_kind(name))
     return getattr(printer, name)
 
 
