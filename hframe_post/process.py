@@ -85,14 +85,19 @@ class ChildProcess:
 def end_with_parent() -> None:
     """Start watching the parent if this process is a ``ChildProcess``."""
     if os.environ.get(CHILD):
-        threading.Thread(target=_wait_for_parent, daemon=True).start()
+        end_after(lambda: os.read(0, 1))  # which returns when the parent is gone
 
 
-def _wait_for_parent() -> None:
-    os.read(0, 1)  # returns when the parent is gone
-    while not give_up():  # let files finish that are being moved into place
-        time.sleep(0.01)
-    os._exit(1)
+def end_after(wait: Callable[[], object]) -> None:
+    """End this process once a function has returned, which waits in a thread."""
+
+    def end() -> None:
+        wait()
+        while not give_up():  # let files finish that are being moved into place
+            time.sleep(0.01)
+        os._exit(1)
+
+    threading.Thread(target=end, daemon=True).start()
 
 
 def clean_up_when_killed() -> None:

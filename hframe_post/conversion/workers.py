@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
-import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -16,6 +14,7 @@ from hframe_post.conversion.ledger import Ledger
 from hframe_post.conversion.pipeline import Chain, Stages
 from hframe_post.conversion.spans import Span
 from hframe_post.errors import HframeError
+from hframe_post.process import end_after
 from hframe_post.writers.gcode import GcodeWriter
 from hframe_post.writers.print_time import Output
 
@@ -106,19 +105,13 @@ def _processes(chain: Chain) -> Iterator[ProcessPoolExecutor]:
 
 def _start_worker(chain: Chain) -> None:
     """Leave interrupts to the parent, and end with it even if it is killed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    _chain[:] = [chain]
-
-
-def _end_with_parent() -> None:
     import multiprocessing
 
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if (parent := multiprocessing.parent_process()) is not None:
+        end_after(parent.join)
+    _chain[:] = [chain]
 
 
 def _write_in_worker(span: Span) -> WrittenSpan:
