@@ -24,10 +24,10 @@ def lengths(steps: Array) -> Array:
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
-def moved(columns: Iterable[Array], by: Array, out: Array | None = None) -> Array:
-    """Return places (n, 2) whose x and y, (n,) each, are moved by (2,); in ``out`` if given."""
+def moved(columns: Iterable[Array], by: Array) -> Array:
+    """Return places (n, 2) whose x and y, (n,) each, are moved by (2,)."""
     x, y = columns
-    out = np.empty((len(x), 2)) if out is None else out
+    out = np.empty((len(x), 2))
     np.add(x, by[X], out=out[:, X])  # by columns, as for lengths
     np.add(y, by[Y], out=out[:, Y])
     return out

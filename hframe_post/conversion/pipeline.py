@@ -104,26 +104,21 @@ class Chain:
         """Read G-code and plan the speeds along its path. Raises HframeError."""
         return self.scheduled(self.read(lines))
 
-    def scheduled(
-        self, items: Iterable[Item], followed: FollowedAdvance | None = None,
-        within: WithinMotors | None = None,
-    ) -> Iterator[Planned]:  # fmt: skip
+    def scheduled(self, items: Iterable[Item]) -> Iterator[Planned]:
         """Plan the speeds of moves at the pace asked for.
 
         Plan them so that the motors can follow, and the extruder its advance.
-
-        followed: lowers the accelerations, as ``following`` gives it. within: slows moves down for
-        the motors.
         """
-        items, followed = self._pace.items(items), followed or self.following()
+        items, followed = self._pace.items(items), self.following
         items = items if followed is None else followed.items(items)
-        items = (within or self.within_motors()).items(items)
+        items = self.within_motors.items(items)
         own = self.sliced.limits()
         if not own.least:
             return plan(items, self.caps)
         joined = ShortMoves(own.least, own.step, own.motors).joined_travel(items)
         return plan(joined, self.caps, joins=own.joins, late=own.late if own.joins else 0.0)
 
+    @cached_property
     def within_motors(self) -> WithinMotors:
         """Return what slows moves down so that the motors can follow."""
         printer, motors, harder = self.printer, self.printer.motors.stated, 1.0
@@ -133,6 +128,7 @@ class Chain:
             harder = hardest(*compensated, printer.kinematics, place)
         return WithinMotors(motors, printer.kinematics, harder)
 
+    @cached_property
     def following(self) -> FollowedAdvance | None:
         """Return what lowers accelerations for the extruder; None if the firmware does it."""
         own = self.firmware

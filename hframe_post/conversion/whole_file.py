@@ -41,10 +41,8 @@ class WholeFile:
         self.chain = chain = Chain(self.printer, options)
         self._read = read = FileTally()
         self._sliced = SlicedFile(self.printer, chain.sliced)
-        self._following, self._within = chain.following(), chain.within_motors()
         items = self._sliced.items(read_ahead(read.items(chain.read(lines, read.note))))
-        plans = chain.scheduled(items, self._following, self._within)
-        self.spans = Spans(plans, chain.firmware.advance())
+        self.spans = Spans(chain.scheduled(items), chain.firmware.advance())
         self.done = Ledger()
         self._player: Firmware | None = None  # which plays what it becomes
 
@@ -134,9 +132,9 @@ class WholeFile:
         Raises HframeError if the model predicts an error that no working printer has.
         """
         printer, options, caps = self.printer, self.chain.options, self.chain.caps
-        own, slowed = self._sliced.own, self._following
+        own, slowed = self._sliced.own, self.chain.following
         planned = Ledger(
-            read=self._read, slowed=self._within.share, sliced_s=own.seconds,
+            read=self._read, slowed=self.chain.within_motors.share, sliced_s=own.seconds,
             elsewhere=own.elsewhere,
             following=None if slowed is None else (slowed.share, slowed.least),
         )  # fmt: skip
