@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.klipper.klipper_code import KlipperCode, StreamLimits
-from hframe_post.firmware.klipper.klipper_motion import KlipperMotion
+from hframe_post.firmware.klipper.klipper_stream import KlipperCode, KlipperMotion, stream_limits
 from hframe_post.firmware.klipper.macros import WRAPPERS, macros
 from hframe_post.firmware.motion import Way
 from hframe_post.model.kinematics import Kinematics
@@ -22,9 +21,9 @@ from hframe_post.printer.settings import Extruder, Limits, Motors
 from hframe_post.stream.types import Handling, ModalState, Passthrough
 from tests.quantities import below
 
-STREAM = StreamLimits(
-    velocity=770.0, acceleration=3.5355e4, z_velocity=20.0, z_acceleration=500.0,
-    extruder_velocity=60.0, extruder_acceleration=2000.0, extruder_corner_velocity=1.0,
+STREAM = Limits(
+    velocity=770.0, acceleration=3.5355e4, square_corner_velocity=20.0, z_velocity=20.0,
+    z_acceleration=500.0, extruder_velocity=60.0, extruder_acceleration=2000.0,
 )  # fmt: skip
 
 # ---------------------------------------------------------------------- speeds and durations
@@ -82,7 +81,8 @@ def end(state: ModalState = STATE, restore: KlipperTable = RESTORE) -> list[byte
 
 def test_the_stream_may_do_what_the_motors_hold_in_any_direction_and_no_more() -> None:
     limits = Limits(300.0, 1e4, 5.0, 20.0, 500.0, 60.0, 2000.0, 1.5)
-    stream = StreamLimits.from_limits(limits, Motors(700.0, 5e4), Kinematics())
+    own = replace(load("paper"), limits=limits, motors=Motors(700.0, 5e4), kinematics=Kinematics())
+    stream = stream_limits(own)
     assert stream.velocity == pytest.approx(770.0)
     assert stream.acceleration == math.floor(5e4 / math.sqrt(2.0))  # 5e4 along a diagonal's belt
     assert (stream.z_velocity, stream.z_acceleration) == (20.0, 500.0)

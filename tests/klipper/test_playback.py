@@ -12,7 +12,7 @@ from hframe_post.conversion import spans
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.print_report import Report
 from hframe_post.conversion.whole_file import WholeFile
-from hframe_post.firmware.klipper.klipper_code import StreamLimits
+from hframe_post.firmware.klipper.klipper_stream import stream_limits
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Extruder, Printer
@@ -155,7 +155,7 @@ def test_lifts_pass_into_motion_as_intended(tmp_path: Path) -> None:
 def hardest(run: Played, printer: Printer, over: float) -> float:
     """Return the greatest mean acceleration of a belt over a time (s) in the stream, mm/s²."""
     moves = run.playback.moves
-    limit = StreamLimits.from_limits(printer.limits, printer.motors, printer.kinematics)
+    limit = stream_limits(printer)
     own = moves["print_time"][moves["accel"] == limit.acceleration]  # others: the user's limits
     t = np.arange(own[0], own[-1], 2.5e-4)
     at = (run.playback.position(t + shift)[:, :2] for shift in (-over, 0.0, over))

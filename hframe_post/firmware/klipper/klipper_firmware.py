@@ -16,8 +16,11 @@ from hframe_post.firmware.dialect import (
     klipper_seconds,
     object_label,
 )
-from hframe_post.firmware.klipper.klipper_code import KlipperCode, averaged_shorter
-from hframe_post.firmware.klipper.klipper_motion import KlipperMotion
+from hframe_post.firmware.klipper.klipper_stream import (
+    KlipperCode,
+    KlipperMotion,
+    averaged_shorter,
+)
 from hframe_post.model.shapers import Shaping
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.stream.types import FileLimits

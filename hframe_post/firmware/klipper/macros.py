@@ -15,7 +15,7 @@ from importlib import resources
 
 from hframe_post.errors import PrinterError
 from hframe_post.firmware.base import Finding
-from hframe_post.firmware.klipper.klipper_code import SQUARE_CORNER_VELOCITY, KlipperCode
+from hframe_post.firmware.klipper.klipper_stream import KlipperCode
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS, RECORDED, UNUSED, USUAL_CHIP
 from hframe_post.printer.settings import Printer
@@ -66,7 +66,7 @@ def macros(printer: Printer, config: KlipperConfig | None = None) -> str:
         "@builtin\n": "" if own else _BUILTIN,
         "@averaging\n": _averaging(code.averaging_of_stream),
         "@own_averaging\n": _averaging(_OWN_AVERAGING if code.extruder else []),
-        "@corner": f"{SQUARE_CORNER_VELOCITY:g}",
+        "@corner": f"{code.stream.square_corner_velocity:g}",
         "@acceleration": f"{code.stream.acceleration:g}",
         "@readings": queries,
         "@recorded": RECORDED,

@@ -35,9 +35,8 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Integers, X, Y, Z
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.klipper.klipper_code import KlipperCode, StreamLimits
 from hframe_post.firmware.klipper.klipper_firmware import Klipper
-from hframe_post.firmware.klipper.klipper_motion import KlipperMotion
+from hframe_post.firmware.klipper.klipper_stream import KlipperCode, KlipperMotion, stream_limits
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import STAMP
 from hframe_post.printer.firmware_tables import RECORDED, USUAL_CHIP
@@ -114,9 +113,8 @@ def allowed(printer: Printer, share: float, multiple: float) -> tuple[float, flo
     motors must allow the firmware.
     """
     limits, motors = printer.limits, printer.motors
-    stream = StreamLimits.from_limits(limits, motors, printer.kinematics)
     velocity = min(limits.velocity, share * motors.belt_velocity)
-    acceleration = min(limits.acceleration, stream.acceleration / multiple)
+    acceleration = min(limits.acceleration, stream_limits(printer).acceleration / multiple)
     most = firmware(printer).most()
     return min(velocity, most[0]), min(acceleration, most[1])
 
