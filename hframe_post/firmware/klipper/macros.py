@@ -10,7 +10,8 @@ unusual spelling, with ``rename_existing``, is called first and passes the comma
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator
 from importlib import resources
 
 from hframe_post.errors import PrinterError
@@ -24,27 +25,15 @@ FILE, END = MACROS, END_MACRO
 WRAPPERS = {name: name[0].lower() + name[1:] for name in ("PAUSE", "RESUME", "CANCEL_PRINT")}
 """Klipper's command, and the spelling of the section that is called before it."""
 
-TEMPLATE = f"{FILE}.in"  # of this file; @name stands for what depends on the printer
-_BUILTIN = "\n[pause_resume]\n"
-_FORGET = "SET_GCODE_VARIABLE MACRO=_HFRAME_LEAVE VARIABLE=stream VALUE=None"
-_OWN_AVERAGING = ["SET_PRESSURE_ADVANCE SMOOTH_TIME={own.extruder.pressure_advance_smooth_time}"]
-_WRAPPER = """\
-[gcode_macro @section]
-description: Restore the printer's limits around a converted file, and call the former @name
-rename_existing: _HFRAME_@name
-gcode:
-    @calls
-"""
-_CALLS = {
-    "PAUSE": ("_HFRAME_LEAVE", "_HFRAME_PAUSE {rawparams}"),
-    "RESUME": ("_HFRAME_RESUME {rawparams}", "_HFRAME_RETURN"),
-    # the stream's E is relative: the next file may expect what holds after a restart
-    "CANCEL_PRINT": ("_HFRAME_LEAVE", _FORGET, "M82", "_HFRAME_CANCEL_PRINT {rawparams}"),
-}
+TEMPLATE = f"{FILE}.in"  # of this file; see `macros`
 
 
 def macros(printer: Printer, config: KlipperConfig | None = None) -> str:
     """Return the text of hframe.cfg for this printer.
+
+    In its template @name stands for what depends on the printer, and a line that begins with @part:
+    is only in the file if the printer needs that part. CANCEL_PRINT sends M82, since the stream's E
+    is relative: the next file may expect what holds after a restart.
 
     config: its printer.cfg; without it nothing but Klipper's own commands is assumed. Raises
     PrinterError where the printer's firmware is not Klipper.
@@ -56,32 +45,27 @@ def macros(printer: Printer, config: KlipperConfig | None = None) -> str:
     shaper_off, limits = code.limits_of_stream
     known = dict.fromkeys((printer.sweep.chip_x, printer.sweep.chip_y))
     chips = [chip for chip in known if chip] or [USUAL_CHIP]
-    queries = "\n    ".join(f"ACCELEROMETER_QUERY CHIP={chip}" for chip in chips)
     # Klipper's own commands refuse a macro of their name that does not rename them
     own = _own_commands(config) if config is not None else []
     text = (resources.files(__package__) / TEMPLATE).read_text("utf-8")
+    for part, needed in {
+        "builtin": not own,
+        "averaging": code.extruder is not None,
+        **{name: name in (own or WRAPPERS) for name in WRAPPERS},
+    }.items():
+        text = re.sub(rf"(?m)^@{part}:(.*\n)", r"\1" if needed else "", text)
     for name, value in {
         "@shaper_off": shaper_off,
         "@limits": limits,
-        "@builtin\n": "" if own else _BUILTIN,
-        "@averaging\n": _averaging(code.averaging_of_stream),
-        "@own_averaging\n": _averaging(_OWN_AVERAGING if code.extruder else []),
+        "@averaging": "".join(code.averaging_of_stream),
         "@corner": f"{code.stream.square_corner_velocity:g}",
         "@acceleration": f"{code.stream.acceleration:g}",
-        "@readings": queries,
+        "@readings": "\n    ".join(f"ACCELEROMETER_QUERY CHIP={chip}" for chip in chips),
         "@recorded": RECORDED,
         "@unused": UNUSED,
     }.items():
         text = text.replace(name, value)
-    return text + "\n".join(map(_wrapper, own or WRAPPERS))
-
-
-def _averaging(lines: Sequence[str]) -> str:
-    """Return lines of a macro that set over what time pressure advance is averaged."""
-    if not lines:
-        return ""
-    guarded = ['{% if "extruder" in printer %}', *lines, "{% endif %}"]
-    return "".join(f"    {line}\n" for line in guarded)
+    return text.rstrip() + "\n"
 
 
 def _own_commands(config: KlipperConfig) -> list[str]:
@@ -93,11 +77,6 @@ def _own_commands(config: KlipperConfig) -> list[str]:
         for name in WRAPPERS
         if any(not config.text(section, "rename_existing") for section in config.macros(name))
     ]
-
-
-def _wrapper(name: str) -> str:
-    text = _WRAPPER.replace("@calls", "\n    ".join(_CALLS[name]))
-    return text.replace("@section", WRAPPERS[name]).replace("@name", name)
 
 
 # ----------------------------------------------------------------------
