@@ -29,17 +29,17 @@ class Code(ABC):
         return []
 
     @abstractmethod
-    def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
+    def begin(self, offset: tuple[float, float, float], at: Array) -> list[str]:
         """Return the lines that change from the user's limits and modes to the stream's.
 
         offset: x, y, z of the user's G92; at (4,): x, y, z, e where the machine is.
         """
 
     @abstractmethod
-    def end(self, state: ModalState, at: Array) -> list[bytes]:
+    def end(self, state: ModalState, at: Array) -> list[str]:
         """Return the lines that restore the user's limits and the file's modes and places."""
 
-    def around(self, move: Passthrough) -> tuple[bytes, bytes] | None:
+    def around(self, move: Passthrough) -> tuple[list[str], list[str]] | None:
         """Return lines before and after a move of the file between which the user's limits hold.
 
         It is made as written, although the stream's modes hold. None: the machine must be released.

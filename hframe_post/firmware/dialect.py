@@ -143,6 +143,16 @@ def object_label(text: bytes) -> bytes | None:
     return match[1] if (match := _M486.match(text)) else None
 
 
+def one_acceleration(words: Words, before: Accelerations) -> Accelerations:
+    """Return S of M204 for all moves."""
+    return words.get("S", before[0]), words.get("S", before[1])
+
+
+def milliseconds(words: Words) -> float:
+    """Return P of G4, which is in ms, in seconds; S means nothing."""
+    return words.get("P", 0.0) / 1000.0
+
+
 @dataclass(frozen=True, slots=True)
 class Dialect:
     """The meaning of commands where firmwares differ.
@@ -167,8 +177,8 @@ class Dialect:
     """
 
     obeyed: frozenset[str]
-    accelerations: Callable[[Words, Accelerations], Accelerations]
-    dwell: Callable[[Words], float]
+    accelerations: Callable[[Words, Accelerations], Accelerations] = one_acceleration
+    dwell: Callable[[Words], float] = milliseconds
     has_deviation: bool = False
     retraction_settings: frozenset[str] = frozenset()
     g90_sets_e: bool = False

@@ -89,7 +89,7 @@ def tower(printer: Printer, heat: Heat) -> list[str]:
     top = len(bands(printer)) * LAYERS * LAYER + GAP
     state = ModalState(True, False, 0.0, TRAVEL, (0.0, 0.0, 0.0))
     end = _code(printer).end(state, np.array([x, y, top, 0.0]))
-    return [*lines, f"G1 Z{plain(top, 2)} F600", *(line.decode() for line in end), *COLD]
+    return [*lines, f"G1 Z{plain(top, 2)} F600", *end, *COLD]
 
 
 def _code(printer: Printer) -> Code:

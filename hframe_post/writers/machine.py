@@ -192,7 +192,7 @@ class Machine:
         if releases and self._inside and (around := self._code.around(action)) is not None:
             assert self._at is not None
             assert action.end is not None
-            before, after = around
+            before, after = map(text_of, around)
             self._filament.passed += action.filament
             x, y, z, _ = action.end
             self._at = self._units.place((x, y, z, self._filament.total))
@@ -234,7 +234,7 @@ class Machine:
         return np.array(self._units.mm(self._at))
 
     def _release(self, action: Passthrough) -> None:
-        end: list[bytes] = []
+        end: list[str] = []
         if self._inside and self._at is not None:
             end = self._code.end(action.state, self._where)
         self._offset, self._inside, self._at = action.state.offset, False, None
@@ -278,6 +278,6 @@ class Filament:
         return (self.steps - self.begun) / 1e5 + self.passed
 
 
-def text_of(lines: Iterable[bytes]) -> bytes:
+def text_of(lines: Iterable[str]) -> bytes:
     """Return lines as a text."""
-    return b"".join(line + b"\n" for line in lines)
+    return "".join(f"{line}\n" for line in lines).encode()

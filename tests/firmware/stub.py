@@ -14,7 +14,7 @@ import numpy as np
 from hframe_post.arrays import Array, E, Flags, Integers, lengths
 from hframe_post.firmware.base import Firmware, Source
 from hframe_post.firmware.code import Code, coordinates, modes, plain
-from hframe_post.firmware.dialect import Accelerations, Dialect, Words
+from hframe_post.firmware.dialect import Dialect
 from hframe_post.firmware.motion import MotionRules, NextTo
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.model.shapers import Shaping
@@ -62,14 +62,12 @@ class StubMotion(MotionRules):
 class StubCode(Code):
     table: StubTable
 
-    def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
-        lines = ["M204 S100000", "G90", "M83", *coordinates(offset, at)]
-        return [line.encode() for line in lines]
+    def begin(self, offset: tuple[float, float, float], at: Array) -> list[str]:
+        return ["M204 S100000", "G90", "M83", *coordinates(offset, at)]
 
-    def end(self, state: ModalState, at: Array) -> list[bytes]:
-        limits = self._acceleration(self.table.acceleration)
+    def end(self, state: ModalState, at: Array) -> list[str]:
         place = coordinates(state.offset, at[:E] - state.offset)
-        return [line.encode() for line in [limits, *place, *modes(state)]]
+        return [self._acceleration(self.table.acceleration), *place, *modes(state)]
 
     def set_limits(self, velocity: float, acceleration: float, corner: float) -> list[str]:
         return [f"M203 X{plain(velocity, 0)}", self._acceleration(acceleration)]
@@ -78,26 +76,16 @@ class StubCode(Code):
         return f"M204 S{plain(acceleration, 0)}"
 
 
-def _accelerations(words: Words, before: Accelerations) -> Accelerations:
-    return words.get("S", before[0]), words.get("S", before[1])
-
-
-def _dwell(words: Words) -> float:
-    return words.get("P", 0.0) / 1000.0
-
-
 class Stub(Firmware):
     name, table = "stub", StubTable
-    dialect = Dialect(frozenset({"M204"}), _accelerations, _dwell)
+    dialect = Dialect(frozenset({"M204"}))
     configuration = "stub.txt"
 
     def motion(self, tolerance: float | None) -> StubMotion:
         return StubMotion()
 
     def code(self) -> StubCode:
-        table = self.printer.firmware.table(StubTable)
-        assert table is not None
-        return StubCode(table)
+        return StubCode(self.printer.firmware.own(StubTable))
 
     @staticmethod
     def shaper_settings(shaping: Shaping) -> str:

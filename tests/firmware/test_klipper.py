@@ -75,7 +75,7 @@ AT = np.array([12.5, 30.0, 0.2, 7.0])
 STATE = ModalState(True, False, 0.0, 100.0, (0.0, 0.0, 0.0))
 
 
-def end(state: ModalState = STATE, restore: KlipperTable = RESTORE) -> list[bytes]:
+def end(state: ModalState = STATE, restore: KlipperTable = RESTORE) -> list[str]:
     return KlipperCode(restore, STREAM).end(state, AT)
 
 
@@ -92,52 +92,52 @@ def test_the_stream_may_do_what_the_motors_hold_in_any_direction_and_no_more() -
 
 def test_stream_begins_unshaped_with_its_own_limits_and_modes() -> None:
     assert KlipperCode(RESTORE, STREAM).begin((0.0, 0.0, 0.0), AT) == [
-        b"G4 P0", b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0 SHAPER_FREQ_Z=0",
-        b"SET_VELOCITY_LIMIT VELOCITY=770 ACCEL=35355 SQUARE_CORNER_VELOCITY=20 "
-        b"MINIMUM_CRUISE_RATIO=0", b"G90", b"M83",
+        "G4 P0", "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0 SHAPER_FREQ_Z=0",
+        "SET_VELOCITY_LIMIT VELOCITY=770 ACCEL=35355 SQUARE_CORNER_VELOCITY=20 "
+        "MINIMUM_CRUISE_RATIO=0", "G90", "M83",
     ]  # fmt: skip
 
 
 USERS = (
-    b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=3000 SQUARE_CORNER_VELOCITY=5 MINIMUM_CRUISE_RATIO=0.5"
+    "SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=3000 SQUARE_CORNER_VELOCITY=5 MINIMUM_CRUISE_RATIO=0.5"
 )
 
 
 def test_stream_ends_with_the_users_limits_and_the_files_feed() -> None:
-    assert end() == [b"G4 P0", USERS, b"G1 F6000"]
+    assert end() == ["G4 P0", USERS, "G1 F6000"]
 
 
 def test_a_move_that_stays_as_it_is_has_the_users_limits_and_the_files_feed() -> None:
     move = Passthrough(1, b"G1 X5", Handling.RELEASE, STATE, end=(5.0, 0.0, 0.0, 0.0))
     around = KlipperCode(RESTORE, STREAM).around(move)
     assert around is not None
-    assert around[0].splitlines() == [b"G4 P0", USERS, b"G1 F6000"]
-    assert b" VELOCITY=770 ACCEL=35355 " in around[1]
+    assert around[0] == ["G4 P0", USERS, "G1 F6000"]
+    assert " VELOCITY=770 ACCEL=35355 " in around[1][1]
 
 
 @pytest.mark.parametrize(("x", "y", "z"), [(52.5, 38.0, 0.0), (0.0, 38.0, 0.0), (0.0, 0.0, 22.0)])
 def test_shaper_is_restored_where_the_user_has_one(x: float, y: float, z: float) -> None:
     lines = end(restore=replace(RESTORE, shaper_freq_x=x, shaper_freq_y=y, shaper_freq_z=z))
     words = f"SHAPER_FREQ_X={x:g} SHAPER_FREQ_Y={y:g} SHAPER_FREQ_Z={z:g}"
-    assert lines[2] == f"SET_INPUT_SHAPER {words}".encode()
+    assert lines[2] == f"SET_INPUT_SHAPER {words}"
 
 
 def test_a_macro_follows_the_restored_limits() -> None:
     firmware = replace(RESTORE, end_macro="_HFRAME_END A=1")
     # the user's limits hold where printer.cfg has no such macro
     ended = KlipperCode(firmware, STREAM).end(STATE, AT)
-    assert ended == [b"G4 P0", USERS, b"_HFRAME_END A=1", b"G1 F6000"]
+    assert ended == ["G4 P0", USERS, "_HFRAME_END A=1", "G1 F6000"]
 
 
 def test_the_stream_averages_pressure_advance_over_a_time_of_its_own() -> None:
     code = KlipperCode(replace(RESTORE, end_macro="HFRAME_END"), STREAM, Extruder(0.05, 0.04, 0.02))
-    own = b"SET_PRESSURE_ADVANCE SMOOTH_TIME=0.02"
+    own = "SET_PRESSURE_ADVANCE SMOOTH_TIME=0.02"
     assert code.begin((0.0, 0.0, 0.0), AT)[3] == own
-    assert code.end(STATE, AT)[2:4] == [b"HFRAME_END", b"SET_PRESSURE_ADVANCE SMOOTH_TIME=0.04"]
+    assert code.end(STATE, AT)[2:4] == ["HFRAME_END", "SET_PRESSURE_ADVANCE SMOOTH_TIME=0.04"]
     of_file = replace(STATE, smooth_time=0.03)
-    assert code.end(of_file, AT)[3] == b"SET_PRESSURE_ADVANCE SMOOTH_TIME=0.03"
+    assert code.end(of_file, AT)[3] == "SET_PRESSURE_ADVANCE SMOOTH_TIME=0.03"
     for line, after in (
-        (b"SET_PRESSURE_ADVANCE ADVANCE=0.1 SMOOTH_TIME=0.03", own + b"\n"),
+        (b"SET_PRESSURE_ADVANCE ADVANCE=0.1 SMOOTH_TIME=0.03", f"{own}\n".encode()),
         (b"SET_PRESSURE_ADVANCE ADVANCE=0.1", b""),
     ):
         assert code.modes_after("SET_PRESSURE_ADVANCE", line) == after
@@ -146,15 +146,15 @@ def test_the_stream_averages_pressure_advance_over_a_time_of_its_own() -> None:
 @pytest.mark.parametrize(
     ("absolute", "absolute_e", "expected"),
     [
-        (True, True, [b"M82", b"G92 E1234.56789"]),
-        (False, True, [b"M82", b"G92 E1234.56789", b"G91"]),
-        (False, False, [b"G91"]),
+        (True, True, ["M82", "G92 E1234.56789"]),
+        (False, True, ["M82", "G92 E1234.56789", "G91"]),
+        (False, False, ["G91"]),
         (True, False, []),
     ],
 )
-def test_modes_come_back(absolute: bool, absolute_e: bool, expected: list[bytes]) -> None:
+def test_modes_come_back(absolute: bool, absolute_e: bool, expected: list[str]) -> None:
     state = ModalState(absolute, absolute_e, 1234.56789, 41.25, (0.0, 0.0, 0.0))
-    assert end(state)[2:] == [b"G1 F2475", *expected]
+    assert end(state)[2:] == ["G1 F2475", *expected]
 
 
 # ---------------------------------------------------------------------- filament

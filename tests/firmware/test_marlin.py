@@ -60,9 +60,9 @@ def motion(profile: Printer) -> MarlinMotion:
 
 def test_stream_begins_unshaped_with_its_own_limits_and_modes(marlin: Printer) -> None:
     assert code(marlin).begin(NOWHERE, AT) == [
-        b"M400", b"M593 F0", b"M900 K0", b"M493 S0", b"M494 T0 X0 Y0 Z0 E0",
-        b"M201 X100000 Y100000 E100000", b"M203 X770 Y770", b"M204 P100000 T100000",
-        b"M205 B0 S0 T0 J0.3", b"G90", b"M83",
+        "M400", "M593 F0", "M900 K0", "M493 S0", "M494 T0 X0 Y0 Z0 E0",
+        "M201 X100000 Y100000 E100000", "M203 X770 Y770", "M204 P100000 T100000",
+        "M205 B0 S0 T0 J0.3", "G90", "M83",
     ]  # fmt: skip
 
 
@@ -75,9 +75,9 @@ def test_stream_ends_with_the_users_settings_to_the_last_digit(marlin: Printer) 
         shaper_freq_x=41.125, shaper_freq_y=38.625,
     )  # fmt: skip
     assert code(mine).end(STATE, AT)[1:-2] == [
-        b"M201 X9000.125 Y7000.375 Z500 E1800.625", b"M203 X280.125 Y310.375",
-        b"M204 P2800.125 T2900.375 R1234.625", b"M205 B12345 S0.125 T0.375 J0.0125",
-        b"M900 K0.04125", b"M593 X F41.125", b"M593 Y F38.625",
+        "M201 X9000.125 Y7000.375 Z500 E1800.625", "M203 X280.125 Y310.375",
+        "M204 P2800.125 T2900.375 R1234.625", "M205 B12345 S0.125 T0.375 J0.0125",
+        "M900 K0.04125", "M593 X F41.125", "M593 Y F38.625",
     ]  # fmt: skip
 
 
@@ -148,18 +148,18 @@ def test_s_curves_are_refused_where_they_are_not_known(planner: str) -> None:
 @pytest.mark.parametrize(
     ("absolute", "absolute_e", "expected"),
     [
-        (True, True, [b"M82", b"G92 E1234.56789"]), (True, False, [b"G92 E1234.56789"]),
-        (False, False, [b"G91", b"G92 E1234.56789"]),
-        (False, True, [b"G91", b"M82", b"G92 E1234.56789"]),
+        (True, True, ["M82", "G92 E1234.56789"]), (True, False, ["G92 E1234.56789"]),
+        (False, False, ["G91", "G92 E1234.56789"]),
+        (False, True, ["G91", "M82", "G92 E1234.56789"]),
     ],
 )  # fmt: skip
 def test_modes_of_the_file_come_back(
-    marlin: Printer, absolute: bool, absolute_e: bool, expected: list[bytes]
+    marlin: Printer, absolute: bool, absolute_e: bool, expected: list[str]
 ) -> None:
     """G91 is for E, too, so it comes before M82."""
     state = ModalState(absolute, absolute_e, 1234.56789, 41.25, NOWHERE)
     end = code(marlin).end(state, AT)
-    assert end[end.index(b"G1 F2475") + 1 :] == expected
+    assert end[end.index("G1 F2475") + 1 :] == expected
 
 
 def test_counting_filament_again_keeps_the_fraction_of_a_step(marlin: Printer) -> None:
@@ -266,16 +266,16 @@ def test_rectangle(marlin: Printer, golden: Callable[[str, bytes], bytes], plann
 
 def test_fixed_time_motion_is_on_without_shapers_while_the_stream_runs(marlin: Printer) -> None:
     mine = code(with_marlin(marlin, planner="ft-motion", fixed_time_shaper=(1.0, 8.0)))
-    assert b"M493 S1 X0 Y0 C0 P0" in mine.begin(NOWHERE, AT)
+    assert "M493 S1 X0 Y0 C0 P0" in mine.begin(NOWHERE, AT)
     end = mine.end(STATE, AT)
-    assert [line for line in end if b"M493" in line] == [b"M493 S0", b"M493 X1 C1", b"M493 Y8 C8"]
+    assert [line for line in end if "M493" in line] == ["M493 S0", "M493 X1 C1", "M493 Y8 C8"]
 
 
 def test_trajectory_and_smoothing_are_those_of_the_user_again(marlin: Printer) -> None:
     smoothed = with_marlin(marlin, fixed_time_trajectory=2, fixed_time_smoothing=(0.02, 0.03))
-    assert b"M494 T0 X0 Y0 Z0 E0" in code(smoothed).begin(NOWHERE, AT)
-    assert b"M494 T2 X0.02 Y0.03 Z0 E0" in code(smoothed).end(STATE, AT)
-    assert not any(b"M494" in line for line in code(marlin).end(STATE, AT))
+    assert "M494 T0 X0 Y0 Z0 E0" in code(smoothed).begin(NOWHERE, AT)
+    assert "M494 T2 X0.02 Y0.03 Z0 E0" in code(smoothed).end(STATE, AT)
+    assert not any("M494" in line for line in code(marlin).end(STATE, AT))
 
 
 def test_advance_is_computed_into_e_and_said(marlin: Printer) -> None:

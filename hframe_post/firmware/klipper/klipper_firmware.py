@@ -59,17 +59,12 @@ def _may_be_macro(name: str) -> bool:
     return legal and not name.startswith(OWN_COMMANDS)
 
 
-def _dwell(words: Words) -> float:
-    """Return P, which is in ms; S means nothing."""
-    return words.get("P", 0.0) / 1000.0
-
-
 class Klipper(Firmware):
     """Klipper."""
 
     name, table = "klipper", KlipperTable
     dialect = Dialect(
-        frozenset({"M204", "SET_VELOCITY_LIMIT"}), _accelerations, _dwell,
+        frozenset({"M204", "SET_VELOCITY_LIMIT"}), _accelerations,
         retraction_settings=frozenset({"SET_RETRACTION"}), g92_resets=True,
         label=_object_label, may_be_macro=_may_be_macro, advance=klipper_advance,
     )  # fmt: skip

@@ -55,9 +55,9 @@ class KlipperCode(Code):
         """Return the command that sets over what time the stream averages pressure advance."""
         return [] if self.extruder is None else [_averaging(self.extruder.stream_smooth_time)]
 
-    def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
+    def begin(self, offset: tuple[float, float, float], at: Array) -> list[str]:
         start = [STAND, *self.limits_of_stream, *self.averaging_of_stream, "G90", "M83"]
-        return [line.encode() for line in [*start, *coordinates(offset, at)]]
+        return [*start, *coordinates(offset, at)]
 
     def users_limits(self, acceleration: float = math.inf) -> str:
         """Return the command that sets the user's limits. acceleration: the file's, if known."""
@@ -65,7 +65,7 @@ class KlipperCode(Code):
         a = acceleration if acceleration < math.inf else table.acceleration
         return _limit(table.velocity, a, table.square_corner_velocity, table.minimum_cruise_ratio)
 
-    def around(self, move: Passthrough) -> tuple[bytes, bytes] | None:
+    def around(self, move: Passthrough) -> tuple[list[str], list[str]] | None:
         """Return lines that change limits alone: turning shaping on and off takes 40 ms each."""
         state = move.state
         if move.end is None or not state.absolute or any(state.offset):
@@ -73,10 +73,9 @@ class KlipperCode(Code):
         if state.absolute_e and b"E" in move.text.partition(b";")[0].upper():
             return None  # the stream's E is relative
         limits, feed = self.users_limits(state.acceleration), plain(state.feed * 60.0, 1)
-        before, after = f"{STAND}\n{limits}\nG1 F{feed}\n", f"{STAND}\n{self.limits_of_stream[1]}\n"
-        return before.encode(), after.encode()
+        return [STAND, limits, f"G1 F{feed}"], [STAND, self.limits_of_stream[1]]
 
-    def end(self, state: ModalState, at: Array) -> list[bytes]:
+    def end(self, state: ModalState, at: Array) -> list[str]:
         table, names = self.table, coordinates(state.offset, at[:E] - state.offset)
         stop = [self.users_limits()]
         shaped = table.shaper_freq_x, table.shaper_freq_y, table.shaper_freq_z
@@ -87,7 +86,7 @@ class KlipperCode(Code):
         if self.extruder is not None:
             own = self.extruder.smooth_time if state.smooth_time is None else state.smooth_time
             stop.append(_averaging(own))
-        return [line.encode() for line in [STAND, *stop, *names, *modes(state)]]
+        return [STAND, *stop, *names, *modes(state)]
 
     def modes_after(self, name: str, text: bytes) -> bytes:
         if self.extruder is not None and klipper_advance(text).smooth_time is not None:

@@ -112,13 +112,12 @@ class MarlinCode(Code):
         acceleration = self.table.max_acceleration_e or self.limits.extruder_acceleration
         return math.sqrt(RIGHT_ANGLE * self.table.junction_deviation * acceleration)
 
-    def begin(self, offset: tuple[float, float, float], at: Array) -> list[bytes]:
+    def begin(self, offset: tuple[float, float, float], at: Array) -> list[str]:
         velocity = VELOCITY_HEADROOM * self.motors.belt_velocity
         a, v = plain(self.block_acceleration, 0), plain(velocity, 0)
         limits = motion_limits(v, a, self.corners(False), self._filament(self.block_acceleration))
         start = ["M400", "M593 F0", "M900 K0", self.motion_mode, TRAPEZOIDS, *limits]
-        start += ["G90", "M83", *coordinates(offset, at)]
-        return [line.encode() for line in [*start, *self.filling_lines(float(at[Z]))]]
+        return [*start, "G90", "M83", *coordinates(offset, at), *self.filling_lines(float(at[Z]))]
 
     def filling_lines(self, z: float) -> list[str]:
         """Return moves of z, up and down again, while which fixed-time motion fills its queue.
@@ -136,7 +135,7 @@ class MarlinCode(Code):
         moves = f"G1 Z{plain(z + way, 5)} F{feed}", f"G1 Z{plain(z, 5)} F{feed}"
         return [f"M201 Z{stiff}", *moves, f"M201 Z{users}"]
 
-    def end(self, state: ModalState, at: Array) -> list[bytes]:
+    def end(self, state: ModalState, at: Array) -> list[str]:
         table = self.table
         (a_x, a_y), (v_x, v_y) = table.max_acceleration, table.max_velocity
         lines = [
@@ -175,7 +174,7 @@ class MarlinCode(Code):
             lines.append("M82")
         # also for a relative E, which Marlin counts on: a later G90 makes it absolute
         lines.append(f"G92 E{plain(state.e, 5)}")
-        return [line.encode() for line in lines]
+        return lines
 
     def modes_after(self, name: str, text: bytes) -> bytes:
         # G90 and G91 set E, too; linear advance stays off

@@ -196,5 +196,5 @@ def _gcode(
     last = np.array([*run.position, z, 0.0])
     last[run.axis] = at[-1]
     state = ModalState(True, False, 0.0, APPROACH, (0.0, 0.0, 0.0))
-    end = [line.decode() for line in play.code.end(state, last)]
+    end = play.code.end(state, last)
     return [OFF.decode(), *head.splitlines(), *begin, *moves, f"G4 P{AFTER * 1000}", *end]
