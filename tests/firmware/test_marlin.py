@@ -133,9 +133,9 @@ def test_turning_back_is_a_stop_and_going_on_is_none(marlin: Printer) -> None:
 
 def test_limits_are_set_in_whole_numbers_and_corners_to_a_hundredth(marlin: Printer) -> None:
     assert code(with_marlin(marlin, **JERK)).set_limits(150.4, 1234.6, 3.14159)[4:] == [
-        "M201 X1235 Y1235", "M203 X150 Y150", "M204 P1235 T1235", "M205 X3.14 Y3.14",
+        "M201 X1235 Y1235", "M203 X150 Y150", "M204 P1235 T1235", "M205 B0 S0 T0 X3.14 Y3.14",
     ]  # fmt: skip
-    assert code(marlin).set_limits(150.0, 1000.0, 5.0)[-1] == "M205 J0.0104"
+    assert code(marlin).set_limits(150.0, 1000.0, 5.0)[-1] == "M205 B0 S0 T0 J0.0104"
 
 
 @pytest.mark.parametrize("planner", ["2.1-dev", "ft-motion"])

@@ -29,6 +29,7 @@ from tests.simulator import Axis, Machine, Mode
 
 A = 1500.0
 HEAT = (210.0, 60.0)  # °C of nozzle and bed
+CORNERS = "M205 B0 S0 T0 J"  # of a board with junction deviation
 
 
 @pytest.mark.parametrize(("hz", "damping"), [(20.0, 0.1), (30.0, 0.05), (45.0, 0.03), (55.0, 0.07)])
@@ -182,7 +183,8 @@ def test_marlin_takes_hard_corners_at_the_speed_that_is_assumed() -> None:
     """20² = 2.414·J·1500: the junction's speed by Marlin's rule."""
     printer = ender()
     assert [band.speed for band in bands(printer)] == [60.0, 100.0, 150.0, 150.0]
-    J = [float(line[6:]) for line in tower(printer, HEAT) if line.startswith("M205 J0.11")]
+    hard = [line for line in tower(printer, HEAT) if line.startswith(f"{CORNERS}0.11")]
+    J = [float(line.removeprefix(CORNERS)) for line in hard]
     corner = (J[0] * A * 0.5**0.5 / (1.0 - 0.5**0.5)) ** 0.5
     assert corner == pytest.approx(20.0, rel=1e-3)
 
@@ -191,7 +193,7 @@ def test_marlin_takes_hard_corners_at_the_speed_that_is_assumed() -> None:
 def test_marlin_takes_every_deviation(profile: str) -> None:
     """It ignores M205 J below 0.01 and above 0.3 mm."""
     lines = tower(load(profile), HEAT)
-    asked = [float(line.split("J")[1]) for line in lines if line.startswith("M205 J")]
+    asked = [float(line.removeprefix(CORNERS)) for line in lines if line.startswith(CORNERS)]
     assert 0.01 <= min(asked) < max(asked) <= 0.3
 
 

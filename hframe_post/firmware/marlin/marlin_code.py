@@ -12,24 +12,27 @@ import numpy as np
 from hframe_post.arrays import Array, E, Z
 from hframe_post.firmware.code import Code, coordinates, plain
 from hframe_post.firmware.marlin.planner import BRAKES_LATE_STEPS, Planner, make_planner
+from hframe_post.native.planning import junction_deviation, square_corner_velocity
 from hframe_post.native.whole_steps import Blocks
 from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import VELOCITY_HEADROOM, Limits, Motors, Printer, Steps
 from hframe_post.stream.types import ModalState
 
 ACCELERATION_HEADROOM = 2.0  # times the motors' acceleration; ramps last a step or two
-JUNCTION_DEVIATION = 0.3  # mm, the most that M205 takes; the stream makes its own corners
-DEVIATIONS, RIGHT_ANGLE = (0.01, 0.3), 2.414  # mm that M205 J takes; v² = RIGHT_ANGLE·J·a
+DEVIATIONS = 0.01, 0.3  # mm, that M205 J takes; with the most the stream makes its own corners
 JERK_MM_S = 1000.0  # mm/s, where CLASSIC_JERK is built: more than any speed
 FIXED_TIME, RAMPED = "M493 S1 X0 Y0 C0 P0", "M493 S0"  # on without a shaper, for any build; off
 TRAPEZOIDS = "M494 T0 X0 Y0 Z0 E0"  # of 2026; another trajectory leaves ramps unplanned
 
 
-def motion_limits(v: str, a: str, corners: str, filament: str = "") -> list[str]:
+def motion_limits(
+    velocity: float, acceleration: float, corners: str, filament: str = ""
+) -> list[str]:
     """Return the lines that set limits of motion, and no least speed or time of a segment.
 
-    filament: a further word of M201.
+    corners: words of M205; filament: a further word of M201.
     """
+    v, a = plain(velocity, 0), plain(acceleration, 0)
     return [
         f"M201 X{a} Y{a}{filament}", f"M203 X{v} Y{v}", f"M204 P{a} T{a}",
         f"M205 B0 S0 T0 {corners}",
@@ -110,12 +113,11 @@ class MarlinCode(Code):
         if self.table.classic_jerk:
             return self.table.jerk_e
         acceleration = self.table.max_acceleration_e or self.limits.extruder_acceleration
-        return math.sqrt(RIGHT_ANGLE * self.table.junction_deviation * acceleration)
+        return square_corner_velocity(self.table.junction_deviation, acceleration)
 
     def begin(self, offset: tuple[float, float, float], at: Array) -> list[str]:
-        velocity = VELOCITY_HEADROOM * self.motors.belt_velocity
-        a, v = plain(self.block_acceleration, 0), plain(velocity, 0)
-        limits = motion_limits(v, a, self.corners(False), self._filament(self.block_acceleration))
+        v, a = VELOCITY_HEADROOM * self.motors.belt_velocity, self.block_acceleration
+        limits = motion_limits(v, a, self.corners(False), self._filament(a))
         start = ["M400", "M593 F0", "M900 K0", self.motion_mode, TRAPEZOIDS, *limits]
         return [*start, "G90", "M83", *coordinates(offset, at), *self.filling_lines(float(at[Z]))]
 
@@ -187,16 +189,16 @@ class MarlinCode(Code):
         return b"G92 E%s\n" % plain(filament % self.steps.e, 5).encode()
 
     def set_limits(self, velocity: float, acceleration: float, corner: float) -> list[str]:
-        a, v, each = plain(acceleration, 0), plain(velocity, 0), plain(corner, 2)
-        deviation = corner**2 / (RIGHT_ANGLE * acceleration)
-        corners = f"X{each} Y{each}" if self.table.classic_jerk else f"J{plain(deviation, 4)}"
-        return ["M400", "M593 F0", TRAPEZOIDS, "M493 S0", f"M201 X{a} Y{a}", f"M203 X{v} Y{v}",
-                f"M204 P{a} T{a}", f"M205 {corners}"]  # fmt: skip
+        corners = f"X{plain(corner, 2)} Y{plain(corner, 2)}"
+        if not self.table.classic_jerk:
+            corners = f"J{plain(float(junction_deviation(corner, acceleration)), 4)}"
+        limits = motion_limits(velocity, acceleration, corners)
+        return ["M400", "M593 F0", TRAPEZOIDS, RAMPED, *limits]
 
     def corner_range(self, acceleration: float) -> tuple[float, float]:
         if self.table.classic_jerk:
             return 0.0, math.inf
-        least, most = np.sqrt(RIGHT_ANGLE * acceleration * np.array(DEVIATIONS)).tolist()
+        least, most = (square_corner_velocity(each, acceleration) for each in DEVIATIONS)
         return least, most
 
     def stroke_corners(self, users: bool, lifts: bool) -> str:
@@ -227,6 +229,6 @@ class MarlinCode(Code):
         """Return the words of M205 for the user's corners or the stream's."""
         table = self.table
         if not table.classic_jerk:
-            return f"J{plain(table.junction_deviation if users else JUNCTION_DEVIATION, 4)}"
+            return f"J{plain(table.junction_deviation if users else DEVIATIONS[1], 4)}"
         x, y, e = (*table.jerk, table.jerk_e) if users else (JERK_MM_S, JERK_MM_S, JERK_MM_S)
         return f"X{plain(x, 3)} Y{plain(y, 3)} E{plain(e, 3)}"

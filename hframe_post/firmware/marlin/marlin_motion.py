@@ -19,7 +19,7 @@ from hframe_post.arrays import TS, Array, Flags, Integers, Z
 from hframe_post.firmware.code import plain
 from hframe_post.firmware.dialect import ExtruderLimits
 from hframe_post.firmware.marlin.marlin_code import (
-    JUNCTION_DEVIATION,
+    DEVIATIONS,
     TRAPEZOIDS,
     MarlinCode,
     motion_limits,
@@ -34,6 +34,7 @@ from hframe_post.firmware.motion import (
     WrittenMoves,
 )
 from hframe_post.model.kinematics import Kinematics
+from hframe_post.native.planning import square_corner_velocity
 from hframe_post.native.ramps import speeds, whole_feeds
 from hframe_post.native.whole_steps import (
     BlockLimits,
@@ -126,8 +127,8 @@ class MarlinMotion(MotionRules):
             own = of_axis = a * d / n
             if not (lifts or self.planner.fixed_time):
                 of_axis = self.code.filament_acceleration
-            per_a = self.code.table.junction_deviation * math.sqrt(0.5) / (1.0 - math.sqrt(0.5))
-            into, out = (math.sqrt(per_a * each) for each in (own, math.sqrt(2.0) * of_axis))
+            J, asked = self.code.table.junction_deviation, (own, math.sqrt(2.0) * of_axis)
+            into, out = (square_corner_velocity(J, each) for each in asked)
         return min(into, speed), min(out, speed)
 
     def stroke(
@@ -210,7 +211,7 @@ class MarlinMotion(MotionRules):
         limits = BlockLimits(
             steps.belt, steps.z, steps.e, code.block_acceleration, of_z,
             code.filament_acceleration, of_e,
-            math.inf if code.table.classic_jerk else JUNCTION_DEVIATION,
+            math.inf if code.table.classic_jerk else DEVIATIONS[1],
         )  # fmt: skip
         return blocks_between(at, after, limits, self.kinematics.matrix)
 
@@ -244,8 +245,8 @@ class MarlinMoves(WrittenMoves):
 
     def limits(self, fastest: float, acceleration: float) -> list[str]:
         v = plain(fastest, 0)
-        corners = f"X{v} Y{v} E1" if self.code.table.classic_jerk else "J0.3"
-        return ["M400", *motion_limits(v, plain(acceleration, 0), corners)]
+        corners = f"X{v} Y{v} E1" if self.code.table.classic_jerk else self.code.corners(False)
+        return ["M400", *motion_limits(fastest, acceleration, corners)]
 
     def ahead(self, z: float) -> list[str]:
         return self.code.filling_lines(z)
