@@ -72,7 +72,7 @@ def text_of(path: str) -> str:
         known = ", ".join(shipped())
         raise PrinterError(f"no such profile or file; shipped are: {known}", source=path)
     try:
-        return file_text(Path(path), 1 << 20, "no profile is")
+        return file_text(Path(path), "no profile is")
     except OSError as error:
         raise PrinterError(f"cannot be read: {error}", source=path) from None
 

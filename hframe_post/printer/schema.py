@@ -206,16 +206,18 @@ def known_keys(table: dict[str, Any], known: tuple[str, ...], path: str) -> None
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # as PowerShell's > writes it
 
 
-def file_text(path: Path, most: int, hint: str) -> str:
+MAX_FILE_BYTES = 1 << 22  # of a printer's description: no profile, printer.cfg or M503 has as many
+
+
+def file_text(path: Path, hint: str) -> str:
     """Return a file's text without a byte order mark.
 
-    Raises OSError, and PrinterError if it is larger than ``most`` bytes (then with the hint) or not
-    text.
+    Raises OSError, and PrinterError if it is too large (then with the hint) or not text.
     """
     with path.open("rb") as file:
-        content = file.read(most + 1)
-    if len(content) > most:
-        raise PrinterError(f"larger than {most} bytes: {hint}", source=str(path))
+        content = file.read(MAX_FILE_BYTES + 1)
+    if len(content) > MAX_FILE_BYTES:
+        raise PrinterError(f"larger than {MAX_FILE_BYTES} bytes: {hint}", source=str(path))
     try:
         return content.decode("utf-16" if content.startswith(UTF_16) else "utf-8-sig")
     except UnicodeError:

@@ -28,7 +28,7 @@ VOID = (
     "with '#*# <--- SAVE_CONFIG'"
 )
 MAX_FILES = 500
-MAX_FILE = (1 << 22, "is it a printer.cfg?")  # bytes
+UNLIKE = "is it a printer.cfg?"
 ACCELEROMETERS = ("adxl345", "lis2dw", "lis3dh", "mpu9250", "icm20948", "beacon", "cartographer")
 SECTION = re.compile(r"\[([^]]+)\]")
 OPTION = re.compile(r"([^\s:=][^:=]*?)\s*[:=]")
@@ -59,7 +59,7 @@ class KlipperConfig:
         self.missing: list[str] = []
         self._lines: dict[tuple[str, str], list[ConfigLine]] = {}  # of each section and option
         self._files = 0
-        text = file_text(path, *MAX_FILE)
+        text = file_text(path, UNLIKE)
         regular, saved, void = _divided(_lines(path, text))
         self.unsaved = VOID.format(void.place) if void is not None else ""
         self._parser = _parser()
@@ -69,7 +69,7 @@ class KlipperConfig:
         except _MalformedError as error:
             raise HframeError(_advice(path, text) or str(error)) from None
         if not self._parser.has_section("printer"):
-            lost = f"; {self.missing[0]}" if self.missing else ": is it a printer.cfg?"
+            lost = f"; {self.missing[0]}" if self.missing else f": {UNLIKE}"
             raise HframeError(_advice(path, text) or f"{path} has no section [printer]{lost}")
 
     def _read(self, lines: Sequence[ConfigLine], within: tuple[str, ...]) -> None:
@@ -99,7 +99,7 @@ class KlipperConfig:
         for each in files:
             if os.path.abspath(each) in inside:
                 raise HframeError(f"{line.place}: [include {pattern}] includes a file in itself")
-            self._read(_lines(each, file_text(each, *MAX_FILE)), inside)
+            self._read(_lines(each, file_text(each, UNLIKE)), inside)
 
     def _parse(self, lines: Sequence[ConfigLine], parser: configparser.RawConfigParser) -> None:
         if not lines:

@@ -16,7 +16,6 @@ from hframe_post.errors import HframeError
 from hframe_post.printer.new_profile import Known, as_float
 from hframe_post.printer.schema import file_text
 
-MAX_FILE_BYTES = 1 << 22  # bytes of a file
 LINE = re.compile(r"(?:^|[\s:>])(M\d+)((?: +[A-Z](?:-?\d+\.?\d*)?(?=\s|$))+)")
 WORD = re.compile(r"([A-Z])(-?\d+\.?\d*)?")
 DEFINE = re.compile(r"^\s*#define\s+(\w+)(?:[ \t]+([^\s/]+))?", re.MULTILINE)
@@ -51,7 +50,7 @@ HARMFUL = {  # options of a build, and what they do
 
 def text_in(path: Path) -> str:
     """Return a file's text. Raises HframeError if it is too large or not text."""
-    return file_text(path, MAX_FILE_BYTES, "it has no printer's settings")
+    return file_text(path, "it has no printer's settings")
 
 
 def is_of_marlin(text: str) -> bool:
