@@ -39,7 +39,11 @@ def durations(
     d: Array, v: Array, a: Array, caps: Array | float, before: float, least: Array | float = 0.0
 ) -> Array:
     """Return the time (k,) that segments at cruise speeds v (k,) take; see ``speeds``."""
-    v_s, v_e = ends(v, caps, before, least)
+    return seconds(d, v, *ends(v, caps, before, least), a)
+
+
+def seconds(d: Array, v: Array, v_s: Array | float, v_e: Array | float, a: Array | float) -> Array:
+    """Return the time (k,) of segments d (k,) at cruise speeds v (k,) between v_s and v_e."""
     ramps = (np.square(v - v_s) + np.square(v - v_e)) / (2.0 * a)
     return np.asarray((d + ramps) / v)
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E, Flags, Integers, Z
 from hframe_post.firmware.base import FirmwareLimits
+from hframe_post.native import ramps
 from hframe_post.native.planning import smoothed_runs
 from hframe_post.planner.lookahead import Lookahead
 from hframe_post.planner.parts import parts
@@ -113,7 +114,7 @@ class AsSliced:
         z, e = np.abs(plan.points[moves + 1, Z:] - plan.points[moves, Z:]).T
         length, a = np.where(z > 0.0, z, e), plan.acceleration[rests]
         peak = np.minimum(plan.cruise[rests], np.sqrt(length * a))
-        return float(((length + peak * peak / a) / peak).sum())
+        return float(ramps.seconds(length, peak, 0.0, 0.0, a).sum())
 
 
 def _joined(parts: list[Any]) -> Any:

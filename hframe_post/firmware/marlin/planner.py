@@ -159,7 +159,7 @@ class FixedTimePlanner(Planner):
         n, d, a, _ = blocks
         a = a * d / n
         v = np.minimum(v, np.sqrt(a * d + (v_s**2 + v_e**2) / 2.0))
-        return np.asarray((d + ((v - v_s) ** 2 + (v - v_e) ** 2) / (2.0 * a)) / v)
+        return ramps.seconds(d, v, v_s, v_e, a)
 
     def travelled(self, blocks: Blocks, v_s: Array, v_e: Array, v: Array) -> Array:
         """Return mm of path (m,) at every 1 ms, where it looks up its place."""
