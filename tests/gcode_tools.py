@@ -19,7 +19,7 @@ from hframe_post.planner.sampling import sample as sampled
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.writers.print_time import Deferred
-from tests.conftest import SAMPLES
+from tests.conftest import ROOT, SAMPLES
 
 WORD = re.compile(r"([XYZEFP])(-?\d*\.?\d+)")
 VERSION = re.compile(rb"(?<=processed by hframe-post )[^,]+")
@@ -93,6 +93,10 @@ def planned(lines: Iterable[str], printer: Printer, strategy: str = "racking") -
 
 def sample(name: str) -> list[bytes]:
     return (SAMPLES / name).read_bytes().splitlines(keepends=True)
+
+
+def quirk(name: str) -> list[bytes]:
+    return (ROOT / "tests" / "quirks" / f"{name}.gcode").read_bytes().splitlines(keepends=True)
 
 
 def layers(name: str, last: int) -> list[bytes]:

@@ -17,35 +17,11 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import stretches
 from hframe_post.stream.types import Samples
 from tests.command_line import run
-from tests.gcode_tools import converted, layers, sliced
+from tests.gcode_tools import converted, layers, quirk, sliced
 from tests.quantities import below
 from tests.simulator import Axis, Machine, Mode
 
 OWNERS = Path(__file__).parents[1] / "benchmarks/owners"
-STOPS_CLOSE_TOGETHER = b"""\
-G28
-G90
-M83
-G1 X120 Y120 Z5 F6000
-G1 X117.152 Y122.81 F21000
-G1 X121.752 Y122.81 E.12647 F7200
-G1 X121.752 Y127.41 E.12647
-G1 X117.152 Y127.41 E.12647
-G1 X117.152 Y122.87 E.12482
-G1 X117.23 Y122.831
-G1 E-.56 F1800
-G1 X119.152 Y122.844 E-.228 F7200
-G1 E-.012 F1800
-G1 Z5.4 F21000
-G1 X120.111 Y123.719
-G1 Z5
-G1 E.8 F1800
-G1 X120.683 Y124.291 E.02258 F6000
-G1 X120.683 Y124.804 E.01429
-G1 X119.759 Y123.88 E.03645
-G1 X119.247 Y123.88 E.01429
-G1 X120.683 Y125.316 E.05667
-""".splitlines(keepends=True)
 
 
 def weak(owner: str, belt_acceleration: float) -> Printer:
@@ -56,7 +32,7 @@ def weak(owner: str, belt_acceleration: float) -> Printer:
 
 def test_stops_that_are_close_together_stay_within_the_motors() -> None:
     options = Options("racking", ("none", "racking"), limits="printer", clamp=False)
-    _, report = converted(STOPS_CLOSE_TOGETHER, weak("corexy-10000", 15_000.0), options)
+    _, report = converted(quirk("stops_close_together"), weak("corexy-10000", 15_000.0), options)
     assert report.peaks.belt_acceleration <= 15_000.0
 
 

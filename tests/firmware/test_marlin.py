@@ -23,7 +23,7 @@ from hframe_post.printer.firmware_tables import MARLIN_PLANNERS
 from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import ModalState, Position
-from tests.gcode_tools import assert_same_stream, converted, follow, layers, sample
+from tests.gcode_tools import assert_same_stream, converted, follow, layers, quirk, sample
 from tests.printers import JERK, with_marlin
 from tests.quantities import below
 
@@ -335,7 +335,7 @@ def test_linear_advance_of_the_file_does_not_enter_the_stream(marlin: Printer) -
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in QUIRKS.iterdir()))
 def test_quirks_convert_or_are_refused_as_for_klipper(marlin: Printer, name: str) -> None:
-    lines = (QUIRKS / f"{name}.gcode").read_bytes().splitlines(keepends=True)
+    lines = quirk(name)
     printed = []
     for each in (marlin, played_by(marlin, "klipper")):
         try:

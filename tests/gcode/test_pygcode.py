@@ -26,25 +26,9 @@ KLIPPER = FIRMWARES["klipper"].dialect
 
 QUIRKS = Path(__file__).parent.parent / "quirks"
 NAMES = ("G0", "G1", "G2", "G3", "G92")
-BY_HAND = b"""G90
-G1 X1 Y2 Z0.5 F20
-G0 X-.5 Y+3
-G91
-G1 X.25 Y-1. F30
-G2 X1 Y0 I.5 J0
-G3 X-2 Y2 R2
-G3 X-2 Y2 R-1.5
-G1 Z.1
-G90
-G2 X-3.25 Y6 I0 J1.5 Z1
-G92 X0 Y0
-G92 E0
-g1x3y2e.5
-"""
 FILES = {
     **{path.name: path.read_bytes() for folder in (SAMPLES, QUIRKS) for path in folder.glob("*")},
     **{name: b"".join(each.lines) for name, each in SLICES.items()},
-    "by hand": BY_HAND,
 }
 
 
@@ -78,7 +62,9 @@ def test_pygcode_reads_the_same_words(name: str) -> None:
 
 @pytest.mark.parametrize("unit", ["G20", "G21"])
 def test_moves_end_where_pygcode_ends(unit: str) -> None:
-    plain = (uncommented(raw).upper().replace(b"+", b"") for raw in BY_HAND.splitlines())
+    plain = (
+        uncommented(raw).upper().replace(b"+", b"") for raw in FILES["by_hand.gcode"].splitlines()
+    )
     lines = [re.sub(rb"\s*E\s*[-.\d]+", b"", line).strip() for line in plain if b"G92" not in line]
     lines = [b"G1 F3000", *lines]
     ends = ends_by_line([b"G92 X0 Y0 Z0", unit.encode(), *lines], ReadOptions(KLIPPER))

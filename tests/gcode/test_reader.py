@@ -2,7 +2,6 @@
 
 import math
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,12 +14,11 @@ from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.profile import load
 from hframe_post.stream.types import Handling, Moves, Passthrough
 from tests.gcode.reading import HOME, carried, ends, items, moves
+from tests.gcode_tools import quirk
 from tests.mark_tools import mark
 from tests.printers import JERK, with_marlin
 
 KLIPPER = FIRMWARES["klipper"].dialect
-
-QUIRKS = Path(__file__).parent.parent / "quirks"
 
 
 # ---------------------------------------------------------------------- modal state
@@ -134,8 +132,7 @@ def test_marks_stand_before_their_move(monkeypatch: pytest.MonkeyPatch) -> None:
     "name", ["bom", "checksums", "crlf", "lower_and_tight", "no_final_newline", "thumbnail"]
 )
 def test_the_same_square_in_many_spellings(name: str) -> None:
-    lines = (QUIRKS / f"{name}.gcode").read_bytes().splitlines(keepends=True)
-    (block,) = (item for item in read(lines, ReadOptions(KLIPPER)) if isinstance(item, Moves))
+    (block,) = (item for item in read(quirk(name), ReadOptions(KLIPPER)) if isinstance(item, Moves))
     assert block.points.tolist() == [
         [10, 10, 0.2, 0], [30, 10, 0.2, 1.5], [30, 30, 0.2, 3], [10, 30, 0.2, 4.5],
         [10, 10, 0.2, 6],

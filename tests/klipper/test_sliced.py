@@ -18,7 +18,7 @@ from hframe_post.prediction.best_shaper import error
 from hframe_post.printer.firmware_tables import KlipperTable
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from tests.gcode_tools import converted, hops, layers
+from tests.gcode_tools import converted, hops, layers, quirk
 from tests.klipper.host import Playback, play
 from tests.quantities import near
 
@@ -95,31 +95,7 @@ def test_a_print_takes_as_long_as_told_where_a_command_swings_in_a_wipe(tmp_path
 
 LATE = 12  # ms
 
-PRINT = b"""G28
-G1 Z0.3 F600
-G0 X100 Y100 F9000
-M83
-;LAYER:0
-;TYPE:WALL-OUTER
-G1 X130 Y100 E1.2 F6000
-G1 X136 Y103 E0.27 F20
-M117 between
-G1 X136 Y110 E0.4
-G1 X130 Y130 E0.9 F6000
-G1 E-0.4 F1
-G1 Z1.1 F2
-G0 X100 Y130 F9000
-G1 Z0.3 F1200
-G1 E0.4 F1
-G1 X100 Y110 E0.8 F3000
-G4 P45000
-;LAYER:1
-G1 X101 Y100 E0.4 F3000
-G4 P30000
-G1 X90 Y90 E0.5 F80
-M400
-G1 X95 Y90 E0.3 F6000
-""".splitlines(keepends=True)
+SLOW = quirk("slow_motion")
 
 
 def motion(run: Playback, seconds: float) -> Array:
@@ -131,9 +107,9 @@ def motion(run: Playback, seconds: float) -> Array:
 def test_slow_motion_is_written_as_any(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Within 10 ms: at 20 mm/min the last digit of a place is 3 ms."""
     short, computed = (tmp_path / name for name in ("short.gcode", "computed.gcode"))
-    made = converted(PRINT, load("paper"))[0]
+    made = converted(SLOW, load("paper"))[0]
     monkeypatch.setattr(sampling, "FEWEST", 1 << 60)  # samples of all motion
-    texts = made, converted(PRINT, load("paper"))[0]
+    texts = made, converted(SLOW, load("paper"))[0]
     assert texts[0] != texts[1]
     for file, text in zip((short, computed), texts, strict=True):
         file.write_bytes(text)
