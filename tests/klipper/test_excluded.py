@@ -154,7 +154,7 @@ def test_the_head_does_not_go_to_an_excluded_object(name: str, excluded: str) ->
 
 @pytest.mark.klipper
 @pytest.mark.parametrize("name", few(INSIDE, 1))
-@pytest.mark.parametrize("lines", [4, pytest.param(170, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("lines", [4, pytest.param(60, marks=pytest.mark.slow)])
 def test_wherever_an_object_is_excluded_it_is_left_alone(name: str, lines: int) -> None:
     text = with_commands(converted(name))
     begun = next(k for k, line in enumerate(text) if "OBJECT_START" in line)
