@@ -92,14 +92,12 @@ def _sweeps(
     target: Path, profile: Printer, places: tuple[tuple[float, float], ...]
 ) -> tuple[list[_File], str]:
     """Return sweeps that another program records, a file for each, and what to do with them."""
-    from hframe_post.identification.recordings.runs import positions
     from hframe_post.identification.recordings.written_sweep import runs, summary
 
     files = [
         _File(target.with_name(f"{target.stem}.{run.name}.gcode"), [run],
               (f"{line}\n".encode() for line in lines))
-        for axis in (X, Y)
-        for run, lines in runs(profile, axis, list(places) or positions(profile, axis), HEIGHT)
+        for run, lines in runs(profile, places, HEIGHT)
     ]  # fmt: skip
     done = [run for file in files for run in file.runs]
     return files, summary(target.stem, done, profile.kinematics.type == "cartesian")

@@ -26,6 +26,7 @@ from hframe_post.identification.estimation.measured import (
     RunResponse,
 )
 from hframe_post.identification.estimation.response import fit_racking
+from hframe_post.identification.recordings.runs import NEAREST
 
 DAY_TO_DAY = 0.05  # relative change of a printer as belts, bearings and temperature change
 MOST = 0.2  # a model that scatters by more is wrong in another way
@@ -47,7 +48,6 @@ def at_the_middle(places: Sequence[tuple[float, FrequencyResponse]]) -> Frequenc
 
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions
 NOISE = 2.5  # least power of racking per that of its noise; without racking 0.9 to 2.0 are seen
-APART = 20.0  # mm, at least, of the outer positions
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def _lever_arm(group: Measured, settings: MeasurementSettings) -> LineOverPlaces
     along x no straight line can be expected.
     """
     places, across = [run.place for run in group.runs], [run.y for run in group.runs]
-    if not settings.racks or np.ptp(places) < APART:
+    if not settings.racks or np.ptp(places) < 2.0 * NEAREST:
         return None
     found = line(places, across)
     if found.over_noise <= NOISE or changes(group) or found.beyond_noise <= OFF_LINE:
@@ -171,7 +171,7 @@ def line(places: Sequence[float], responses: Sequence[FrequencyResponse]) -> Lin
         [
             (place, response((h - at_middle) / a, n / a**2))
             for place, a, h, n in zip(p.tolist(), arm.tolist(), H, noise, strict=True)
-            if abs(a) >= 10.0  # mm; a place nearer the middle shows nothing of the slope
+            if abs(a) >= NEAREST  # a place nearer the middle shows nothing of the slope
         ],
     )
 

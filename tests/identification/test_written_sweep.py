@@ -11,8 +11,8 @@ from hframe_post.errors import LimitError
 from hframe_post.identification.recordings.accelerometer import GRAVITY
 from hframe_post.identification.recordings.clock import acceleration, aligned
 from hframe_post.identification.recordings.formats import read_command
-from hframe_post.identification.recordings.runs import PlannedRun
-from hframe_post.identification.recordings.written_sweep import PAD, played
+from hframe_post.identification.recordings.runs import QUIET
+from hframe_post.identification.recordings.written_sweep import played
 from hframe_post.printer.profile import load
 from tests.command_line import run
 from tests.conftest import few
@@ -27,8 +27,8 @@ MACHINE = Machine(Axis((Mode(42.0, 0.06),)), Axis((Mode(27.0, 0.09),)), kinemati
 FINE = 20  # samples of a board a millisecond
 
 
-def at(axis: int, *place: float) -> PlannedRun:
-    return PlannedRun("run", axis, (place[0], place[1]), np.zeros((1, 2)))
+def at(axis: int, *place: float) -> tuple[str, int, tuple[float, float]]:
+    return "run", axis, (place[0], place[1])
 
 
 def motion(text: bytes, planner: str = "2.1", jerk: bool = False) -> Array:
@@ -51,12 +51,12 @@ def motion(text: bytes, planner: str = "2.1", jerk: bool = False) -> Array:
 def test_a_board_plays_the_command(planner: str, jerk: bool, acceleration: float) -> None:
     """What a sweep is compared to is within a step of 12.5 µm, from start to end."""
     one, lines = played(
-        ender(acceleration, planner=planner, **(JERK if jerk else {})), at(0, 110.0, 110.0), 10.0
+        ender(acceleration, planner=planner, **(JERK if jerk else {})), *at(0, 110.0, 110.0), 10.0
     )
     # strokes of z fill the real board's queue first; this one always plans ahead
     text = "\n".join(line for line in lines if " Z" not in line)
     made = motion(text.encode(), planner, jerk)
-    command = one.command[PAD:-PAD]
+    command = one.command[QUIET:-QUIET]
     assert len(made) == pytest.approx(len(command), abs=2)
     n = min(len(made), len(command))
     off = np.linalg.norm(made[:n] - command[:n], axis=1)
@@ -64,7 +64,7 @@ def test_a_board_plays_the_command(planner: str, jerk: bool, acceleration: float
 
 
 def test_the_file_stays_near_its_place_and_restores_the_settings() -> None:
-    one, lines = played(ender(), at(1, 110.0, 190.0), 12.0)
+    one, lines = played(ender(), *at(1, 110.0, 190.0), 12.0)
     assert np.ptp(one.command[:, 0]) == 0.0
     assert 165.0 - 1e-9 <= one.command[:, 1].min() < one.command[:, 1].max() <= 215.0 + 1e-9
     moves = [line for line in lines if line.startswith("G1 Y")]
@@ -75,12 +75,12 @@ def test_the_file_stays_near_its_place_and_restores_the_settings() -> None:
     assert "M204 P500 T500 R1000" in lines[-6:]
     assert not any("ACCELEROMETER" in line for line in lines)
     with pytest.raises(LimitError, match="room to either side"):
-        played(ender(), at(1, 110.0, 218.0), 12.0)
+        played(ender(), *at(1, 110.0, 218.0), 12.0)
 
 
 def test_fixed_time_motion_is_busy_before_the_first_move() -> None:
     """It would stop at the end of each line that comes before the next is planned."""
-    lines = played(ender(planner="ft-motion"), at(0, 110.0, 110.0), 12.0)[1]
+    lines = played(ender(planner="ft-motion"), *at(0, 110.0, 110.0), 12.0)[1]
     wait = lines.index("G4 P5000")
     up, back = (line.split() for line in lines[wait + 2 : wait + 4])
     assert float(up[1].removeprefix("Z")) > 12.0
@@ -114,7 +114,7 @@ def test_a_clock_that_is_far_off_is_found(drift: float) -> None:
         steps=replace(printer.steps, belt=1 / 48.54),
         sweep=replace(printer.sweep, amplitude=2142.0),
     )
-    command = played(printer, at(1, 110.0, 110.0), 10.0)[0].command
+    command = played(printer, *at(1, 110.0, 110.0), 10.0)[0].command
     chip = Chip(noise=20.0, rate=800.0, rate_error=drift, drift=drift, lead=3.0, filtered=True)
     recording = chip.record(replace(MACHINE, y=Axis((Mode(52.6, 0.13),))), command, 0)
     found = aligned(acceleration(command[:, 1:]), recording)
@@ -126,7 +126,7 @@ def test_a_clock_that_is_far_off_is_found(drift: float) -> None:
 @pytest.mark.parametrize(("sensor", "drift"), [("lis2dw-394", 9.3e-4), ("adxl345", -4.34e-3)])
 def test_a_clock_is_found_where_late_windows_are_lost_in_noise(sensor: str, drift: float) -> None:
     """A soft bed hardly follows them. What is left of the drift is refined, also below 20 ms."""
-    command = played(ender(500.0), at(1, 110.0, 110.0), 10.0)[0].command
+    command = played(ender(500.0), *at(1, 110.0, 110.0), 10.0)[0].command
     soft = replace(MACHINE, y=Axis((Mode(18.8, 0.12),)))
     chip = replace(SENSORS[sensor], lead=3.0, drift=drift)
     found = aligned(acceleration(command[:, 1:]), chip.record(soft, command, 11))

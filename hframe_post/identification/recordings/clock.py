@@ -63,9 +63,6 @@ def acceleration(position: Array) -> Array:
     return np.asarray(spline.derivative(2)(k[RESTING:-RESTING]) / TS**2)
 
 
-RATE = 1000.0  # of commands, samples a second
-
-
 @dataclass(frozen=True, slots=True)
 class Clock:
     """A sensor's clock.
@@ -94,7 +91,7 @@ class Resampler:
     def __init__(self, t: Array, a: Array) -> None:
         self._first, self._last = float(t[0]), float(t[-1])
         self._spline: BSpline = make_interp_spline(t - t[0], a, 5)
-        self._factor = int(np.ceil(1.0 / (float(np.median(np.diff(t))) * RATE)))
+        self._factor = int(np.ceil(TS / float(np.median(np.diff(t)))))
 
     def resampled(self, clock: Clock, m: int) -> Array:
         """Return accelerations (m, 3) every 1 ms of the command, without aliases.
@@ -110,7 +107,7 @@ class Resampler:
         values = self._spline(shown - self._first)
         if factor == 1:
             return np.asarray(values[half : half + m])
-        taps = firwin(2 * half + 1, 500.0, window=("kaiser", 8.0), fs=RATE * factor)
+        taps = firwin(2 * half + 1, 500.0, window=("kaiser", 8.0), fs=factor / TS)
         first = 2 * half // factor
         return np.asarray(upfirdn(taps, values, 1, factor, axis=0)[first : first + m])
 
@@ -263,22 +260,20 @@ def known_start(
     IdentificationError if nothing tells.
     """
     period = recording.period
-    named = None if ended is None else Clock(ended - (samples - 1) * TS, sd=PLAYED_SD)
-    if not recording.started:
-        if named is None:
-            raise IdentificationError(
-                "nothing tells when its motion began. Let Klipper record it, by the file of "
-                "'hframe-post measure'"
-            )
-        return named, ()
     first = Clock(float(recording.t[0]) - period / 2.0, sd=period / 12.0**0.5)
-    if named is None:
+    if ended is None and not recording.started:
+        raise IdentificationError(
+            "nothing tells when its motion began. Let Klipper record it, by the file of "
+            "'hframe-post measure'"
+        )
+    if ended is None:
         return first, ()
-    off = named.start - first.start
-    missed = abs(off) - period / 2.0
-    if missed <= AGREED:
+    named = Clock(ended - (samples - 1) * TS, sd=PLAYED_SD)
+    off = abs(named.start - first.start)
+    missed = off - period / 2.0
+    if not recording.started or missed <= AGREED:
         return named, ()
-    differ = f"the time in its name and its first sample differ by {1e3 * abs(off):.3g} ms"
+    differ = f"the time in its name and its first sample differ by {1e3 * off:.3g} ms"
     if missed <= SHORTEST_STOP:  # its time stamps wander, or the host was late
         return Clock(named.start, sd=missed), (differ,)
     # another command has moved the print time after the motion; or the motion stopped, which shows
@@ -299,8 +294,10 @@ def _check_in_time(slow: Array, shown: Array) -> None:
     slow (m, k), shown (m, 3): slow parts of the command's acceleration and of the recording.
     """
     for first in range(0, len(slow) - PART // 2, PART):
-        likeness, lag = _lag(slow, shown, first)
-        if likeness < verdict.LIKENESS:
+        part, low = slow[first : first + PART], max(first - LAG_REACH, 0)
+        share, _ = follows(part, shown[low : first + len(part) + LAG_REACH])
+        lag = (low + int(np.argmax(share)) - first) * TS
+        if share.max() < verdict.LIKENESS**2:
             raise not_found()
         if abs(lag) <= verdict.LAG_S:
             continue
@@ -322,20 +319,9 @@ def follows(u: Array, shown: Array) -> tuple[Array, Array]:
     That is the share of the shown part that u explains by least squares, (lags,), and the sizes
     with which it does so, (lags, k, j).
     """
-    products = np.stack(
-        [[fftconvolve(a, part[::-1], "valid") for a in shown.T] for part in u.T]
-    )  # (k, j, lags)
+    products = np.stack([[fftconvolve(a, part, "valid") for a in shown.T] for part in u[::-1].T])
     sizes = np.moveaxis(np.tensordot(np.linalg.inv(u.T @ u), products, 1), -1, 0)
     summed = np.cumsum(np.pad(np.square(shown).sum(axis=1), (1, 0)))
     energy = summed[len(u) :] - summed[: -len(u)]
     explained = (sizes * np.moveaxis(products, -1, 0)).sum(axis=(1, 2))
     return explained / np.maximum(energy, 1e-300), sizes
-
-
-def _lag(slow: Array, shown: Array, first: int) -> tuple[float, float]:
-    """Return the likeness, 0 … 1, of a part of a recording to its command, and its lag in s."""
-    low = max(first - LAG_REACH, 0)
-    part = slow[first : first + PART]
-    share, _ = follows(part, shown[low : first + len(part) + LAG_REACH])
-    best = int(np.argmax(share))
-    return float(np.sqrt(share[best])), (low + best - first) * TS

@@ -56,11 +56,12 @@ from hframe_post.writers.print_time import Output, duration
 
 OUTER = 60.0  # mm from the middle of x to the outer places: the paper's longest arm (its Fig. 4)
 NEAREST = 10.0  # mm; racking cannot be found from places that are closer
-EDGE = 7.0  # mm from an outer place to the edge of the travel, at least
+LEAST_ROOM = 5.0  # mm from a place to the edge of the travel
 MULTIPLE = 3.5  # of a run's acceleration, allowed to Klipper: with 3 it is late by 0.03 ms
 APPROACH = 100.0  # mm/s, to the place of a run
 LIFT = 5.0  # mm/s
 SETTLED = 2000  # samples of rest before a recording, in which the sensors are set up
+QUIET = 1000  # samples of rest at both ends of a command, in which gravity shows
 STATE = "hframe_post_measure"
 HEAD = """\
 ; accelerometer runs for printer {printer}, {version}: {runs}, {total}
@@ -100,7 +101,7 @@ def positions(printer: Printer, axis: int) -> list[tuple[float, float]]:
     """
     (low, high), y = printer.travel.x, round(sum(printer.travel.y) / 2.0, 3)
     middle = (low + high) / 2.0
-    away = min(OUTER, (high - low) / 2.0 - EDGE)
+    away = min(OUTER, (high - low) / 2.0 - LEAST_ROOM)
     if axis != X or not printer.kinematics.racks or away < NEAREST:
         return [(round(middle, 3), y)]
     return [(round(middle + offset, 3), y) for offset in (-away, 0.0, away)]
@@ -119,22 +120,27 @@ def allowed(printer: Printer, share: float, multiple: float) -> tuple[float, flo
     return min(velocity, most[0]), min(acceleration, most[1])
 
 
-def named_places(prefix: str, places: Sequence[tuple[float, float]]) -> list[str]:
-    """Return names such as x-at-110 for places, with y added if two have the same x.
+def named(
+    prefix: str, printer: Printer, axis: int, places: Sequence[tuple[float, float]]
+) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Yield the places for runs of an axis, ``positions`` if none is given, with their names.
 
-    Raises HframeError if a place is given twice.
+    Such as x-at-110, with y added if two have the same x. Raises HframeError if a place is given
+    twice.
     """
+    places = places or positions(printer, axis)
     if len(set(places)) < len(places):
         raise HframeError("the same --position is given twice")
     shown = [tuple(plain(p, 3).replace("-", "m").replace(".", "_") for p in at) for at in places]
     alone = len({x for x, _ in shown}) == len(shown)
-    return [f"{prefix}-at-{x}" + ("" if alone else f"-{y}") for x, y in shown]
+    names = (f"{prefix}-at-{x}" + ("" if alone else f"-{y}") for x, y in shown)
+    yield from zip(names, places, strict=True)
 
 
 def room(printer: Printer, axis: int, position: tuple[float, float]) -> float:
     """Return the distance (mm) along the axis to the nearer edge of the travel.
 
-    Raises LimitError at an edge and beyond.
+    Raises LimitError beyond the travel, and where there is too little room to move.
     """
     travel = (printer.travel.x, printer.travel.y)
     for name, at, (low, high) in zip("xy", position, travel, strict=True):
@@ -143,10 +149,11 @@ def room(printer: Printer, axis: int, position: tuple[float, float]) -> float:
             raise LimitError(f"{name} (mm)", at, bound, None, "choose another --position")
     at = position[axis]
     left = min(abs(at - edge) for edge in travel[axis])
-    if left == 0.0:
+    if left < LEAST_ROOM:
         raise LimitError(
-            f"{'xy'[axis]} (mm)", at, at, None, "a --position at the edge leaves no room to move"
-        )
+            f"room to either side in {'xy'[axis]} (mm)", left, LEAST_ROOM, None,
+            "choose a --position farther from the edge",
+        )  # fmt: skip
     return left
 
 

@@ -22,14 +22,13 @@ import numpy as np
 from hframe_post.arrays import TS, Array, X, Y
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain
-from hframe_post.errors import LimitError
 from hframe_post.identification.recordings.folder import STROKES
 from hframe_post.identification.recordings.runs import (
+    QUIET,
     PlannedRun,
     allowed,
     check_records,
-    named_places,
-    positions,
+    named,
     room,
     seconds_of,
 )
@@ -45,8 +44,6 @@ SIDES = (1.0, 25.0)  # mm between square corners
 SLOWEST, GENTLEST = 0.2, 0.3  # of the limits: the lowest feed rate and acceleration
 RAMP_HZ = 100.0  # jerk per acceleration: Klipper's host plays it within 20 µs, 1e7 mm/s³ within 80
 MARGIN = 2.5  # times the strokes' acceleration, that the motors must allow Klipper
-LEAST_ROOM = 5.0  # mm from a place to the edge
-QUIET = 1000  # samples of rest at both ends, in which gravity shows
 RESTS = (400.0, 700.0)  # samples between figures
 AT_ONCE = 2.0  # s of figures without a rest
 MASK = (1 << 64) - 1
@@ -66,11 +63,10 @@ def runs(
     check_records(printer)
     made = []
     for axes in [(X,), (Y,)] if printer.kinematics.bed_moves else [(X, Y)]:
-        chosen = list(places) or positions(printer, axes[0])
         prefix = name if len(axes) > 1 else f"{name}-{'xy'[axes[0]]}"
-        for named, at in zip(named_places(prefix, chosen), chosen, strict=True):
+        for own, at in named(prefix, printer, axes[0], places):
             motion = frozen(command(printer, at, axes, seconds))
-            made.append(PlannedRun(named, axes[0], at, motion))
+            made.append(PlannedRun(own, axes[0], at, motion))
     return made
 
 
@@ -88,11 +84,6 @@ def command(
     for axis in axes:
         left = math.floor(1e3 * room(printer, axis, place)) / 1e3  # in the digits of the G-code
         reach[axis] = min(LONGEST / 2.0, left)
-        if left < LEAST_ROOM:
-            raise LimitError(
-                f"room for strokes in {'xy'[axis]} (mm)", left, LEAST_ROOM, None,
-                "choose a --position farther from the edge",
-            )  # fmt: skip
     x, y = (round(1e3 * p) for p in place)
     draw = _Draw(x + (y << 24) + (sum(axes) << 48))
     start = np.array(place)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hframe_post.arrays import Array, Integers
+from hframe_post.arrays import TS, Array, Integers, X, Y
 from hframe_post.errors import LimitError
 from hframe_post.firmware.code import plain
 from hframe_post.firmware.motion import USED_LINES_SHARE, WrittenMoves
@@ -30,9 +30,11 @@ from hframe_post.identification.recordings.runs import (
     APPROACH,
     LIFT,
     MULTIPLE,
+    QUIET,
+    SETTLED,
     PlannedRun,
     allowed,
-    named_places,
+    named,
     room,
 )
 from hframe_post.printer.settings import Printer
@@ -40,10 +42,9 @@ from hframe_post.stream.types import ModalState, frozen
 from hframe_post.version import __version__
 
 SLOW, RISE = 20.0, 60.0  # mm/s between pulses, and most that a pulse adds
-REACH, NARROWEST = 25.0, 5.0  # mm to either side of the place, and the least that is enough
+REACH = 25.0  # mm to either side of the place
 START_HZ = 4.0
-BEFORE, AFTER = 5, 2  # s of rest, in which gravity shows
-PAD = 1000  # samples of rest around the command
+BEFORE = 5000  # samples of rest before the motion, in which gravity shows
 HEAD = """\
 ; accelerometer run {name} for printer {printer}, {version}: {seconds:.0f} s
 ; Before printing this file: home (G28), clear the bed, bring hotend and bed to the temperature at
@@ -74,30 +75,31 @@ class _Moves:
 
 
 def runs(
-    printer: Printer, axis: int, places: Sequence[tuple[float, float]], z: float
+    printer: Printer, places: Sequence[tuple[float, float]], z: float
 ) -> list[tuple[PlannedRun, list[str]]]:
-    """Return a run along an axis (0: x, 1: y) at each place (x, y) in mm, as it is played, and the
-    G-code for it. Raises HframeError.
+    """Return a run along x and one along y at each place (x, y) in mm, by default as for strokes.
+
+    Each as it is played, and the G-code for it. z: mm. Raises HframeError.
     """
-    names = named_places("xy"[axis], places)
-    planned = (
-        PlannedRun(name, axis, at, np.zeros((0, 2))) for name, at in zip(names, places, strict=True)
-    )
-    return [played(printer, run, z) for run in planned]
+    return [
+        played(printer, name, axis, at, z)
+        for axis in (X, Y)
+        for name, at in named("xy"[axis], printer, axis, places)
+    ]
 
 
-def played(printer: Printer, run: PlannedRun, z: float) -> tuple[PlannedRun, list[str]]:
-    """Return a run as it is played, and the G-code for it. run: names place and axis; z: mm.
+def played(
+    printer: Printer, name: str, axis: int, place: tuple[float, float], z: float
+) -> tuple[PlannedRun, list[str]]:
+    """Return a run along an axis (X or Y) as it is played, and the G-code for it. place, z: mm.
 
     Raises PrinterError if the profile lacks the firmware's table, and LimitError without room or
     speed.
     """
     own = firmware(printer)
     play = own.moves()
-    x, y = (round(place / play.step) * play.step for place in run.position)
-    reach = min(room(printer, run.axis, run.position), REACH)
-    if reach < NARROWEST:
-        raise LimitError("room to either side (mm)", reach, NARROWEST, None, "choose another place")
+    x, y = (round(at / play.step) * play.step for at in place)
+    reach = min(room(printer, axis, place), REACH)
     sweep, (velocity, acceleration) = printer.sweep, allowed(printer, 1.0, MULTIPLE)
     if velocity < 2.0 * SLOW:
         raise LimitError("speed (mm/s)", velocity, 2.0 * SLOW, None, "raise limits.velocity")
@@ -108,18 +110,20 @@ def played(printer: Printer, run: PlannedRun, z: float) -> tuple[PlannedRun, lis
     steps, v = (np.array(column) for column in zip(*pulses, strict=True))
     moves = _Moves(steps, np.round(60.0 * v, 1) / 60.0, play.reversal)  # as F has it
     cells = np.zeros((len(moves.v) + 1, 2), dtype=np.int64)
-    cells[1:, run.axis] = np.cumsum(moves.steps)
-    along = np.pad(play.motion(cells, moves.v, moves.turns, a), PAD, mode="edge")
+    cells[1:, axis] = np.cumsum(moves.steps)
+    along = np.pad(play.motion(cells, moves.v, moves.turns, a), QUIET, mode="edge")
     command = np.tile(np.array([x, y]), (len(along), 1))
-    command[:, run.axis] += along
-    done = PlannedRun(run.name, run.axis, (x, y), frozen(command))
-    ends = (x, y)[run.axis] + cells[1:, run.axis] * play.step
+    command[:, axis] += along
+    done = PlannedRun(name, axis, (x, y), frozen(command))
+    ends = (x, y)[axis] + cells[1:, axis] * play.step
     return done, _gcode(printer, play, done, np.asarray(ends), moves.v, a, z)
 
 
 def summary(stem: str, played: list[PlannedRun], bed_may_move: bool) -> str:
     """Return what the owner does with the files of the runs, whose names begin with ``stem``."""
-    lines = [f"{stem}.{run.name}.gcode: {run.seconds + BEFORE + AFTER:.0f} s" for run in played]
+    lines = [
+        f"{stem}.{run.name}.gcode: {run.seconds + (BEFORE + SETTLED) * TS:.0f} s" for run in played
+    ]
     lines.append(
         "For each file: home, start to record all axes of the accelerometer, print the file from "
         "SD, stop, and save the recording as recordings/RUN.csv, for example "
@@ -187,7 +191,7 @@ def _gcode(
     begin = [
         *play.begin, "G90", f"G1 Z{height} F{plain(LIFT * 60.0, 1)}",
         f"G1 X{x} Y{y} F{plain(APPROACH * 60.0, 1)}",
-        *play.limits(float(v.max()) + 1.0, a), f"G4 P{BEFORE * 1000}",
+        *play.limits(float(v.max()) + 1.0, a), f"G4 P{BEFORE}",
         *play.ahead(z),
     ]  # fmt: skip
     feeds = (plain(speed * 60.0, 1) for speed in v.tolist())
@@ -197,4 +201,4 @@ def _gcode(
     last[run.axis] = at[-1]
     state = ModalState(True, False, 0.0, APPROACH, (0.0, 0.0, 0.0))
     end = play.code.end(state, last)
-    return [OFF.decode(), *head.splitlines(), *begin, *moves, f"G4 P{AFTER * 1000}", *end]
+    return [OFF.decode(), *head.splitlines(), *begin, *moves, f"G4 P{SETTLED}", *end]
