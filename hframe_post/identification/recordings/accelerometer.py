@@ -34,7 +34,6 @@ NEAR = 11  # blocks through which a parabola is laid
 # on those of 2 s; 65 to 122 µs on four of a LIS2DW
 WANDER_S = 3e-5
 EVEN = 0.25  # sample periods by which the stamps of one block may deviate from a line
-ROUNDS = 8
 
 
 def repaired(t: Array, a: Array) -> tuple[Array, Array, tuple[str, ...]]:
@@ -89,7 +88,7 @@ def _by_oscillator(t: Array, number: Integers) -> tuple[Array, tuple[str, ...]]:
         return t, ()
     at, weight = numbers.mean(axis=1) * period, np.ones(count)
     stiffness = STEADY**4 / BLOCK
-    for _ in range(ROUNDS):
+    for _ in range(8):
         steady = make_smoothing_spline(at, offset, weight, stiffness)
         miss = np.abs(offset - steady(at))
         weight = 1.0 / (1.0 + np.square(miss / (2.0 * float(np.median(miss)) + 1e-9)))

@@ -26,7 +26,6 @@ ROW = 3  # Hz between the frequencies of the coarse search
 CLEAR = 10.0  # ratio of the line's power to the median power at its frequency
 NOTHING_SEEN = np.zeros((0, 2))
 NEAR_HZ = 3.0  # around the line, in which its power is looked for
-LOWEST_HZ = 8.0  # below it sweeping disturbs the line
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +107,6 @@ def _fitted(line: ChirpLine, t: Array, hz: Array, power: Array, contrast: Array)
     place = hz @ share / np.maximum(share.sum(axis=0), 1e-300)
     clear = (contrast * close).max(axis=0) > CLEAR
     fit = clear & (centre < hz[-1] - near)
-    fit &= centre > min(LOWEST_HZ, centre[clear].max(initial=0.0) / 2.0)
     if np.count_nonzero(fit) < 8:
         return line
     slope, offset = robust_fit(np.column_stack([t, np.ones(len(t))])[fit], place[fit]).tolist()

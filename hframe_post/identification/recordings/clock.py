@@ -42,8 +42,6 @@ from hframe_post.identification.recordings.chirp import (
     uniform,
 )
 
-RESTING = 16  # samples before and after a motion; a spline feels none farther away
-
 
 def acceleration(position: Array) -> Array:
     """Return the second derivative, mm/s², of positions (m,) or (m, k) in mm every 1 ms.
@@ -56,11 +54,12 @@ def acceleration(position: Array) -> Array:
     degree = 7
     if len(position) <= degree:
         raise IdentificationError(f"a command of {len(position)} ms is too short to be a motion")
-    ends = [(RESTING, RESTING), (0, 0)][: position.ndim]
+    rest = 2 * degree  # samples; a spline feels none farther away
+    ends = [(rest, rest), (0, 0)][: position.ndim]
     resting = np.pad(position - position[0], ends, mode="edge")
     k = np.arange(len(resting), dtype=np.float64)
     spline = make_interp_spline(k, resting, degree)
-    return np.asarray(spline.derivative(2)(k[RESTING:-RESTING]) / TS**2)
+    return np.asarray(spline.derivative(2)(k[rest:-rest]) / TS**2)
 
 
 @dataclass(frozen=True, slots=True)
