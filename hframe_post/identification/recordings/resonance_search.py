@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import fftconvolve
+from scipy.signal import oaconvolve
 from scipy.signal.windows import hann
 
 from hframe_post.arrays import TS, Array, Complex
@@ -133,7 +133,7 @@ def _seen(a: Array, line: ChirpLine, drift: float) -> _Seen:
     turned = a * np.exp(-1j * np.pi * line.slope * np.square(since))[:, None]
     window = hann(1001)[:, None]
     turned = np.pad(turned, ((500, 500), (0, 0)), mode="reflect")
-    slow: Complex = fftconvolve(turned, window / window.sum(), "valid")
+    slow: Complex = oaconvolve(turned, window / window.sum(), "valid", axes=0)
     hz = np.asarray(line.slope * since, dtype=np.float64)
     kept = slice(int(np.searchsorted(hz, line.first + 0.5)), None, 50)
     # a square wave's fundamental is 4/π times as large, half of it at positive frequencies
