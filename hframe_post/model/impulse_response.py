@@ -26,7 +26,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import ArgumentError
 from hframe_post.model.transfer_function import TransferFunction
-from hframe_post.native.judging import finite_filter
+from hframe_post.native.judging import coarse_filter, finite_filter
 
 LONGEST = 4000  # samples of a response: a bed at 18 Hz whose damping is 0.03 rings for 3400
 SETTLED = 1e-3  # of a mode's largest deviation: what is less has settled
@@ -129,11 +129,6 @@ class ImpulseResponse:
         """
         moving = np.flatnonzero(self.deviation)
         return max(self.lead + 1 - int(moving[0]), 0) if len(moving) else 0
-
-    @cached_property
-    def memory(self) -> int:
-        """Return how many samples of the command before a sample its response depends on."""
-        return 2 + len(self.deviation)
 
     @property
     def dc_gain(self) -> float:
@@ -249,11 +244,10 @@ class FiniteFilter:
     """An impulse response applied to a stream, its output ``late`` samples late, at least G.ahead.
 
     state (memory,): the latest samples of the input. Acceleration is filtered, which at rest is
-    zero. single: in single precision, in half the time.
+    zero.
     """
 
-    def __init__(self, G: ImpulseResponse, late: int, single: bool = False) -> None:
-        self._single = single
+    def __init__(self, G: ImpulseResponse, late: int) -> None:
         self._taps = np.ascontiguousarray(G.taps(late)[::-1])  # that of the oldest sample first
         self._rest, self._lag, self._late = G.rest, G.lag, late
         self.memory = max(len(self._taps), late) + 1
@@ -265,11 +259,59 @@ class FiniteFilter:
         self.state = known[len(u) :].copy()
         return self.output(known, len(u))
 
-    def output(self, known: Array, n: int, every: int = 1) -> Array:
-        """Return the output at every n-th (``every``) of the last n samples of the input.
+    def output(self, known: Array, n: int) -> Array:
+        """Return the output at the last n samples of the input known (memory or more + n,)."""
+        return finite_filter(self._taps, known, n, self._late, self._rest, self._lag)
 
-        known (memory or more + n,): the input. More than one sample apart it is in single
-        precision.
+
+# ----------------------------------------------------------------------
+# A response at half the rate, from every second sample of a command.
+#
+# Of what a printer does, nothing is above 250 Hz. So q is drawn as a polyline through every second
+# sample, and half a tap there times the acceleration over two samples is all of it:
+#
+#     Σ (1 − |j|/2) a[k − j] = (c[k + 2] − 2 c[k] + c[k − 2]) / 2,  j = −1, 0, 1
+#
+# The polyline is the one of least squares. On two measured Vorons the nozzle differs from that of
+# all samples by 0.1 µm RMS, at most 0.7, where it deviates by 10 to 44 µm RMS: strokes of 3 to
+# 30 mm at 5000 mm/s².
+
+SPREAD = np.sqrt(8.0) - 3.0  # ratio of the weights with which a sample decides vertices
+DECIDED = 8  # vertices on either side; the next would count for a millionth
+
+
+class CoarseFilter:
+    """An impulse response applied to pieces of an input, at half the rate.
+
+    past, ahead: samples of the input that are needed before a sample and after it.
+    """
+
+    def __init__(self, G: ImpulseResponse) -> None:
+        self._rest, self._lag = G.rest, G.lag
+        before = 2 * (DECIDED + (G.lead + 1) // 2)  # samples of the polyline before the pulse
+        begin = before - G.lead
+        odd = (begin + len(G.deviation)) % 2
+        q = np.pad(G.deviation, (begin, 2 * DECIDED + 2 + odd))
+        q[before + 1] -= 0.5 * G.lag  # what a speed over two samples has less than one over one
+        own, between = q[::2].copy(), 0.5 * q[1::2]
+        own += between
+        own[1:] += between[:-1]
+        weights = SPREAD ** np.abs(np.arange(-DECIDED, DECIDED + 1)) / np.sqrt(2.0)
+        vertices = np.convolve(own, weights, "same")
+        self._taps = np.ascontiguousarray(0.5 * vertices[::-1])
+        self.ahead = before + 2
+        self.past = max(2 * len(vertices), self.ahead) + 2 - self.ahead
+
+    def output(self, u: Array, first: int, n: int, every: int) -> Array:
+        """Return the output at every n-th (``every``) of n samples from the ``first`` one of u on.
+
+        u has ``past`` samples before these and ``ahead`` after them. An odd ``every`` takes both
+        halves of the input.
         """
-        late, rest, lag = self._late, self._rest, self._lag
-        return finite_filter(self._taps, known, n, late, rest, lag, self._single, every)
+        if every % 2:
+            y = np.empty(-(-n // every))
+            for k in range(min(2, len(y))):
+                y[k::2] = self.output(u, first + k * every, n - k * every, 2 * every)
+            return y
+        known = u[first - self.past : first + n + self.ahead]
+        return coarse_filter(self._taps, known, n, self.ahead, self._rest, self._lag, every)

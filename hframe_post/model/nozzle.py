@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y, moved
-from hframe_post.model.impulse_response import FiniteFilter
+from hframe_post.model.impulse_response import CoarseFilter, FiniteFilter
 from hframe_post.model.plant import Plant
 
 
@@ -46,15 +46,16 @@ def nozzle(plant: Plant, origin: Array, command: Array) -> Array:
 
 
 class Nozzle:
-    """A plant's nozzle in pieces of commands, in single precision.
+    """A plant's nozzle in pieces of commands, at half the rate.
 
     past, ahead: samples of a command that a piece needs before it and after it.
     """
 
     def __init__(self, plant: Plant) -> None:
-        self.ahead, self._racking = plant.ahead, plant.racking
-        self._filters = [FiniteFilter(G, self.ahead, single=True) for G in plant.responses]
-        self.past = max(f.memory for f in self._filters)
+        self._racking = plant.racking
+        self._filters = [CoarseFilter(G) for G in plant.responses]
+        self.past = max(f.past for f in self._filters)
+        self.ahead = max(f.ahead for f in self._filters)
 
     def at(self, command: Array, n: int, every: int) -> Array:
         """Return the nozzle's x, y at every n-th (``every``) of n samples.
@@ -64,7 +65,7 @@ class Nozzle:
         u = np.ascontiguousarray(command.T)
         axes = (X, Y, X)[: len(self._filters)]
         found = zip(self._filters, axes, strict=True)
-        x, y, *theta = (f.output(u[axis], n, every) for f, axis in found)
+        x, y, *theta = (f.output(u[axis], self.past, n, every) for f, axis in found)
         place = np.column_stack([x, y])
         if self._racking:
             place[:, Y] += self._racking.lever(place) * theta[0]

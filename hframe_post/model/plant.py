@@ -87,11 +87,6 @@ class Plant:
         """Return how many samples of a command after a sample the nozzle's place depends on."""
         return max(G.ahead for G in self.responses)
 
-    @property
-    def memory(self) -> int:
-        """Return how many samples of a command before a sample the nozzle's place depends on."""
-        return max(G.memory for G in self.responses)
-
     def decoupled(self) -> Plant:
         """Return the plant without racking."""
         return replace(self, Gxtheta=None)

@@ -48,51 +48,58 @@ WIDE static void add_single_sums(const float *factors, int64_t m, const float *u
     }
 }
 
-/* Add to sums (n) those of the m taps times the accelerations of input u, one from every ``every``-th
- * sample on, in single precision. Taps and accelerations are taken in ``every`` groups, in each of which
- * they follow each other. room: of both for one group. */
-static void add_thinned_sums(const double *taps, int64_t m, const double *u, int64_t n, int64_t every,
-                             float *room, double *sums)
+/* Output y (count) of a finite filter at the last count samples of its input u (h): taps (m), that of the
+ * oldest acceleration first, then rest times the input ``late`` samples before, less its speed times lag.
+ * room (count + m). */
+static int64_t finite_filter(const double *taps, int64_t m, const double *u, int64_t h, int64_t late,
+                             double rest, double lag, int64_t count, double *room, double *y)
 {
-    for (int64_t phase = 0; phase < every && phase < m; phase++) {
-        int64_t own = (m - phase + every - 1) / every;
-        const double *now = u + phase;
-        float *factors = room, *a = room + own;
-        for (int64_t i = 0; i < own; i++)
-            factors[i] = (float)taps[phase + every * i];
-        for (int64_t i = 0; i < n + own - 1; i++, now += every)
-            a[i] = (float)((now[2] - now[1]) - (now[1] - now[0]));
-        add_single_sums(factors, own, a, n, sums);
-    }
-}
-
-/* Output y (count) of a finite filter, at every ``every``-th of the last n samples of its input u (h): taps
- * (m), that of the oldest acceleration first, then rest times the input ``late`` samples before, less its
- * speed times lag. single: in single precision; more than one sample apart it always is. room (n + m). */
-static int64_t finite_filter(const double *taps, int64_t m, const double *u, int64_t h, int64_t n,
-                             int64_t late, double rest, double lag, int64_t count, int64_t every,
-                             int64_t single, double *room, double *y)
-{
-    const double *from = u + h - n - m - 1, *then = u + h - n - late;
+    const double *from = u + h - count - m - 1, *then = u + h - count - late;
+    for (int64_t i = 0; i < count + m - 1; i++)
+        room[i] = (from[i + 2] - from[i + 1]) - (from[i + 1] - from[i]);
     memset(y, 0, sizeof(double) * (size_t)count);
-    if (single || every > 1) {
-        add_thinned_sums(taps, m, from, count, every, (float *)room, y);
-    } else {
-        for (int64_t i = 0; i < count + m - 1; i++)
-            room[i] = (from[i + 2] - from[i + 1]) - (from[i + 1] - from[i]);
-        sliding_sums(taps, m, room, count, y);
-    }
+    sliding_sums(taps, m, room, count, y);
     for (int64_t i = 0; i < count; i++)
-        y[i] += rest * then[every * i];
+        y[i] += rest * then[i];
     for (int64_t i = 0; i < count && lag != 0.0; i++)
-        y[i] -= lag * (then[every * i] - then[every * i - 1]);
+        y[i] -= lag * (then[i] - then[i - 1]);
     return count;
 }
 
 LOOP(finite_filter, FLOATS(0, COUNT(1)), WITHIN(1, 1, MOST_ITEMS), FLOATS(2, COUNT(3)),
-     WITHIN(3, COUNT(4) + greater(COUNT(1), WITHIN(5, 0, MOST_FEW)) + 1, MOST_ITEMS),
-     WITHIN(4, 1 + (COUNT(8) - 1) * FEW(9), MOST_ITEMS), WITHIN(5, 0, MOST_FEW), REAL(6), REAL(7), COUNT(8),
-     WITHIN(9, 1, MOST_FEW), WITHIN(10, 0, 1), OUT_FLOATS(11, COUNT(4) + COUNT(1)), OUT_FLOATS(12, COUNT(8)))
+     WITHIN(3, COUNT(7) + greater(COUNT(1), WITHIN(4, 0, MOST_FEW)) + 1, MOST_ITEMS), WITHIN(4, 0, MOST_FEW),
+     REAL(5), REAL(6), COUNT(7), OUT_FLOATS(8, COUNT(7) + COUNT(1)), OUT_FLOATS(9, COUNT(7)))
+
+/* The same with every second sample of the input, in single precision: output y (count) at every
+ * 2·groups-th of the last n samples. taps (m): two samples apart. Taps and accelerations are taken in
+ * groups, in each of which they follow each other. room (count + 2·m): of both for one group. */
+static int64_t coarse_filter(const double *taps, int64_t m, const double *u, int64_t h, int64_t n,
+                             int64_t late, double rest, double lag, int64_t count, int64_t groups,
+                             float *room, double *y)
+{
+    const double *from = u + h - n - 2 * m - 2, *then = u + h - n - late;
+    for (int64_t i = 0; i < count; i++) {
+        const double *at = then + 2 * groups * i;
+        y[i] = rest * at[0] - 0.5 * lag * (at[0] - at[-2]);
+    }
+    for (int64_t group = 0; group < groups && group < m; group++) {
+        int64_t own = (m - group + groups - 1) / groups;
+        const double *now = from + 2 * group;
+        float *factors = room, *a = room + own;
+        for (int64_t i = 0; i < own; i++)
+            factors[i] = (float)taps[group + groups * i];
+        for (int64_t i = 0; i < count + own - 1; i++, now += 2 * groups)
+            a[i] = (float)((now[4] - now[2]) - (now[2] - now[0]));
+        add_single_sums(factors, own, a, count, y);
+    }
+    return count;
+}
+
+LOOP(coarse_filter, FLOATS(0, COUNT(1)), WITHIN(1, 1, MOST_FEW), FLOATS(2, COUNT(3)),
+     WITHIN(3, COUNT(4) + greater(2 * COUNT(1), WITHIN(5, 0, MOST_FEW)) + 2, MOST_ITEMS),
+     WITHIN(4, 1 + (COUNT(8) - 1) * 2 * FEW(9), MOST_ITEMS), WITHIN(5, 0, MOST_FEW), REAL(6), REAL(7),
+     COUNT(8), WITHIN(9, 1, MOST_FEW), (float *)OUT_FLOATS(10, COUNT(8) / 2 + COUNT(1) + 1),
+     OUT_FLOATS(11, COUNT(8)))
 
 LOOP(sliding_sums, FLOATS(0, COUNT(1)), COUNT(1), FLOATS(2, COUNT(1) - 1 + COUNT(3)), COUNT(3),
      OUT_FLOATS(4, COUNT(3)))

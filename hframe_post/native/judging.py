@@ -9,20 +9,29 @@ from hframe_post.arrays import TS, Array, Flags, Integers, X, Y
 from hframe_post.native import kernels
 
 
-def finite_filter(
-    taps: Array, u: Array, n: int, late: int, rest: float, lag: float, single: bool = False,
-    every: int = 1,
-) -> Array:  # fmt: skip
-    """Return the output of a filter at every n-th (``every``) of the last n samples of u (h,).
+def finite_filter(taps: Array, u: Array, n: int, late: int, rest: float, lag: float) -> Array:
+    """Return the output of a filter at the last n samples of u (h,).
 
     taps (m,): by acceleration, that of the oldest sample first; rest: gain of the input ``late``
-    samples before; lag: s⁻¹ of its speed. h is at least n + 1 + the greater of m and ``late``.
-    single: sums of taps in single precision, which miss a deviation by about a millionth of it;
-    more than one sample apart they always are.
+    samples before; lag: samples, of its speed. h is at least n + 1 + the greater of m and ``late``.
     """
-    y, room = np.empty(-(-n // every)), np.empty(n + len(taps))
+    y, room = np.empty(n), np.empty(n + len(taps))
+    kernels.finite_filter(taps, len(taps), u, len(u), late, rest, lag, n, room, y)
+    return y
+
+
+def coarse_filter(
+    taps: Array, u: Array, n: int, late: int, rest: float, lag: float, every: int
+) -> Array:
+    """Return the output of a filter at every n-th (``every``, even) of u's last n samples.
+
+    taps (m,): by acceleration over two samples, that of the oldest first. u (h,): h is at least
+    n + 2 + the greater of 2·m and ``late``. Single precision misses a deviation by a millionth.
+    """
+    y = np.empty(-(-n // every))
+    room = np.empty(len(y) // 2 + len(taps) + 1)
     filtered = taps, len(taps), u, len(u), n, late, rest, lag
-    kernels.finite_filter(*filtered, len(y), every, int(single), room, y)
+    kernels.coarse_filter(*filtered, len(y), every // 2, room, y)
     return y
 
 

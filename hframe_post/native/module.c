@@ -15,6 +15,7 @@
 /* The name of each function that has a LOOP row. */
 #define LOOPS(EACH)                                                                           \
     EACH(breakpoints)                                                                         \
+    EACH(coarse_filter)                                                                       \
     EACH(count_turns)                                                                         \
     EACH(deviation)                                                                           \
     EACH(farthest)                                                                            \

@@ -13,7 +13,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, Integers, X, Y
 from hframe_post.model.error_range import products
-from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
+from hframe_post.model.impulse_response import CoarseFilter, ImpulseResponse
 from hframe_post.model.plant import Plant, Racking
 from hframe_post.native.judging import sliding_sums
 from hframe_post.prediction.windows import Window, around
@@ -34,8 +34,8 @@ class _Part:
     answer: int
     command: int
     racking: Racking | None
-    drift: FiniteFilter | None
-    unknown: FiniteFilter | None
+    drift: CoarseFilter | None
+    unknown: CoarseFilter | None
     share: Array
 
 
@@ -46,11 +46,11 @@ class Doubts:
     """
 
     def __init__(self, parts: list[tuple[int, int, Racking | None, ImpulseResponse]]) -> None:
-        self.ahead = max(doubt.ahead for *_, G in parts for doubt in G.doubts)
-        self._parts = [_part(*part, self.ahead) for part in parts]
+        self._parts = [_part(*part) for part in parts]
         filters = [f for part in self._parts for f in (part.drift, part.unknown) if f]
         self._lasting = EVERY * (max(len(part.share) for part in self._parts) - 1)
-        self.past = max(f.memory for f in filters) + self._lasting
+        self.past = max(f.past for f in filters) + self._lasting
+        self.ahead = max(f.ahead for f in filters)
 
     @classmethod
     def from_plant(cls, plant: Plant, uncertainty: float | None = None) -> Doubts | None:
@@ -84,10 +84,12 @@ class Doubts:
             lever = 1.0 if part.racking is None else part.racking.lever(place)
             u = columns[part.command]
             if part.drift:
-                drift[:, part.command, part.answer] += lever * part.drift.output(u, n, EVERY)
+                drift[:, part.command, part.answer] += lever * part.drift.output(
+                    u, self.past, n, EVERY
+                )
             if part.unknown:
-                longer = n + EVERY * (len(part.share) - 1)
-                squares = np.square(part.unknown.output(u, longer, EVERY))
+                more = EVERY * (len(part.share) - 1)
+                squares = part.unknown.output(u, self.past - more, n + more, EVERY) ** 2
                 lasting = sliding_sums(part.share, squares)
                 unknown[:, part.answer] += np.square(lever) * lasting
         return drift, unknown
@@ -115,11 +117,9 @@ class Doubts:
         return which, found
 
 
-def _part(
-    answer: int, command: int, racking: Racking | None, G: ImpulseResponse, late: int
-) -> _Part:
+def _part(answer: int, command: int, racking: Racking | None, G: ImpulseResponse) -> _Part:
     drift, unknown = (
-        next((FiniteFilter(doubt, late, single=True) for doubt in each.doubts), None)
+        next(map(CoarseFilter, each.doubts), None)
         for each in (replace(G, unknown=np.zeros(0)), replace(G, drift=0.0))
     )
     return _Part(answer, command, racking, drift, unknown, _lasting(G))

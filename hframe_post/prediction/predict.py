@@ -88,8 +88,8 @@ class Judge:
     def __init__(self, plant: Plant, every: int = 1, doubts: Doubts | None = None) -> None:
         self._plant, self._every, self._doubts = plant, every, doubts
         self._load, self._nozzle = 0, Nozzle(plant.loaded(0))
-        self.before = max(plant.memory, NEAREST, doubts.past if doubts else 0)
-        self.after = max(plant.ahead, NEAREST + 1, doubts.ahead if doubts else 0)
+        self.before = max(self._nozzle.past, NEAREST, doubts.past if doubts else 0)
+        self.after = max(self._nozzle.ahead, NEAREST + 1, doubts.ahead if doubts else 0)
 
     def judged(self, window: Window) -> Judgement:
         """Return the judgement of a window."""

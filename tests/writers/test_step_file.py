@@ -88,13 +88,13 @@ def column(table: Array, name: str) -> Array:
 
 def test_each_row(paper: Printer, commands: Callable[[str], Samples], table: Array) -> None:
     whole = commands("racking")
-    motion = next(judge([whole], paper.plant)).motion
+    motion = next(judge([whole], paper.plant)).motion  # at half the rate: 0.3 µm at most
     np.testing.assert_allclose(column(table, "t"), np.arange(1, len(whole) + 1) / 1000)
     for k, name in enumerate(("x_d", "y_d", "z", "e")):
         np.testing.assert_array_equal(column(table, name), whole.xyze[:, k])
     for k, name in enumerate(("x", "y")):
         np.testing.assert_array_equal(column(table, f"{name}_dm"), whole.commands["racking"][:, k])
-        np.testing.assert_allclose(column(table, name), motion["racking"][:, k], atol=1e-9)
+        np.testing.assert_allclose(column(table, name), motion["racking"][:, k], atol=1e-3)
 
 
 def test_theta_is_what_moves_the_nozzle_at_a_lever(paper: Printer, table: Array) -> None:
