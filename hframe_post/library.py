@@ -33,7 +33,6 @@ from hframe_post.errors import (
 )
 from hframe_post.gcode.lines import Input, Source
 from hframe_post.model.nozzle import nozzle
-from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.prediction.predict import contour_error as off_path
@@ -154,7 +153,8 @@ def convert(
             outputs.watch(given.path)
         page_file = outputs.open(Path(page)) if page is not None else None
         if page is not None:
-            options = _pictured(options, given, printer, printer.plant)
+            predicted = dict.fromkeys(("none", *options.strategies))
+            options = replace(options, predict=tuple(predicted), picture=True)
         written = files.Target(outputs, output, given.path) if target is not None else None
         report = _converted(given, written, printer, options)
         if page_file is not None:
@@ -203,7 +203,9 @@ def simulate(
     if given.once:
         given = Input(list(given.lines()))
     if page is not None:
-        options = _pictured(options, given, printer, actual.plant)
+        items = Chain(printer, options).read(given.beginning(SHAPED_BYTES))
+        shaping = SlicedFile.from_items(items, printer).shaping(actual.plant)
+        options = replace(options, picture=True, shaping=shaping)
     with ExitStack() as opened:
         report = simulation.simulate(given.lines, printer, options, study)
         if page is not None:
@@ -247,14 +249,6 @@ def _check_read_once(page: str | Path | None, options: Options) -> None:
             "--max-error (or speed.max_error of the profile) reads the file several times: name a "
             "file (in Python, also a list of lines), or use --max-error off"
         )
-
-
-def _pictured(options: Options, source: Input, printer: Printer, plant: Plant) -> Options:
-    """Return options that collect a page's picture, with the best input shaper for the print."""
-    predicted = dict.fromkeys(("none", *options.strategies))
-    items = Chain(printer, options).read(source.beginning(SHAPED_BYTES))
-    shaping = SlicedFile.from_items(items, printer).shaping(plant)
-    return replace(options, predict=tuple(predicted), picture=True, shaping=shaping)
 
 
 @contextmanager

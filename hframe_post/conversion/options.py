@@ -103,8 +103,8 @@ class Options:
     accelerations.
 
     The last fields are for the stages. speed: set by ``resolved``. pace: factor on the file's
-    accelerations. picture: collect the path with its predicted errors; shaping: with those of this
-    input shaper, too.
+    accelerations. picture: collect the path with its predicted errors. shaping: an input shaper,
+    with which a simulation predicts errors, too.
 
     Raises OptionError for values that make no sense.
     """
@@ -186,9 +186,7 @@ class Options:
 
         What a print is without compensation is judged on the firmware's own motion instead.
         """
-        others = self.predict or ()
-        if not self.picture:
-            others = tuple(name for name in others if name != "none")
+        others = (name for name in self.predict or () if name != "none")
         return tuple(dict.fromkeys((self.strategy, *others)))
 
     def resolved(self, printer: Printer) -> Options:

@@ -227,12 +227,8 @@ class Stages:
 
     def predicted(self, commands: Iterable[Samples]) -> Iterator[Samples]:
         """Add advance; measure contour error and print time, on the way to the output."""
-        commands, options = self._advancing.samples(commands), self._chain.options
-        if options.predict:
-            if options.shaping is not None:
-                from hframe_post.compensation.shape import SHAPER, shape
-
-                commands = shape(commands, {SHAPER: options.shaping})
+        commands = self._advancing.samples(commands)
+        if self._chain.options.predict:
             commands = self._errors.samples(commands)
         return self._notes.samples(commands)
 

@@ -6,22 +6,19 @@ import base64
 import math
 import zlib
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y
 from hframe_post.compensation.shape import LIVE, SHAPER
-from hframe_post.conversion.options import Options
 from hframe_post.conversion.print_report import Report
-from hframe_post.model.error_range import SUMS, error_range
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.page import filled
 from hframe_post.prediction.picture import Picture, Pieces
-from hframe_post.prediction.statistics import TRAVEL
-from hframe_post.printer.settings import Printer
+from hframe_post.prediction.statistics import TRAVEL, ContourErrors
 from hframe_post.version import __version__
 
 TEXT_LEVEL = 4  # of compression of text: a third of the time of 6, for 3 to 20 % more bytes
@@ -45,7 +42,7 @@ def page(report: Report, lines: Iterable[bytes], name: str, notes: list[str]) ->
     picture, printer = report.picture, report.printer
     assert picture is not None
     strategies = [each for each in SHOWN if each in picture.strategies]
-    columns = [picture.strategies.index(each) for each in strategies]
+    columns = {picture.strategies.index(each): _median(report.contour[each]) for each in strategies}
     pieces = picture.pieces()
     belts, stated = report.peaks, printer.motors.stated
     data = {
@@ -53,9 +50,10 @@ def page(report: Report, lines: Iterable[bytes], name: str, notes: list[str]) ->
         "version": __version__,
         "warnings": report.warnings(),
         "notes": [*(each for each in notes if not each.startswith("WARNING")), *_live(report)],
-        "facts": _facts(printer, report.options),
+        "facts": _facts(report),
         "chosen": report.strategy,
         "strategies": [_strategy(each, report) for each in strategies],
+        "figures": [_strategy(each, report) for each in SHOWN if each in report.contour],
         "seconds": [report.time.before, report.time.after],
         "belts": {
             "speed": _of(belts.belt_velocity, stated.belt_velocity),
@@ -68,7 +66,7 @@ def page(report: Report, lines: Iterable[bytes], name: str, notes: list[str]) ->
         "worst": _worst(pieces, picture.strategies.index(report.strategy)) if strategies else [],
         "coarse": picture.finest if picture.coarser else None,
     }
-    packed = _packed(pieces, columns)
+    packed = _packed(pieces, list(columns))
     text = _compressed(lines, report.read.lines)
     return filled("page", data, SEGMENTS=_coded(packed), TEXT=_coded(text))
 
@@ -113,7 +111,7 @@ def _strategy(name: str, report: Report) -> dict[str, Any]:
     return shown
 
 
-def _layers(picture: Picture, pieces: Pieces, columns: list[int]) -> list[dict[str, Any]]:
+def _layers(picture: Picture, pieces: Pieces, columns: Mapping[int, float]) -> list[dict[str, Any]]:
     """Return name, number of pieces and errors of each layer with pieces, in order."""
     printed, moved = defaultdict[int, Any](float), defaultdict[int, Any](float)
     travel = picture.labels.features.index(TRAVEL)
@@ -130,7 +128,7 @@ def _layers(picture: Picture, pieces: Pieces, columns: list[int]) -> list[dict[s
     ]
 
 
-def _by_feature(picture: Picture, columns: list[int]) -> list[dict[str, Any]]:
+def _by_feature(picture: Picture, columns: Mapping[int, float]) -> list[dict[str, Any]]:
     """Return for each feature its share of the time and the errors of each strategy."""
     groups = defaultdict[int, Any](float)
     for (_, feature), sums in _sums(picture):
@@ -147,21 +145,24 @@ def _by_feature(picture: Picture, columns: list[int]) -> list[dict[str, Any]]:
 
 
 def _sums(picture: Picture) -> Iterator[tuple[tuple[int, int], Array]]:
-    """Yield layer and feature, with a row for each strategy: number, squares, and doubts."""
+    """Yield layer and feature, with number and squares of each strategy in a row."""
     for key, (count, *squares) in picture.sums.items():
-        doubts = picture.doubts.get(key, np.zeros((len(squares), SUMS)))
-        yield key, np.column_stack([np.full(len(squares), count), squares, doubts])
+        yield key, np.column_stack([np.full(len(squares), count), squares])
 
 
-def _rms(sums: Array, columns: list[int]) -> list[float]:
+def _median(contour: ContourErrors) -> float:
+    """Return by which factor the median error is greater as the printer changes.
+
+    What is not known of a printer grows with its motion as the error does, so that the factor of
+    a print is that of its layers and features.
+    """
+    return contour.expected / contour.rms if contour.rms else 1.0
+
+
+def _rms(sums: Array, columns: Mapping[int, float]) -> list[float]:
     """Return the RMS errors in µm, medians if anything is not known; sums: as of ``_sums``."""
-    return [round(1e3 * _expected(sums[k]), 3) for k in columns]
-
-
-def _expected(row: Array) -> float:
-    count, square, *doubts = row.tolist()
-    mean = square / count
-    return error_range(np.array(doubts), mean).median if doubts[0] else float(np.sqrt(mean))
+    mean = np.sqrt(sums[:, 1] / sums[:, 0]).tolist()
+    return [round(1e3 * factor * mean[k], 3) for k, factor in columns.items()]
 
 
 def _worst(pieces: Pieces, column: int) -> list[int]:
@@ -181,7 +182,9 @@ def _of(peak: float, limit: float) -> list[float]:
     return [round(peak), *([limit] if limit < math.inf else [])]
 
 
-def _facts(printer: Printer, options: Options) -> list[list[str]]:
+def _facts(report: Report) -> list[list[str]]:
+    printer, options = report.printer, report.options
+    shaping = report.shaping or options.shaping
     limits, window = printer.limits, printer.compensation
     return [
         ["profile", f"{printer.name}: {printer.description}"],
@@ -192,7 +195,7 @@ def _facts(printer: Printer, options: Options) -> list[list[str]]:
         ["square corner", f"{limits.square_corner_velocity:g} mm/s"],
         ["knots", f"{window.L} ms apart, effort {window.effort[0]:g} and {window.effort[1]:g}"],
         ["limits of the file", str(options.limits)],
-        *([["best input shaper", _shaper(options.shaping)]] if options.shaping else []),
+        *([["best input shaper", _shaper(shaping)]] if shaping else []),
         ["beyond a limit", "clamped" if options.clamp else "an error"],
         ["settings", printer.digest],
     ]

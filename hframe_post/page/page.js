@@ -254,8 +254,8 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if
 // ------------------------------------------------------------------ the page around it
 
 function cards() {
-  const whole = Object.fromEntries(data.strategies.map((each) => [each.name, each])), before = whole.none, shaper = whole.shaper, chosen = whole[data.chosen];
-  for (const each of data.strategies) card(each.label, micrometres(each.rms), "µm RMS", each.range ? `${each.range.map(micrometres).join(" to ")} as the printer changes` : `95 % below ${micrometres(each.p95)} µm`, each.name === data.chosen ? "best" : "");
+  const whole = Object.fromEntries(data.figures.map((each) => [each.name, each])), before = whole.none, shaper = whole.shaper, chosen = whole[data.chosen];
+  for (const each of data.figures) card(each.label, micrometres(each.rms), "µm RMS", each.range ? `${each.range.map(micrometres).join(" to ")} as the printer changes` : `95 % below ${micrometres(each.p95)} µm`, each.name === data.chosen ? "best" : "");
   const [plain, compensated] = data.seconds, longer = 100 * (compensated / plain - 1);
   card("Print time", clock(compensated), "", Math.abs(longer) < 0.05 ? "as long as the sliced file" : `${longer > 0 ? "+" : ""}${longer.toFixed(1)} % for compensation`, "");
   card("Belts at most", String(data.belts.speed[0]), data.belts.speed[1] ? `of ${data.belts.speed[1]} mm/s` : "mm/s", `${data.belts.acceleration.join(" of ")} mm/s²`, "");

@@ -28,7 +28,7 @@ from hframe_post.model.pressure_advance import extruding
 from hframe_post.native.judging import line_pieces
 from hframe_post.native.linear import recursion
 from hframe_post.prediction.doubts import Doubts
-from hframe_post.prediction.predict import COMPENSATING, Judge, Judgement, as_written
+from hframe_post.prediction.predict import COMPENSATING, Judge, Judgement, as_written, with_path
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.prediction.windows import Window, Windows
 from hframe_post.stream.types import Samples
@@ -132,7 +132,8 @@ class ErrorMeter:
 
     doubts: what is not known of the plant. whole: samples from the first one on that are all
     judged, and a share of those after them; None: judge all. picture: collects all of the print, if
-    given. rules: of the lines that the commands become, if they do. judged: samples that were.
+    given, also without compensation. rules: of the lines that the commands become, if they do.
+    judged: samples that were.
     """
 
     def __init__(
@@ -156,8 +157,9 @@ class ErrorMeter:
             self.add(window)
 
     def add(self, window: Window) -> None:
-        window = replace(window, piece=as_written(window.piece, self._rules))
-        judgement = self.judge.judged(window)
+        piece = as_written(window.piece, self._rules)
+        piece = piece if self.picture is None else with_path(piece)
+        judgement = self.judge.judged(replace(window, piece=piece))
         if self.picture is not None:
             self.picture.add(judgement.shown())
         weight = judgement.weight

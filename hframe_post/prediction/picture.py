@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hframe_post.arrays import TS, Array, Integers, Z
-from hframe_post.model.error_range import SUMS
 from hframe_post.native.judging import Table, joined_pieces
 from hframe_post.prediction.predict import Judgement
 from hframe_post.prediction.statistics import Labels
@@ -55,15 +54,13 @@ class Picture:
     """Collects pieces with the errors of each strategy, and sums by layer and feature.
 
     strategies: those of the judgements. labels: name the layers and features. sums: (layer,
-    feature) → number of samples, and the sum of squared errors (mm²) of each strategy. doubts:
-    likewise → sums of ``products`` (strategies, SUMS), if anything is not known of the printer.
+    feature) → number of samples, and the sum of squared errors (mm²) of each strategy.
     """
 
     def __init__(self, labels: Labels) -> None:
         self.strategies: tuple[str, ...] = ()
         self.labels = labels
         self.sums: dict[tuple[int, int], Array] = {}
-        self.doubts: dict[tuple[int, int], Array] = {}
         self.coarser = 0  # by how many steps
         self._tables: list[Table] = []
         self._count, self._apart = 0, True
@@ -80,7 +77,6 @@ class Picture:
             self.strategies = tuple(judgement.contour)
             errors = np.stack(list(judgement.contour.values()))
             self._sum(layer, feature, errors)
-            self._doubt(judgement, layer, feature)
             line = chunk.line.take(at)
             shape = np.empty((self._speed, len(at)), np.float32)
             shape[:Z] = _columns(chunk.xyze, at)[:Z]
@@ -109,9 +105,6 @@ class Picture:
         for (layer, feature), sums in later.sums.items():
             key = int(layers[layer]), int(features[feature])
             self.sums[key] = self.sums.get(key, 0.0) + sums
-        for (layer, feature), sums in later.doubts.items():
-            key = int(layers[layer]), int(features[feature])
-            self.doubts[key] = self.doubts.get(key, 0.0) + sums
         while self.coarser < later.coarser:
             self._coarsen()
         for table in later._tables:
@@ -150,21 +143,6 @@ class Picture:
         keys = zip(layer[starts].tolist(), feature[starts].tolist(), strict=True)
         for key, here in zip(keys, sums.T, strict=True):
             self.sums[key] = self.sums.get(key, 0.0) + here
-
-    def _doubt(self, judgement: Judgement, layer: Integers, feature: Integers) -> None:
-        """Add what is not known of the errors, by layer and feature."""
-        which, found = judgement.doubtful, judgement.products
-        if not len(which) or not found:
-            return
-        nothing = np.zeros((len(which), SUMS))
-        terms = np.stack([found.get(name, nothing) for name in self.strategies], axis=1)
-        layer, feature = layer.take(which), feature.take(which)
-        starts = _starts(layer, feature)
-        sums = np.add.reduceat(terms, starts, axis=0)
-        for key, here in zip(
-            zip(layer[starts].tolist(), feature[starts].tolist(), strict=True), sums, strict=True
-        ):
-            self.doubts[key] = self.doubts.get(key, 0.0) + here
 
     def _append(self, table: Table, coarser: int) -> None:
         """Add a table, which is already as coarse as after some steps."""

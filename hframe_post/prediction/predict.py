@@ -75,7 +75,6 @@ class Judgement:
             self, at=self.at[kept], extruding=self.extruding[kept],
             contour={name: each.take(kept) for name, each in self.contour.items()},
             off={name: each.take(kept, axis=0) for name, each in self.off.items()},
-            doubtful=np.searchsorted(kept, self.doubtful),
         )  # fmt: skip
 
 
@@ -108,7 +107,7 @@ class Judge:
         off = {name: path.deviation(xy, at, begin, apart) for name, xy in motion.items()}
         contour = {name: np.sqrt(square(way)) for name, way in off.items()}
         which, products = np.zeros(0, np.int64), dict[str, Array]()
-        if self._doubts is not None:
+        if self._doubts is not None and window.weight:
             which, products = self._doubts.along(window, at, off)
         at, begin = at - start, begin - start
         known = extruding, contour, off, motion
@@ -128,6 +127,11 @@ def judge(
     """Yield judgements of all windows of a stream, at every n-th sample at which the path moves."""
     own = Judge(plant, every, doubts)
     yield from map(own.judged, Windows(own.before, own.after).of(chunks))
+
+
+def with_path(chunk: Samples) -> Samples:
+    """Return the chunk with the path itself as the command without compensation."""
+    return replace(chunk, commands={"none": chunk.xyze[:, :Z], **chunk.commands})
 
 
 def as_written(chunk: Samples, rules: MotionRules | None) -> Samples:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import Integers, Z
+from hframe_post.arrays import Integers
 from hframe_post.compensation.guard import check_prediction
 from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.conversion.options import Options
@@ -23,13 +23,12 @@ from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.model.kinematics import Differences
 from hframe_post.model.plant import Plant
-from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import JUDGED_EVERY, ErrorMeter, Lines
 from hframe_post.prediction.picture import Picture
-from hframe_post.prediction.predict import Judge, Judgement, as_written, quantise
+from hframe_post.prediction.predict import Judge, Judgement, as_written, quantise, with_path
 from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
 from hframe_post.prediction.windows import WINDOW, Windows
 from hframe_post.printer.settings import Printer, Steps
@@ -275,7 +274,7 @@ def simulate(
         today.run(parts)
     rules = None if study.exact else chain.firmware.motion(options.tolerance)
     judged = _Judged(ours.samples(strategies), printer, study, study.steps, rules)
-    judged.run(parts, picture, shapings)
+    judged.run(parts, picture)
     off = {
         share: [{**own, **before} for own, before in zip(judged.off[share], found, strict=True)]
         for share, found in today.off.items()
@@ -313,15 +312,12 @@ class _Judged:
             share: [meter.contour for meter in meters] for share, meters in self._meters.items()
         }
 
-    def run(
-        self, parts: Parts, picture: Picture | None = None,
-        shapings: dict[str, Shaping] | None = None,
-    ) -> None:  # fmt: skip
+    def run(self, parts: Parts, picture: Picture | None = None) -> None:
         """Add the errors to parts, and those of this path without compensation to the picture."""
         study, commands = self._study, on_a_grid(self._rated(parts), WINDOW)
         commands = (as_written(chunk, self._rules) for chunk in commands)
         if picture is not None:
-            commands = shape(map(_with_path, commands), shapings or {})
+            commands = map(with_path, commands)
         if self._steps is not None:
             commands = quantise(commands, self._kinematics, self._steps)
         drawn = [meter for each in self._meters.values() for meter in each]
@@ -360,10 +356,6 @@ class _Judged:
             if chunk.ends_stretch:
                 differences = {}
             yield chunk
-
-
-def _with_path(chunk: Samples) -> Samples:
-    return replace(chunk, commands={"none": chunk.xyze[:, :Z], **chunk.commands})
 
 
 def _add_errors(

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,10 +14,9 @@ from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.nozzle import nozzle
 from hframe_post.model.plant import Plant
 from hframe_post.prediction.doubts import EVERY, Doubts
-from hframe_post.prediction.picture import Picture
-from hframe_post.prediction.predict import Judge, judge
-from hframe_post.prediction.statistics import ContourErrors, Labels
-from hframe_post.prediction.windows import Window, around
+from hframe_post.prediction.predict import judge
+from hframe_post.prediction.statistics import ContourErrors
+from hframe_post.prediction.windows import around
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
@@ -142,22 +140,6 @@ def test_nine_of_ten_printers_are_in_the_range(drift: float) -> None:
             errors.add(judgement.contour["fbs"], judgement.extruding)
         inside += known.low <= errors.rms <= known.high
     assert 0.8 * count <= inside < count, f"printers in {known} mm, of {count}"
-
-
-def test_what_a_picture_collects_adds_up_wherever_a_print_is_cut() -> None:
-    printer = as_measured(0.02)
-    _, chunk = predicted(printer)
-    doubts = Doubts.from_plant(printer.plant)
-    first, later, errors = Picture(Labels()), Picture(Labels()), ContourErrors()
-    cuts = 0, len(chunk) // 2 + 1, len(chunk)
-    own = Judge(printer.plant, 2, doubts)
-    for cut, picture in zip(pairwise(cuts), (first, later), strict=True):
-        judgement = own.judged(Window(chunk, *cut, weight=1, filament=0.0))
-        errors.doubt(judgement.products["fbs"], judgement.extruding[judgement.doubtful])
-        picture.add(judgement.shown())
-    first.join(later)
-    total = np.sum(list(first.doubts.values()), axis=0)
-    assert total[0] == pytest.approx(errors.all.doubts, rel=1e-12)
 
 
 def test_a_model_that_counts_as_exact_has_no_range() -> None:
