@@ -12,7 +12,7 @@ the plant's responses reach.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence, Set
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -88,20 +88,34 @@ def dwell_at_stops(chunks: Iterable[Samples], models: StopModels) -> Iterator[Sa
 
 
 class _Stretch:
-    """One stretch: its stops that are not solved yet, and the chunks that wait for them."""
+    """One stretch, which begins at rest: its stops that are not solved yet, and what they need.
+
+    The samples of ``_past`` are yielded already; those of ``_waiting`` may still change.
+    """
 
     def __init__(self, chunk: Samples, models: dict[str, StopModel]) -> None:
-        self._window = _Window(chunk, models)
-        self._buffered: deque[Samples] = deque()
+        self._models = models
+        # samples before and after a stop that its solution depends on
+        self._before = BEFORE + max((each.memory for each in models.values()), default=0)
+        self._after = AFTER + max((each.ahead for each in models.values()), default=0)
+        self._past = deque([self._rest(chunk.xyze[0], chunk.first - self._before, self._before)])
+        self._waiting = deque[Samples]()
         # samples from which and before which the command dwells; the stretch begins with one
         self._stops = deque([(-FOREVER, chunk.first + 1)])
         self._arrived = True  # at the first of the stops, which is a long one
         self._free = chunk.first + 1  # end of the last solved stop: from here on a command may move
 
+    def _rest(self, where: Array, first: int, samples: int) -> Samples:
+        xyze = np.repeat(where[None], samples, axis=0)
+        commands = dict.fromkeys(self._models, xyze[:, :Z])
+        return Samples(first, xyze, np.zeros(samples, np.int64), commands=commands)
+
+    @property
+    def _end(self) -> int:
+        return (self._waiting or self._past)[-1].end
+
     def feed(self, chunk: Samples) -> Iterator[Samples]:
-        self._window.append(chunk.xyze, chunk.commands)
-        others = {k: xy for k, xy in chunk.commands.items() if k not in self._window.names}
-        self._buffered.append(replace(chunk, commands=others))
+        self._waiting.append(chunk)
         for event in chunk.events:
             if isinstance(event, Dwell):
                 self._add_stop(event.index - 1, event.index + event.samples)
@@ -109,8 +123,9 @@ class _Stretch:
 
     def finish(self) -> Iterator[Samples]:
         """Yield what is left of the stretch, at the end of which the machine dwells."""
-        end = self._window.end
-        self._window.append_rest(self._window.after)
+        end = self._end
+        last = next(each for each in (*reversed(self._waiting), *reversed(self._past)) if len(each))
+        self._waiting.append(self._rest(last.xyze[-1], end, self._after))
         self._add_stop(end - 1, FOREVER)
         self._solve()
         yield from self._release(end)
@@ -124,15 +139,15 @@ class _Stretch:
 
     def _solve(self) -> int:
         """Solve the stops whose surroundings are known; return the first sample still needed."""
-        window, known = self._window, list[Stop]()
-        needed = window.end - 1
+        known, end = list[Stop](), self._end
+        needed = end - 1
         while self._stops:
             a, b = self._stops[0]
             before, long = min(a - self._free, SIDE), b - a > LONGEST
             if long:
-                window.solve(known)
+                self._dwell_at(known)
                 known = self._arrive(a, b, before)
-            if window.end < b + window.after:
+            if end < b + self._after:
                 needed = min(b if self._arrived else a, needed)
                 break
             following = self._stops[1][0] if len(self._stops) > 1 else FOREVER
@@ -143,80 +158,61 @@ class _Stretch:
                 known.append(Stop(a, b, following, before, after, movable=True))
             self._free, self._arrived = b, False
             self._stops.popleft()
-        window.solve(known)
+        self._dwell_at(known)
         return needed - BEFORE
 
     def _arrive(self, a: int, b: int, before: int) -> list[Stop]:
         """Let the command dwell on the path in a long stop; return the stop at its beginning."""
-        window, arrived = self._window, self._arrived
-        self._arrived |= window.end >= a + window.after
+        arrived = self._arrived
+        self._arrived |= self._end >= a + self._after
         if self._arrived:
-            window.put_on_path(a, b)
+            first, end = max(a, self._waiting[0].first), min(b, self._end)
+            path, _ = self._cut(first, end)
+            self._change(first, end, dict.fromkeys(self._models, path[:, :Z]))
         return [Stop(a, a, a, before, 0, movable=False)] if self._arrived and not arrived else []
+
+    def _dwell_at(self, stops: Sequence[Stop]) -> None:
+        """Let the commands dwell at stops, in the order of time."""
+        if not stops or not self._models:
+            return
+        a, b = stops[0].a, stops[-1].b
+        first = a - self._before
+        path, commands = self._cut(first, b + self._after)
+        for name, model in self._models.items():
+            solve_stops(path, commands[name], stops, first, model)
+        changed = slice(a - SIDE - first, b + SIDE - first)
+        self._change(a - SIDE, b + SIDE, {name: xy[changed] for name, xy in commands.items()})
+
+    def _cut(self, a: int, b: int) -> tuple[Array, dict[str, Array]]:
+        """Return path and commands of samples a … b − 1, which are all known."""
+        cut = [
+            (each, slice(max(a - each.first, 0), b - each.first))
+            for each in (*self._past, *self._waiting)
+            if each.first < b and each.end > a
+        ]
+        path = np.concatenate([each.xyze[rows] for each, rows in cut])
+        return path, {
+            name: np.concatenate([each.commands[name][rows] for each, rows in cut])
+            for name in self._models
+        }
+
+    def _change(self, a: int, b: int, commands: dict[str, Array]) -> None:
+        """Replace the commands of samples a … b − 1, as far as these wait."""
+        for k, chunk in enumerate(self._waiting):
+            low, high = max(a, chunk.first), min(b, chunk.end)
+            if low < high:
+                changed = {name: chunk.commands[name].copy() for name in commands}
+                for name, xy in commands.items():
+                    changed[name][low - chunk.first : high - chunk.first] = xy[low - a : high - a]
+                self._waiting[k] = replace(chunk, commands={**chunk.commands, **changed})
 
     def _release(self, end: int) -> Iterator[Samples]:
         """Yield the chunks of which all samples are before ``end``."""
-        while self._buffered and self._buffered[0].end <= end:
-            chunk = self._buffered.popleft()
-            commands = self._window.commands(chunk.first, chunk.end)
-            self._window.forget(chunk.end)
-            yield replace(chunk, commands={**chunk.commands, **commands})
-
-
-class _Window:
-    """The samples of a stretch that are still needed, counted as in the stream.
-
-    They begin at rest, before the stretch. ``_first`` is the index of the first of them.
-    after: samples after a stop that its solution depends on.
-    """
-
-    def __init__(self, chunk: Samples, models: dict[str, StopModel]) -> None:
-        self._models = models
-        self._remembered = BEFORE + max((each.memory for each in models.values()), default=0)
-        self.after = AFTER + max((each.ahead for each in models.values()), default=0)
-        self._first = chunk.first - self._remembered
-        self._xyze = np.repeat(chunk.xyze[:1], self._remembered, axis=0)
-        self._commands = dict.fromkeys(models, self._xyze[:, :Z])
-
-    @property
-    def names(self) -> Set[str]:
-        return self._models.keys()
-
-    @property
-    def end(self) -> int:
-        return self._first + len(self._xyze)
-
-    def _rows(self, a: int, b: int) -> slice:
-        """Return where samples a … b − 1 are in the arrays, as far as these reach."""
-        return slice(max(a - self._first, 0), max(b - self._first, 0))
-
-    def append(self, xyze: Array, commands: dict[str, Array]) -> None:
-        self._xyze = np.concatenate([self._xyze, xyze])
-        for name, known in self._commands.items():
-            self._commands[name] = np.concatenate([known, commands[name]])
-
-    def append_rest(self, n: int) -> None:
-        last = np.repeat(self._xyze[-1:], n, axis=0)
-        self.append(last, dict.fromkeys(self._models, last[:, :Z]))
-
-    def forget(self, end: int) -> None:
-        """Drop the samples that nothing depends on once all before ``end`` is final."""
-        n = end - self._first - self._remembered
-        if n > 0:
-            self._xyze, self._first = self._xyze[n:], self._first + n
-            self._commands = {name: command[n:] for name, command in self._commands.items()}
-
-    def commands(self, a: int, b: int) -> dict[str, Array]:
-        rows = self._rows(a, b)
-        return {name: frozen(command[rows].copy()) for name, command in self._commands.items()}
-
-    def put_on_path(self, a: int, b: int) -> None:
-        rows = self._rows(a, b)
-        for command in self._commands.values():
-            command[rows] = self._xyze[rows, :Z]
-
-    def solve(self, stops: Sequence[Stop]) -> None:
-        """Let the commands dwell at stops, in the order of time."""
-        for name, model in self._models.items():
-            if stops:
-                solve_stops(self._xyze, self._commands[name], stops, self._first, model)
+        while self._waiting and self._waiting[0].end <= end:
+            chunk = self._waiting.popleft()
+            self._past.append(chunk)
+            while self._past[0].end <= chunk.end - self._before:
+                self._past.popleft()
+            for name in self._models:
+                frozen(chunk.commands[name])
+            yield chunk
