@@ -112,10 +112,10 @@ class Page:
         start, end = move.start, move.end
         if (end[Z], end[E]) == (start[Z], start[E]):
             return None
-        self._start(np.array(start))
+        self._start(start)
         self._kinds.append((self._rows, STANDS))
         self._known = True
-        asked = Asked(self._rows, move.lifts, np.ones(1, np.int64))
+        asked = Asked(self._rows, move.lifts, np.array([1]))
         self._add_rows(np.array([end]), asked.feed, np.array([move.dwell.index]))
         return asked
 
@@ -130,12 +130,12 @@ class Page:
         self.add_lines(changes, asked.row - self._rows)
         asked.feed[0] = max(round(stroke.speed * self._units.per_feed), 1)  # F0 is none
 
-    def _start(self, place: Integers) -> None:
+    def _start(self, place: Integers | Place) -> None:
         if not self._at:
-            self._at.append(place[None])
+            self._at.append(np.array([place]))
         elif not self._known:
             self._kinds.append((self._rows, JUMPS))
-            self._add_rows(place[None], np.ones(1, np.int64), np.zeros(0, np.int64))
+            self._add_rows(np.array([place]), np.array([1]), np.zeros(0, np.int64))
 
     def _add_rows(self, at: Integers, feeds: Integers, due: Integers) -> None:
         self._at.append(at)
@@ -162,8 +162,10 @@ class Page:
         return others.deferred(text, begun)
 
     def _count(self, due: Integers) -> None:
-        seconds, lines = np.unique(due // SECOND, return_counts=True)
-        if seconds[0] == self._second:
+        """Count lines by the second; due (k,): samples, ascending."""
+        first, last = int(due[0]) // SECOND, int(due[-1]) // SECOND
+        lines = np.diff(due.searchsorted(SECOND * np.arange(first, last + 2)))
+        if first == self._second:
             lines[0] += self._in_second
-        self._second, self._in_second = int(seconds[-1]), int(lines[-1])
+        self._second, self._in_second = last, int(lines[-1])
         self.busiest = max(self.busiest, int(lines.max()))

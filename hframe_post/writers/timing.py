@@ -132,7 +132,7 @@ class Timing:
         share = min(CATCH_UP, late / min(float(passed[-1]), 1.0))  # over 1 s, if there is one
         made_up = np.minimum(share * passed, late)
         made_up[1:] -= made_up[:-1].copy()
-        wanted = T - np.copysign(made_up, self.lag)
+        wanted = T - made_up if self.lag > 0.0 else T + made_up
         feeds, taken = self._asked(at, wanted, rest, after)
         if self._steady:
             drift = _near(taken - wanted, self._steady) / _near(T, self._steady)
@@ -161,10 +161,10 @@ class Timing:
         """Return whether a batch goes back along the last segment of the one before it."""
         if self._ending is None or self._before == 0.0:
             return False
-        last, ways = self._ending[0], np.empty((2, E))
-        ways[:] = last[1, :E] - last[0, :E], at[1, :E] - at[0, :E]
-        sizes = lengths(ways)
-        return bool(ways[0] @ ways[1] < REVERSED * sizes[0] * sizes[1])
+        steps = (np.subtract(to, start) for start, to in (self._ending[0], at[:2]))
+        last, way = (step[:E].tolist() for step in steps)
+        cosine = sum(a * b for a, b in zip(last, way, strict=True))
+        return bool(cosine < REVERSED * math.hypot(*last) * math.hypot(*way))
 
     def _come_to_rest(self) -> None:
         """Add what the last segment of a batch takes longer to come to rest at its end."""
