@@ -224,10 +224,9 @@ WIDE static int64_t fitted(const double *points, int64_t n, const int64_t *ends,
 LOOP(fitted, FLOATS(0, COLUMNS), ITEMS(0) / COLUMNS, INDICES(1, ITEMS(1), 0, ITEMS(0) / COLUMNS),
      BOUNDED(1, ITEMS(1), 1, MOST_ITEMS), NEW_ROWS(0, ITEMS(1), COLUMNS), ROOM(1, 6 * ITEMS(1)))
 
-/* Find segments that end at ``ends`` (k) of points (n, 4) and are too thick: see too_thick. Returns
- * how many; which (k): their numbers; most (1): mm of filament of a piece. room (2 k). */
-static int64_t too_thick(const double *points, const int64_t *ends, int64_t k, int64_t *which,
-                         double *most, double *room)
+/* ``ends`` (k) of segments of points, and more where one is too thick, into kept. Return how many. room
+ * (2 k). */
+static int64_t thinned(const double *points, const int64_t *ends, int64_t k, int64_t *kept, double *room)
 {
     const double FILAMENT = 3.141592653589793 * (1.75 * 1.75) / 4.0; /* mm2, its cross section */
     const double USUAL_NOZZLE = 0.4;                                 /* mm */
@@ -242,21 +241,26 @@ static int64_t too_thick(const double *points, const int64_t *ends, int64_t k, i
         if (e[i] > 0.0 && d[i] > 0.0)
             all_d += d[i], all_e += e[i];
     }
-    *most = 0.0;
-    if (all_d == 0.0)
-        return 0;
-    double usual = all_e / all_d, nozzle = lesser(sqrt(2.0 * FILAMENT * usual), USUAL_NOZZLE);
+    double usual = all_d > 0.0 ? all_e / all_d : INFINITY; /* else nothing is too thick */
+    double nozzle = lesser(sqrt(2.0 * FILAMENT * usual), USUAL_NOZZLE);
     double limit = lesser(3.0 * usual, greater(ALLOWED, 1.5 * usual));
-    int64_t count = 0;
-    *most = 2.0 * nozzle * (nozzle * nozzle) / FILAMENT;
-    for (int64_t i = 0; i < k; i++)
-        if (e[i] > *most && e[i] > limit * d[i])
-            which[count++] = i;
+    double most = 2.0 * nozzle * (nozzle * nozzle) / FILAMENT; /* mm that Klipper takes in one piece */
+    int64_t count = 0, done = 0;
+    for (int64_t i = 0; i < k; i++) {
+        const double *begun = points + COLUMNS * done + E;
+        int thick = e[i] > most && e[i] > limit * d[i];
+        for (int64_t j = done + 1; thick && j + 1 < ends[i]; j++) {
+            const double *now = points + COLUMNS * j + E;
+            if (floor((now[COLUMNS] - *begun) / most) != floor((*now - *begun) / most))
+                kept[count++] = j;
+        }
+        done = kept[count++] = ends[i] > done ? ends[i] : done;
+    }
     return count;
 }
 
-LOOP(too_thick, FLOATS(0, 0), INDICES(1, ITEMS(1), 0, ITEMS(0) / COLUMNS), ITEMS(1),
-     UP_TO_INTEGERS(0, ITEMS(1)), NEW_FLOATS(1, 1), ROOM(2, 2 * ITEMS(1)))
+LOOP(thinned, FLOATS(0, 0), INDICES(1, ITEMS(1), 0, ITEMS(0) / COLUMNS), ITEMS(1),
+     UP_TO_INTEGERS(0, ITEMS(0) / COLUMNS + ITEMS(1)), ROOM(1, 2 * ITEMS(1)))
 
 static int marked(const uint8_t *forced, int64_t from, int64_t to)
 {

@@ -34,11 +34,13 @@ def fitted(points: Array, ends: Integers, /) -> Array:
 
 
 @compiled
-def too_thick(points: Array, ends: Integers, /) -> tuple[Integers, Array]:
-    """Return which segments Klipper would refuse, and the mm of filament, (1,), that it takes.
+def thinned(points: Array, ends: Integers, /) -> Integers:
+    """Return ends (k,), and more, so that Klipper refuses no segment as too thick an extrusion.
 
-    The nozzle is estimated from all segments, as lines half as high as wide, at no more than
-    0.4 mm, since the flow may be high. Klipper takes that much in one piece, however thick.
+    Next to a stop the command may crawl where the path does not. Klipper allows a cross section
+    of 4 nozzle widths squared (``max_extrude_cross_section``), and more than that in pieces with no
+    more filament than such a line as long as the nozzle is wide. The nozzle is estimated from all
+    segments, as lines half as high as wide, at no more than 0.4 mm, since the flow may be high.
     """
 
 

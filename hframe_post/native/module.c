@@ -55,7 +55,7 @@
     EACH(sliding_sums)                                                                        \
     EACH(smoothed_runs)                                                                       \
     EACH(solve_stops)                                                                         \
-    EACH(too_thick)
+    EACH(thinned)
 
 enum { MOST_ARGUMENTS = 32, MOST_NEW = 8, CONTIGUOUS = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT };
 

@@ -15,7 +15,7 @@ from hframe_post.firmware.code import Code, coordinates, modes, plain
 from hframe_post.firmware.dialect import klipper_advance
 from hframe_post.firmware.motion import USED_LINES_SHARE, MotionRules, NextTo, Stroke, Way
 from hframe_post.model.constant_acceleration import Trapezoid
-from hframe_post.native.decimate import breakpoints, fitted, too_thick
+from hframe_post.native.decimate import breakpoints, fitted, thinned
 from hframe_post.native.planning import junction_deviation
 from hframe_post.native.ramps import klipper_durations, klipper_feeds
 from hframe_post.printer.firmware_tables import KlipperTable
@@ -253,24 +253,6 @@ class KlipperMotion(MotionRules):
 
 PIECE_SAMPLES = 250  # samples, within which the bound on lines is kept
 TOLERANCE_GROWTH = 1.2  # times the tolerance, until a second has few enough segments
-
-
-def thinned(points: Array, ends: Integers) -> Integers:
-    """Return ends (k,), and more, so that Klipper refuses no segment as too thick an extrusion.
-
-    Next to a stop the command may crawl where the path does not. Klipper allows a cross section
-    of 4 nozzle widths squared (``max_extrude_cross_section``), and more than that in pieces with no
-    more filament than such a line as long as the nozzle is wide.
-    """
-    thick, most = too_thick(points, ends)
-    if not len(thick):
-        return ends
-    pieces = [ends]
-    for k in thick.tolist():  # few
-        first, end = int(ends[k - 1]) if k else 0, int(ends[k])
-        piece = np.floor((points[first:end, E] - points[first, E]) / most[0])
-        pieces.append(first + 1 + np.flatnonzero(np.diff(piece[1:])))
-    return np.unique(np.concatenate(pieces))
 
 
 def sparser(
