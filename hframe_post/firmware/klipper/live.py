@@ -10,7 +10,7 @@ import numpy as np
 from hframe_post.arrays import X, Y
 from hframe_post.errors import ArgumentError
 from hframe_post.firmware.base import Finding
-from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.klipper.printer_cfg import KINEMATICS, KlipperConfig
 from hframe_post.hosts.klipper.kernel_file import FIGURES, LIMITS, read, signed
 from hframe_post.model.kernel import Bounds, Figures, Kernel, kernel
 from hframe_post.printer.firmware_tables import KlipperTable
@@ -77,7 +77,7 @@ def kernel_file(printer: Printer) -> bytes | None:
 
 def klipper_name(kind: str) -> str:
     """Return what Klipper calls a type of kinematics."""
-    return {"hbot": "corexy"}.get(kind, kind.replace("-", "_"))
+    return next((name for name, kinds in KINEMATICS.items() if kind in kinds), kind)
 
 
 def check_live(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:

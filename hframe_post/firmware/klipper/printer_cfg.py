@@ -29,6 +29,12 @@ VOID = (
 )
 MAX_FILES = 500
 UNLIKE = "is it a printer.cfg?"
+KINEMATICS = {  # ours, the safest first, by Klipper's name
+    "corexy": ("corexy", "hbot"),
+    "hybrid_corexy": ("hybrid-corexy",),
+    "corexz": ("corexz",),
+    "cartesian": ("cartesian",),
+}
 ACCELEROMETERS = ("adxl345", "lis2dw", "lis3dh", "mpu9250", "icm20948", "beacon", "cartographer")
 SECTION = re.compile(r"\[([^]]+)\]")
 OPTION = re.compile(r"([^\s:=][^:=]*?)\s*[:=]")

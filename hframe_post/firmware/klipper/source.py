@@ -12,7 +12,7 @@ from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Finding, Source
 from hframe_post.firmware.klipper.live import check_live
 from hframe_post.firmware.klipper.macros import FILE, check_macros, macros
-from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
+from hframe_post.firmware.klipper.printer_cfg import KINEMATICS, KlipperConfig
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS
 from hframe_post.printer.new_profile import (
     Known,
@@ -23,12 +23,6 @@ from hframe_post.printer.new_profile import (
 )
 from hframe_post.printer.settings import CHIP_NAME, SMOOTH_TIME_S, Printer
 
-KINEMATICS = {  # ours, the safest first, by Klipper's name
-    "corexy": ("corexy", "hbot"),
-    "hybrid_corexy": ("hybrid-corexy",),
-    "corexz": ("corexz",),
-    "cartesian": ("cartesian",),
-}
 # By key of a profile: section and option of printer.cfg, and what holds without the option:
 # Klipper's default, the value of another key, or None where Klipper needs it.
 Options = dict[str, tuple[str, str, float | str | None]]
