@@ -67,6 +67,11 @@ def test_without_sweeping() -> None:
     assert abs(found.clock.drift - drawn_sensor(seed, kind).drift) < 5e-4
 
 
+def test_another_period_of_sweeping_is_found() -> None:
+    it = made(4, "lis2dw-394", X, sweeping_period=0.8)
+    checked(4, "lis2dw-394", it, sweeping_period=1.2)
+
+
 def test_a_recording_that_begins_with_the_motion_needs_its_first_frequency() -> None:
     """As those of Klipper of 2023; printer.cfg has another first frequency by now."""
     it = made(8, "lis2dw-394", X, sweeping_period=0.0, around_point=True, min_freq=10.0)

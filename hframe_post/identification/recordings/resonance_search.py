@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.fft import rfft, rfftfreq
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import oaconvolve
 from scipy.signal.windows import hann
@@ -177,8 +178,10 @@ def _best_match(low: Array, known: ResonanceTest, seen: _Seen) -> _Match:
     latest = max(seen.line.first * (1.0 + seen.drift) + 1.0, earliest + 1.0)
     usual = {known.min_freq, *np.arange(1.0, 300.0, 0.5).tolist()}
     unit = replace(known, accel_per_hz=1.0, sweeping_accel=1.0)
-    kinds = [replace(unit, sweeping_period=p) for p in {known.sweeping_period or 1.2, 1.2}]
-    kinds.append(replace(unit, sweeping_period=0.0, around_point=True))
+    kinds = [
+        replace(unit, sweeping_period=_sweeping_period(seen, known.sweeping_period)),
+        replace(unit, sweeping_period=0.0, around_point=True),
+    ]
     hz = np.maximum((np.arange(len(low)) * TS - origin) * rate, latest - 1.0)
     fits = [
         _compared(low, 1.0 / hz, replace(kind, min_freq=f), f / rate + origin)
@@ -192,6 +195,18 @@ def _best_match(low: Array, known: ResonanceTest, seen: _Seen) -> _Match:
     if best.sweeping > verdict.TEST_LEVEL * known.sweeping_accel:
         return best
     return replace(best, test=replace(best.test, sweeping_period=0.0), sweeping=0.0)
+
+
+def _sweeping_period(seen: _Seen, expected: float) -> float:
+    """Return the period, s, of what is strongest in a recording below the pulses."""
+    slow = seen.a[: len(seen.a) // 50 * 50].reshape(-1, 50, 3).mean(axis=1)  # one every 50 ms
+    padded = 8 * len(slow)
+    size = np.linalg.norm(rfft(slow * hann(len(slow))[:, None], padded, axis=0), axis=1)
+    hz = rfftfreq(padded, 50.0 * TS) * (1.0 + seen.drift)
+    inside = (hz > 0.25) & (hz < 3.3)
+    period = 1.0 / float(hz[inside][np.argmax(size[inside])])
+    usual = (p for p in (expected, DEFAULTS["sweeping_period"]) if abs(period - p) < 0.02 * period)
+    return next(usual, round(period, 2))
 
 
 def _compared(low: Array, weight: Array, test: ResonanceTest, start: float) -> _Match:
