@@ -267,17 +267,20 @@ class FiniteFilter:
 # ----------------------------------------------------------------------
 # A response at half the rate, from every second sample of a command.
 #
-# Of what a printer does, nothing is above 250 Hz. So q is drawn as a polyline through every second
-# sample, and half a tap there times the acceleration over two samples is all of it:
+# Of what a printer does, nothing is above 250 Hz. So q is drawn as a smooth curve through every
+# second sample, a sum of bells (1, 4, 6, 4, 1)/8. What a bell makes of accelerations is half the
+# second difference, over two samples, of the command's means (1, 2, 1)/4. On two measured Vorons
+# the nozzle differs from that of all samples by 0.01 to 0.08 µm RMS where it deviates by 10 to
+# 44 µm RMS, in strokes at 5000 mm/s². Hats (1, 2, 1)/2 add 4 % to errors of compensated lines,
+# whose corners contain all frequencies.
 #
-#     Σ (1 − |j|/2) a[k − j] = (c[k + 2] − 2 c[k] + c[k − 2]) / 2,  j = −1, 0, 1
-#
-# The polyline is the one of least squares. On two measured Vorons the nozzle differs from that of
-# all samples by 0.1 µm RMS, at most 0.7, where it deviates by 10 to 44 µm RMS: strokes of 3 to
-# 30 mm at 5000 mm/s².
+# The bells are those of least squares. Their products with each other have two pairs of poles, and
+# the inverse of each is an exponential.
 
-SPREAD = np.sqrt(8.0) - 3.0  # ratio of the weights with which a sample decides vertices
-DECIDED = 8  # vertices on either side; the next would count for a millionth
+BELL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 8.0
+_ROOTS = -14.0 + np.array([1.0, -1.0]) * np.sqrt(128.0)  # of s² + 28 s + 68, s = z + 1/z
+POLES = 0.5 * (_ROOTS + np.sqrt(_ROOTS**2 - 4.0))
+DECIDED = 20  # bells on either side of a sample; the next would count for a millionth
 
 
 class CoarseFilter:
@@ -288,19 +291,17 @@ class CoarseFilter:
 
     def __init__(self, G: ImpulseResponse) -> None:
         self._rest, self._lag = G.rest, G.lag
-        before = 2 * (DECIDED + (G.lead + 1) // 2)  # samples of the polyline before the pulse
+        before = 2 * (DECIDED + (G.lead + 1) // 2)  # samples of the curve before the pulse
         begin = before - G.lead
-        odd = (begin + len(G.deviation)) % 2
-        q = np.pad(G.deviation, (begin, 2 * DECIDED + 2 + odd))
+        q = np.pad(G.deviation, (begin, 2 * DECIDED + 2 + (begin + len(G.deviation)) % 2))
         q[before + 1] -= 0.5 * G.lag  # what a speed over two samples has less than one over one
-        own, between = q[::2].copy(), 0.5 * q[1::2]
-        own += between
-        own[1:] += between[:-1]
-        weights = SPREAD ** np.abs(np.arange(-DECIDED, DECIDED + 1)) / np.sqrt(2.0)
-        vertices = np.convolve(own, weights, "same")
-        self._taps = np.ascontiguousarray(0.5 * vertices[::-1])
-        self.ahead = before + 2
-        self.past = max(2 * len(vertices), self.ahead) + 2 - self.ahead
+        bells = np.convolve(q, BELL, "same")[::2]
+        for pole in POLES:
+            weights = pole ** np.abs(np.arange(-DECIDED, DECIDED + 1)) / (pole - 1.0 / pole)
+            bells = np.convolve(bells, weights, "same")
+        self._taps = np.ascontiguousarray(64.0 * bells[::-1])
+        self.ahead = before + 3
+        self.past = max(2 * len(bells), self.ahead) + 4 - self.ahead
 
     def output(self, u: Array, first: int, n: int, every: int) -> Array:
         """Return the output at every n-th (``every``) of n samples from the ``first`` one of u on.

@@ -70,14 +70,15 @@ LOOP(finite_filter, FLOATS(0, COUNT(1)), WITHIN(1, 1, MOST_ITEMS), FLOATS(2, COU
      WITHIN(3, COUNT(7) + greater(COUNT(1), WITHIN(4, 0, MOST_FEW)) + 1, MOST_ITEMS), WITHIN(4, 0, MOST_FEW),
      REAL(5), REAL(6), COUNT(7), OUT_FLOATS(8, COUNT(7) + COUNT(1)), OUT_FLOATS(9, COUNT(7)))
 
-/* The same with every second sample of the input, in single precision: output y (count) at every
- * 2·groups-th of the last n samples. taps (m): two samples apart. Taps and accelerations are taken in
- * groups, in each of which they follow each other. room (count + 2·m): of both for one group. */
+/* The same at half the rate, in single precision: output y (count) at every 2·groups-th of the last n
+ * samples. taps (m): two samples apart, of accelerations over two samples of the input's means
+ * (1, 2, 1)/4, halved. Both are taken in groups, in each of which they follow each other. room
+ * (count + 2·m): of both for one group. */
 static int64_t coarse_filter(const double *taps, int64_t m, const double *u, int64_t h, int64_t n,
                              int64_t late, double rest, double lag, int64_t count, int64_t groups,
                              float *room, double *y)
 {
-    const double *from = u + h - n - 2 * m - 2, *then = u + h - n - late;
+    const double *from = u + h - n - 2 * m - 4, *then = u + h - n - late;
     for (int64_t i = 0; i < count; i++) {
         const double *at = then + 2 * groups * i;
         y[i] = rest * at[0] - 0.5 * lag * (at[0] - at[-2]);
@@ -89,14 +90,16 @@ static int64_t coarse_filter(const double *taps, int64_t m, const double *u, int
         for (int64_t i = 0; i < own; i++)
             factors[i] = (float)taps[group + groups * i];
         for (int64_t i = 0; i < count + own - 1; i++, now += 2 * groups)
-            a[i] = (float)((now[4] - now[2]) - (now[2] - now[0]));
+            a[i] = (float)(0.25 * ((now[5] - now[3]) - (now[3] - now[1])) +
+                           0.125 * (((now[4] - now[2]) - (now[2] - now[0])) +
+                                    ((now[6] - now[4]) - (now[4] - now[2]))));
         add_single_sums(factors, own, a, count, y);
     }
     return count;
 }
 
 LOOP(coarse_filter, FLOATS(0, COUNT(1)), WITHIN(1, 1, MOST_FEW), FLOATS(2, COUNT(3)),
-     WITHIN(3, COUNT(4) + greater(2 * COUNT(1), WITHIN(5, 0, MOST_FEW)) + 2, MOST_ITEMS),
+     WITHIN(3, COUNT(4) + greater(2 * COUNT(1), WITHIN(5, 0, MOST_FEW)) + 4, MOST_ITEMS),
      WITHIN(4, 1 + (COUNT(8) - 1) * 2 * FEW(9), MOST_ITEMS), WITHIN(5, 0, MOST_FEW), REAL(6), REAL(7),
      COUNT(8), WITHIN(9, 1, MOST_FEW), (float *)OUT_FLOATS(10, COUNT(8) / 2 + COUNT(1) + 1),
      OUT_FLOATS(11, COUNT(8)))

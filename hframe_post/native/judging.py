@@ -26,7 +26,7 @@ def coarse_filter(
     """Return the output of a filter at every n-th (``every``, even) of u's last n samples.
 
     taps (m,): by acceleration over two samples, that of the oldest first. u (h,): h is at least
-    n + 2 + the greater of 2·m and ``late``. Single precision misses a deviation by a millionth.
+    n + 4 + the greater of 2·m and ``late``. Single precision misses a deviation by a millionth.
     """
     y = np.empty(-(-n // every))
     room = np.empty(len(y) // 2 + len(taps) + 1)

@@ -102,8 +102,8 @@ def test_tune_simulate_and_convert_agree(paper: Printer, tmp_path: Path) -> None
     (trial,) = tune(list(lines), paper, [paper.compensation.windows], [])
     simulated = library.simulate(lines, paper).parts.whole["racking"]
     assert trial.contour.rms == pytest.approx(
-        simulated.contour.rms, rel=2e-3
-    )  # of what lines leave
+        simulated.contour.rms, rel=5e-3
+    )  # of what lines leave, at half the rate
     assert trial.contour.all.count == simulated.contour.all.count
     converted = library.convert(lines, tmp_path / "out.gcode", paper).peaks
     assert converted.belt_acceleration > 1000.0
