@@ -16,7 +16,6 @@ import re
 import shutil
 import subprocess
 import sys
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -234,32 +233,27 @@ class Settings:
 
 
 def _run(command: Sequence[str], seconds: float) -> None:
-    """Run a command of hframe-post, which ends when its standard input closes.
-
-    Raises FailureError.
-    """
+    """Run a command of hframe-post. Raises FailureError."""
+    reading_end, writing_end = os.pipe()  # which closes with this process, and ends the command
     try:
-        process = subprocess.Popen(
-            command, text=True, errors="replace",
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        done = subprocess.run(
+            command, stdin=reading_end, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            text=True, errors="replace", check=False, timeout=seconds,
             env={**os.environ, "HFRAME_POST_CHILD": "1"},
         )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        raise FailureError(f"{' '.join(command[:2])} took more than {seconds:.0f} s") from None
     except OSError as error:
         raise FailureError(
             f"{command[0]} cannot be run: {error.strerror}. Correct command in [{NAME}] of "
             "moonraker.conf"
         ) from None
-    limit = threading.Timer(seconds, process.kill)
-    limit.start()
-    with process:
-        assert process.stdout is not None
-        last = "".join(process.stdout).rstrip().rpartition("\n")[2]
-        status = process.wait()
-    limit.cancel()
-    if status < 0:
-        raise FailureError(f"{' '.join(command[:2])} took more than {seconds:.0f} s")
-    if status != 0:
-        raise FailureError(last.removeprefix("Error: ") or f"hframe-post ended with {status}")
+    finally:
+        os.close(reading_end)
+        os.close(writing_end)
+    if done.returncode:
+        last = done.stdout.rstrip().rpartition("\n")[2].removeprefix("Error: ")
+        raise FailureError(last or f"hframe-post ended with {done.returncode}")
 
 
 def _cause(error: Exception) -> str:
