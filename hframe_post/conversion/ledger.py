@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 WIPED_MM = 8.0  # of filament at most; long tubes retract 6 mm, and less in motion
 TOOL = re.compile(r"T[1-9]\d*")
-FEW_RETRACTIONS = 9  # by G10 and G11, as macros have them
 SLIGHT = 0.005  # share of extrusion or time that no owner notices
 REMEDIES = {  # of extrusion that is not compensated, by causes other than commands
     START_OF_FILE: "because its place is not known: begin with a move to X, Y and Z",
@@ -228,7 +227,7 @@ def warnings(
             f"up to {busiest} lines in a second; the printer takes {lines_per_second:.0f} "
             "(lines_per_second in the profile), so it may stutter"
         )
-    if (count := ledger.read.firmware_retractions) > FEW_RETRACTIONS:
+    if (count := ledger.read.firmware_retractions) > 9:  # fewer are those of macros
         yield (
             f"estimated duration of {count} G10/G11: less is compensated next to them. Say in "
             "[retraction] of the profile what they do"

@@ -19,7 +19,6 @@ from hframe_post.writers.print_time import duration
 
 VISIBLE = 0.012  # mm RMS; ringing below it shows on no wall, whatever the light
 NO_GAIN = 0.9  # share of the best shaper's error from which on compensation is not worth its stream
-FASTER = 0.02  # of the print's time: won by a speed that was asked for, and so is worth a stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,8 +175,8 @@ class Report(Ledger):
         if self.strategy == "none":
             text = "to see what compensation brings, compare with the file as sliced instead"
             return [Row("advice", text)]
-        if not {"none", self.strategy} <= self.contour.keys() or self.time.change < -FASTER:
-            return []  # a shaper could not print as fast as this
+        if not {"none", self.strategy} <= self.contour.keys() or self.time.change < -0.02:
+            return []  # by a speed that was asked for: a shaper could not print as fast
         before, ours = (self.contour[name].expected for name in ("none", self.strategy))
         shaper = self.contour[SHAPER].expected if SHAPER in self.contour else math.inf
         if ours >= before:

@@ -23,7 +23,6 @@ from typing import Any
 from . import recordings
 from .recordings import FOLDER, NAME, Settings
 
-JOB_S = 3600.0  # timeout of a file that is played
 GONE = ("uploads", "keep", "stale", "fresh")  # options of a component that converted uploads
 
 
@@ -132,7 +131,7 @@ class HframePost:
             self._fail(f"nothing is measured: {error}")
             return False
         try:
-            ended = await asyncio.wait_for(self._ended(job), JOB_S)
+            ended = await asyncio.wait_for(self._ended(job), 3600.0)  # none takes so long
         except (self.server.error, asyncio.TimeoutError):  # noqa: UP041  Python 3.9
             ended = "interrupted"
         if ended != "complete":

@@ -33,7 +33,6 @@ WRITING = {  # the file of G-code, and the words of the command that writes it
 MEASURING_S = 15.0 * 60.0  # s that such a command may take on a slow host
 ENDS_RECORDING = re.compile(r"^ACCELEROMETER_MEASURE CHIP=\S+ NAME=(\S+)$", re.MULTILINE)
 WRITING_S = 120.0  # s for Klipper to write its recordings, which it does in the background
-QUIET_S = 3.0  # s without a change, after which they are complete
 AXES = {"Gxx": "x", "Gyy": "y"}
 OTHER_PLACE = {
     "X": "Mount the sensor on the print head, then type HFRAME_CALIBRATE AXIS=X",
@@ -135,7 +134,7 @@ def _fetch(settings: Settings, job: Path, began: float) -> None:
         if sizes != before:
             before, changed = sizes, time.monotonic()
         complete = all(len(found[run]) >= count for run, count in expected.items())
-        if complete and time.monotonic() - changed > QUIET_S:
+        if complete and time.monotonic() - changed > 3.0:  # s without a change
             break
         if time.monotonic() > deadline:
             raise FailureError(
