@@ -45,7 +45,7 @@ STEPS = (
     ("connect slicer", BOTH, "OrcaSlicer: Process", ""),
     ("connect cura --folder .", BOTH, "Restart Cura, then: ", r"HframePost\.py"),
     ("connect octoprint --folder .", ("voron",), r"Restart OctoPrint\.",
-     r"(plugins/hframe_post/\S+ ?){4}"),
+     r"(plugins/hframe_post/\S+ ?){3}"),
 )  # fmt: skip
 ADVICE = re.compile(
     r"(?:hframe-post |'(?!hframe-post))(?P<command>[a-z-]+) |(?<![\w-])(?P<option>--[a-z][a-z-]+)"
