@@ -113,6 +113,7 @@ def transfer(z: Complex, modes: Sequence[Mode], onset: int) -> Complex:
 AMPLITUDE = 30.0  # a, samples²: more than the q of any printer
 FIRST = Decay(0.02, 0.04, 0.1)  # so little that modes are sought first
 MUCH = Decay(1.0, 0.04, 0.1)  # so much that it needs no modes
+ENOUGH, MOST_ROUNDS = 0.5, 3  # gain of log evidence, up to which a search goes on
 LEAST_GAIN = 8.0  # of log evidence, for a mode: four numbers
 MOST_MODES = 4
 OMEGA = 2.0 * np.pi * TS * 8.0, 2.0 * np.pi * TS * 150.0  # of modes
@@ -277,9 +278,13 @@ class _Search:
         return apart[int(np.argmin(costs))]
 
     def improve(self) -> None:
-        """Move K_D, then the modes, to greater evidence."""
-        self.fit_decay()
-        self.refine()
+        """Move K_D and the modes in turn, as long as the evidence grows."""
+        for _ in range(MOST_ROUNDS):
+            before = self.cost()
+            self.fit_decay()
+            self.refine()
+            if not self.prior.modes or before - self.cost() < ENOUGH:
+                break
 
     def refine(self) -> None:
         """Move the modes and their onset to greater evidence."""
