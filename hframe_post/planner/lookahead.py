@@ -26,7 +26,7 @@ from itertools import chain
 
 import numpy as np
 
-from hframe_post.arrays import Array, Integers, Z
+from hframe_post.arrays import Array, E, Integers, Z
 from hframe_post.native.planning import (
     Column,
     Runs,
@@ -162,39 +162,29 @@ class Lookahead:
 
     def _as_moves(self, items: list[Moves | MoveAtRest]) -> tuple[Moves, list[int]]:
         """Return items as one, and the numbers of the moves at which the machine rests."""
-        rows, at, rests, n = list[tuple[float, ...]](), list[int](), list[int](), 0
+        tables, rests, n = list[Array](), list[int](), 0
         for item in items:
             if isinstance(item, Moves):
-                n += len(item.line)
                 self._like = float(item.acceleration[-1]), float(item.corner[-1])
-                continue
-            own = item.acceleration, math.inf
-            if self._rests(item):
-                rests.append(n)
-            elif not self.joins:
-                own = self._like
-            rows.append((*item.end, item.speed, *own, item.line))
-            at.append(n)
-            n += 1
-        if len(items) == 1 and isinstance(items[0], Moves):
-            return items[0], []
+                asked = item.speed, item.acceleration, item.corner, item.line
+                tables.append(np.column_stack([item.points[1:], *asked]))
+            else:
+                own = item.acceleration, math.inf
+                if self._rests(item):
+                    rests.append(n)
+                elif not self.joins:
+                    own = self._like
+                tables.append(np.array([[*item.end, item.speed, *own, item.line]]))
+            n += len(tables[-1])
         first = items[0]
-        points = np.empty((n + 1, 4))
-        points[0] = first.points[0] if isinstance(first, Moves) else first.start
-        moves = [item for item in items if isinstance(item, Moves)]
-        travels = np.ones(n, bool)
-        travels[at] = False
-        table = np.empty((n, 4))
-        if moves:
-            points[1:][travels] = np.concatenate([item.points[1:] for item in moves])
-            for column, name in enumerate(("speed", "acceleration", "corner", "line")):
-                table[travels, column] = np.concatenate([getattr(item, name) for item in moves])
-        if rows:
-            own_rows = np.array(rows)
-            points[1:][at], table[at] = own_rows[:, :4], own_rows[:, 4:]
-        speed, acceleration, corner, numbers = table.T.copy()
-        line = numbers.astype(np.int64)
-        return Moves(line, points, speed, acceleration, corner, self._file_limits), rests
+        if len(items) == 1 and isinstance(first, Moves):
+            return first, []
+        table = np.concatenate(tables)
+        begin = first.points[:1] if isinstance(first, Moves) else np.array([first.start])
+        points = np.concatenate([begin, table[:, : E + 1]])
+        speed, acceleration, corner, line = table[:, E + 1 :].T.copy()
+        numbers = line.astype(np.int64)
+        return Moves(numbers, points, speed, acceleration, corner, self._file_limits), rests
 
     def _rules_with(self, own: FileLimits) -> Array:
         """Return the limits of the profile and of the file, as ``limit_moves`` takes them."""
