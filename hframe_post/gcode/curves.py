@@ -20,8 +20,6 @@ from hframe_post.stream.types import Position
 
 CHORD_ERROR_MM = 0.005  # mm between a curve and its chords
 RADIUS_ERROR_MM = 0.1  # mm by which rounded numbers may miss the end point
-CLOSED_ARC_MM = 1e-6  # mm; ends closer than this are one point, and the arc a full circle
-MAX_CHORD_ANGLE = math.pi / 8.0  # rad of a chord, also of the smallest arcs
 MAX_COORDINATE_MM = 1e6  # mm; a coordinate beyond this is a corrupted number
 
 Point = tuple[float, float]
@@ -82,7 +80,7 @@ class Arc:
         """Return points after the start (k, 2), and the share of the arc up to each (k,)."""
         sagitta = min(CHORD_ERROR_MM / max(self.radii), 1.0)
         # of a radius beyond 1e11 mm the cosine rounds to 1
-        angle = max(min(2.0 * math.acos(1.0 - sagitta), MAX_CHORD_ANGLE), 1e-8)
+        angle = max(min(2.0 * math.acos(1.0 - sagitta), math.pi / 8.0), 1e-8)
         k = max(math.ceil(abs(self.sweep) / angle), 1)  # sweep is 0 if the end is behind the start
         share = np.arange(1, k + 1) / k
         angles = self.begin + self.sweep * share
@@ -102,7 +100,7 @@ def arc(start: Point, end: Point, centre: Point, ccw: bool) -> Arc | None:
     begin = math.atan2(start[1] - centre[1], start[0] - centre[0])
     sweep = math.atan2(end[1] - centre[1], end[0] - centre[0]) - begin
     sweep = (sweep if ccw else -sweep) % math.tau
-    if math.dist(start, end) < CLOSED_ARC_MM:
+    if math.dist(start, end) < 1e-6:  # mm
         sweep = math.tau
     return Arc(centre, begin, sweep if ccw else -sweep, radii)
 

@@ -20,7 +20,6 @@ from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.settings import Printer
 
 BYTES_AHEAD = 1 << 22  # slicers ask for all the accelerations that they use within some layers
-MOST_KNOWN = 4096  # lines with limits whose effect is remembered: a file has few of them
 LIMITS = re.compile(rb"^(?:M20[1345](?![\d.])|%b).*" % commands.LIMITS.encode(), re.MULTILINE)
 
 
@@ -67,7 +66,7 @@ def _asked(lines: Iterable[bytes], options: ReadOptions) -> Iterator[tuple[float
             else:
                 words = numbers_among(line, arguments, commands.LIMIT_WORDS[name])
             state.set_limits(line, name, words)
-            if len(known) >= MOST_KNOWN:
+            if len(known) >= 4096:  # a file has few of them
                 known.clear()
             after = state.acceleration, state.travel_acceleration, state.corner, state.others
             known[at] = (*before, *after)  # keeps what the id names

@@ -20,11 +20,7 @@ LimitSource = Literal["file", "file-all", "printer"]
 Extrusion = Literal["absolute", "relative"]
 
 AXES = "XYZE"
-INCH_MM = 25.4  # mm
-DEFAULT_FEED_MM_S = 25.0  # mm/s, Klipper's feed rate before the first F
 MIN_FEED_FACTOR = 0.01
-MIN_VELOCITY_LIMIT = 0.1  # mm/s; below it a print would never end
-MIN_ACCELERATION_LIMIT = 1.0  # mm/s²
 LIMITS_THAT_MAY_BE_ZERO = {"M205", "SQUARE_CORNER_VELOCITY", "MINIMUM_CRUISE_RATIO"}
 
 
@@ -115,7 +111,7 @@ class State:
         self.known = [False, False, False]
         self._homed = [False, False, False]
         self._stops = True  # at soft endstops, as M211 S1 sets
-        self.feed = DEFAULT_FEED_MM_S
+        self.feed = 25.0  # mm/s, Klipper's before the first F
         self.factor = self._saved_factor = 1.0
         self.acceleration = self.travel_acceleration = self.corner = math.inf
         self.others = FileLimits()
@@ -216,7 +212,7 @@ class State:
         elif name in ("M82", "M83"):
             self.set_e_mode(name == "M82")
         elif name in ("G20", "G21"):
-            self.scale = INCH_MM if name == "G20" else 1.0
+            self.scale = 25.4 if name == "G20" else 1.0
         else:
             self.xy_plane = name == "G17"
 
@@ -251,7 +247,7 @@ class State:
             if word == "R" and self.others.retract == math.inf:
                 continue  # means nothing to this firmware
             velocity = name == "M203" or word == "VELOCITY"
-            least = MIN_VELOCITY_LIMIT if velocity else MIN_ACCELERATION_LIMIT
+            least = 0.1 if velocity else 1.0  # mm/s, mm/s²; below them a print would never end
             least = 0.0 if {name, word} & LIMITS_THAT_MAY_BE_ZERO else least
             if value < least:
                 raise line.error(f"{word} must be at least {least:g}")

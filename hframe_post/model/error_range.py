@@ -25,8 +25,6 @@ import numpy as np
 from hframe_post.arrays import Array
 
 DRAWS = 15  # values of the drift of each axis, and of the size of the unknown part
-FREEDOMS = 3  # of the unknown part: as few, because its size is not well known, either
-LOW, HIGH = 0.05, 0.95  # quantiles: nine of ten prints are between them
 SUMS = 8  # of 1, e², e·d_x, e·d_y, d_x², d_x·d_y, d_y², u²
 
 
@@ -58,7 +56,7 @@ def error_range(sums: Array, mean_square: float) -> ErrorRange:
     _, _, ex, ey, xx, xy, yy, unknown = (sums / sums[0]).tolist()
     drifted = 2.0 * (ex * x + ey * y) + xx * x * x + 2.0 * xy * x * y + yy * y * y
     squares = np.sort(np.maximum(mean_square + drifted, 0.0) + unknown * size)
-    at = (np.array([0.5, LOW, HIGH]) * len(squares)).astype(int)
+    at = (np.array([0.5, 0.05, 0.95]) * len(squares)).astype(int)
     return ErrorRange(*np.sqrt(squares[at]).tolist())
 
 
@@ -70,7 +68,8 @@ def _draws() -> tuple[Array, Array, Array]:
     """
     normal = NormalDist()
     z = np.array([normal.inv_cdf((k + 0.5) / DRAWS) for k in range(DRAWS)])
-    spread = 2.0 / (9.0 * FREEDOMS)
+    freedoms = 3  # of the unknown part: as few, because its size is not well known, either
+    spread = 2.0 / (9.0 * freedoms)
     size = np.maximum(1.0 - spread + z * np.sqrt(spread), 0.0) ** 3
     x, y, size = (each.ravel() for each in np.meshgrid(z, z, size / size.mean()))
     return x, y, size

@@ -29,7 +29,6 @@ from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.native.judging import coarse_filter, finite_filter
 
 LONGEST = 4000  # samples of a response: a bed at 18 Hz whose damping is 0.03 rings for 3400
-SETTLED = 1e-3  # of a mode's largest deviation: what is less has settled
 ENDED = 1e-5  # share of all deviation after the end: 0.01 µm of a strong acceleration's
 AROUND = 4  # samples on either side from which one in between is interpolated
 BLOCK = 64  # samples whose frequency response is summed at once
@@ -92,7 +91,7 @@ class ImpulseResponse:
         residue = abs(s) ** 2 / (2j * s.imag) / s**2
         q = np.asarray(2.0 * (residue * np.exp(s * np.arange(LONGEST))).real)
         q[0] = 0.0  # a lag begins one sample later
-        lasting = np.flatnonzero(np.abs(q) > SETTLED * np.abs(q).max())
+        lasting = np.flatnonzero(np.abs(q) > 1e-3 * np.abs(q).max())  # what is less has settled
         return cls(q[: lasting[-1] + 1], 0, lag=-2.0 * (1.0 / s).real)
 
     @classmethod

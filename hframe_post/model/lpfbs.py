@@ -34,11 +34,6 @@ from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.native.linear import product, pseudo_inverse, recursion, windows_product
 
-CONDITION = 1e12  # greatest condition number of a window that can be solved
-SQUARED = (
-    5  # times that a window's map of the past is squared; those of printers shrink after 1 or 2
-)
-
 
 @dataclass(frozen=True, slots=True)
 class Window:
@@ -201,7 +196,7 @@ def _shrinks(A: Array) -> bool:
 
     Then so has its spectral radius, which takes a hundred times as long to find.
     """
-    for _ in range(SQUARED):
+    for _ in range(5):  # those of printers shrink after 1 or 2
         A = A @ A
         if np.linalg.norm(A) < 1.0:
             return True
@@ -240,7 +235,7 @@ def _gains(
 ) -> tuple[Array, Array]:
     """Return the gains K_target and K_past, from what moves the nozzle and what takes effort."""
     weight = np.sqrt(w.effort)
-    pinv = pseudo_inverse(np.vstack([N_C_filtered, weight * D_C]), CONDITION)
+    pinv = pseudo_inverse(np.vstack([N_C_filtered, weight * D_C]), condition=1e12)
     if pinv is None:
         raise ArgumentError(
             f"the window is rank deficient: L = {w.L}, n_C = {w.n_C} leave control points "

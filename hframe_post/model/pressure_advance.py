@@ -27,7 +27,6 @@ from hframe_post.native.judging import sliding_sums
 PICO = 1e9  # of a mm
 REACH = 250  # samples from which a faster change may come; see ``bounded``
 NEAR = 2  # samples before and after one between which its speed is measured
-MARGIN = 0.98  # of what fits into REACH
 SHARE = 0.8  # of the acceleration; the rest is for the ends of a line, where A sets out at once
 
 
@@ -74,7 +73,7 @@ def bounded(path: Array, K: Array, velocity: float, acceleration: float, half: i
     speed[NEAR:-NEAR] = (path[2 * NEAR :, E] - path[: -2 * NEAR, E]) / (2 * NEAR * TS)
     speed = np.where(inside, np.maximum(speed, 0.0), 0.0)
     most = steepest(velocity, acceleration, reach)
-    wanted = np.minimum(K * speed, MARGIN * most * TS * (REACH - reach))
+    wanted = np.minimum(K * speed, 0.98 * most * TS * (REACH - reach))  # a bit less than fits
     room = np.minimum(np.minimum(before, after) / reach, 1.0)  # sets out gently
     room = np.minimum(most * room, np.maximum(velocity - speed, 0.0))
     slope = np.rint(PICO * TS * np.minimum(room[:-1], room[1:])).astype(np.int64)

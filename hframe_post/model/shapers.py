@@ -36,8 +36,6 @@ import numpy as np
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError
 
-TOLERATED = 0.05  # V of the ei family: remaining share of the ringing without a shaper
-
 
 @dataclass(frozen=True)
 class Shaper:
@@ -211,7 +209,7 @@ SMOOTHERS = {  # length in periods, and the weights' polynomial in T / length, h
 }  # fmt: skip
 
 
-def _ei(damping: float, v_tol: float = TOLERATED) -> Impulses:
+def _ei(damping: float, v_tol: float = 0.05) -> Impulses:
     first, last, time = (float(_polynomial(v_tol, _polynomial(damping, c))) for c in EI)
     periods = np.array([0.0, time, 1.0]) / _root_and_decay(damping)[0]
     return [first, 1.0 - first - last, last], periods

@@ -17,7 +17,6 @@ from hframe_post.errors import ArgumentError
 from hframe_post.native.linear import product, recursion
 
 REAL_TOLERANCE = 1e-10  # imaginary part up to which a root counts as real
-PAIR_TOLERANCE = 1e-9  # between a root and the conjugate of its partner
 
 
 @dataclass(frozen=True)
@@ -120,7 +119,7 @@ def _closed(roots: Complex) -> bool:
     lower = roots[roots.imag < -REAL_TOLERANCE].conj().tolist()
     if len(upper) != len(lower):
         return False
-    return all(abs(_taken(lower, root) - root) <= PAIR_TOLERANCE for root in upper)
+    return all(abs(_taken(lower, root) - root) <= 1e-9 for root in upper)
 
 
 def _taken(roots: list[complex], place: complex) -> complex:

@@ -15,7 +15,6 @@ Bytes = NDArray[np.uint8]
 MINUS, ZERO = b"-0"
 WHOLE_DIGITS = 5  # before the point; a printer has no use for more
 TOO_LONG = "a coordinate, filament length or feed rate is too long to be written"
-LINE = 80  # bytes of a line of motion, at most: five words of up to 10 digits
 GROUP = 4  # digits looked up at once
 MOVES, STANDS, BEGINS, JUMPS = range(4)  # kinds of lines of motion
 
@@ -36,7 +35,8 @@ def motion_lines(
     with more than WHOLE_DIGITS before the point, or from 2³² units on.
     """
     n, m = len(feeds), len(between)
-    text = np.empty(n * LINE + int((between[:, 2] - between[:, 1]).sum()), np.uint8)
+    # bytes of a line of motion, at most: five words of up to 10 digits
+    text = np.empty(n * 80 + int((between[:, 2] - between[:, 1]).sum()), np.uint8)
     begun, numbers = np.empty(m, np.int64), (_row(decimals), _longest(decimals))
     own = at, feeds, kinds, feed
     size = kernels.motion_lines(*own, *numbers, between, lines, text, begun)

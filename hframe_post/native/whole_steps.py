@@ -165,9 +165,6 @@ def blocks_between(at: Array, after: float, limits: BlockLimits, matrix: Array) 
 # follows: on a printer with 500 mm/s² that is most of what whole steps leave. So the ends of a row
 # of such segments are chosen again, by dynamic programming, for the least sum of squares.
 
-SLOW = 2  # samples by which a segment is longer than it need be for the lines in a second
-REACH = 2  # times the longest segment of a run that a new one may be
-
 
 def slow_segment_ends(
     points: Array, cells: Integers, motors: Integers, ends: Integers, least: int, apart: int
@@ -195,10 +192,10 @@ def _runs(motors: Integers, ends: Integers, least: int, apart: int) -> tuple[Int
     long = at[1:] - at[:-1]
     whole = most_steps(np.diff(motors[at], axis=0)) >= least
     slow = np.zeros(len(ends) + 2, dtype=bool)
-    slow[1:-1] = whole & (long >= apart + SLOW)
+    slow[1:-1] = whole & (long >= apart + 2)  # samples longer than it need be for the lines
     chosen = (slow[:-2] | slow[1:-1] | slow[2:]) & whole
     edge = np.flatnonzero(np.diff(chosen, prepend=False, append=False))
     first, last = edge[::2], edge[1::2]
     parts = np.diff(np.stack([at[first], at[last]], axis=1).ravel(), prepend=0).reshape(-1, 2)
     longest = np.maximum.reduceat(long, edge[edge < len(long)])[::2] if len(edge) else first
-    return parts, REACH * longest
+    return parts, 2 * longest  # that a new segment may have

@@ -51,7 +51,6 @@ from hframe_post.stream.types import (
 BATCH = 4096  # moves planned at once; more if none of their speeds is final
 LONGEST_QUEUE = 16 * BATCH
 MELTED = 50.0  # mm/s of filament, more than any hot end melts
-AT_REST = 2.0  # of ALONE: the machine rests before and after the move
 STEEP = 1.0  # rise over run above which a move starts and ends at rest
 # of the accelerations in z, and in filament taken back, while x and y move: what compensation adds
 # needs the rest. On a host's steps of a slice, the nozzle was off by 5 % more with all of them
@@ -156,7 +155,7 @@ class Lookahead:
         rules = self._rules_with(self._file_limits)
         moves, rests = self._as_moves(items)
         table = limit_moves(moves.points, moves.speed, moves.acceleration, moves.corner, rules)
-        table[rests, Column.ALONE] = AT_REST
+        table[rests, Column.ALONE] = 2.0
         corners, caps = self._caps(moves.points, table, rules)
         self._moves.append(Limited(moves.line, moves.points, table, caps, corners))
 

@@ -16,7 +16,6 @@ from hframe_post.stream.types import Item, Moves, frozen, said
 
 NOT_RAISED = ("bridge", "ironing", "interface", "skirt")  # features
 OUTER_WALL = "outer-wall"
-FIRST_LAYERS = 1  # must stick to the bed, so they are not printed harder than in the file
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +75,7 @@ class Pace:
         (factor, walls), at = np.ones((2, len(moves.line))), 0
         for mark in (*moves.marks.of(PLACES), None):
             end, feature = len(factor) if mark is None else mark.index, kind(place.feature)
-            kept = place.layer <= FIRST_LAYERS or feature in NOT_RAISED
+            kept = place.layer <= 1 or feature in NOT_RAISED  # the first must stick to the bed
             factor[at:end] = min(self.factor, 1.0) if kept else self.factor
             walls[at:end] = self.walls if feature == OUTER_WALL else 1.0
             if mark is not None:

@@ -22,7 +22,6 @@ from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import MoveAtRest, Plan
 
 NO_JERK_LIMIT = 1e12  # mm/s³ from which on profiles are trapezoids, as firmware makes them
-STEP_S = 1e-9  # that acceleration takes to change in a trapezoid
 # mm in which Ruckig is asked, again where the first fails. It checks in absolute numbers, which
 # rounding fails at great accelerations in mm: it finds no profile, or one as slow as a ramp. A
 # power of two changes no digit
@@ -60,7 +59,8 @@ class _Runs(NamedTuple):
         top = np.minimum(cruise, np.sqrt(reached))
         up, down = np.maximum(top - v0, 0.0) / a, np.maximum(top - v1, 0.0) / a
         ramped = (top + v0) / 2.0 * up + (top + v1) / 2.0 * down
-        step_up, step_down = np.minimum(STEP_S, up / 2.0), np.minimum(STEP_S, down / 2.0)
+        # s that acceleration takes to change
+        step_up, step_down = (np.minimum(1e-9, ramp / 2.0) for ramp in (up, down))
         cruised = np.maximum(length - ramped, 0.0) / np.maximum(top, 1e-12)
         t = np.stack([
             step_up, up - step_up, step_up, cruised, step_down, down - step_down, step_down,

@@ -38,8 +38,6 @@ from hframe_post.stream.types import (
 )
 
 SAMPLES_PER_CHUNK = 1 << 14  # half as many take 8 % more CPU, twice as many 20 MB more
-RUNS_AT_ONCE = 1000  # runs whose profiles are found together
-SLOW = 2.0  # mm/s at which a motion excites nothing, so that its samples can be left out
 FEWEST = 2000  # samples that are left out at once
 KEPT = 500  # samples at either end of a slow move that are not left out
 SPARED = 0.8  # share of the firmware's corner speed that a lift counts on
@@ -74,11 +72,12 @@ def sample(
 
 
 def _in_lists(planned: Iterable[Planned]) -> Iterator[list[Planned]]:
+    """Yield the items in lists of a thousand runs or more, whose profiles are found together."""
     items, count = list[Planned](), 0
     for item in planned:
         items.append(item)
         count += len(item.cruise) if isinstance(item, Plan) else 1
-        if count >= RUNS_AT_ONCE:
+        if count >= 1000:
             yield items
             items, count = [], 0
     yield items
@@ -183,7 +182,8 @@ class _Sampler:
         if not self._skip_slow or duration.max() <= least:
             return parts
         long = np.flatnonzero(duration > least)
-        for k in long[(v[long] <= SLOW) & (a[long] == 0.0) & (j[long] == 0.0)].tolist():
+        # mm/s at which a motion excites nothing
+        for k in long[(v[long] <= 2.0) & (a[long] == 0.0) & (j[long] == 0.0)].tolist():
             end = s[k] + v[k] * duration[k]
             inside = plan.s[(plan.s > s[k]) & (plan.s < end)]
             passed = time[k] + (np.concatenate([[s[k]], inside, [end]]) - s[k]) / v[k]

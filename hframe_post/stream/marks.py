@@ -16,8 +16,6 @@ INDEX, START, END, KIND = range(4)  # columns of a table
 # kinds of lines: those of which no stage needs to know more; those that tell the time left; those
 # that name a layer or feature; those that set pressure advance; others, which may do any of that
 PLAIN, CLOCK, PLACES, SETS, OTHERS = range(5)
-FEW = 16  # lines, up to which Python finds those of a kind faster than numpy
-RECENT_LINES, SHORT_BYTES = 256, 100  # lines of which is kept what they mean
 
 T = TypeVar("T")
 
@@ -27,11 +25,11 @@ def recent(read: Callable[[bytes], T]) -> Callable[[bytes], T]:
 
     Long lines are not kept: a file of them would fill the memory.
     """
-    kept = lru_cache(RECENT_LINES)(read)
+    kept = lru_cache(256)(read)
 
     @wraps(read)
     def known(text: bytes) -> T:
-        return kept(text) if len(text) <= SHORT_BYTES else read(text)
+        return kept(text) if len(text) <= 100 else read(text)
 
     return known
 
@@ -113,7 +111,7 @@ class Marks:
     def of(self, kind: int) -> Iterator[Mark]:
         """Yield the lines that may be of a kind."""
         table = self.table
-        if len(table) > FEW:
+        if len(table) > 16:  # up to so many Python finds faster than numpy
             kinds = table[:, KIND]
             table = table[(kinds == kind) | (kinds == OTHERS)]
         for index, start, end, own in table.tolist():

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
-COLLECTED_OBJECTS = 50_000  # new objects after which circles among them are sought; 700 by default
 
 
 @contextmanager
@@ -37,7 +36,7 @@ def keep_memory() -> None:
     collected less often: few of the many objects of a conversion refer to each other in a circle.
     """
     gc.freeze()
-    gc.set_threshold(COLLECTED_OBJECTS)
+    gc.set_threshold(50_000)  # new objects; 700 by default
     allocate = _c_function("mallopt")
     if allocate is not None:
         allocate(M_MMAP_THRESHOLD, 1 << 25)
