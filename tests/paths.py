@@ -1,8 +1,12 @@
-"""Motions: random ones, and strokes with rest around them."""
+"""Motions: random ones, strokes with rest around them, and streams in smaller chunks."""
+
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags
+from hframe_post.stream.chunks import part
+from hframe_post.stream.types import Samples
 
 ORIGIN = np.array([100.0, 120.0])  # of strokes, mm
 
@@ -47,3 +51,11 @@ def in_motion(xyze: Array) -> tuple[Flags, Flags]:
     moves[1:] = (x[1:] != x[:-1]) | (y[1:] != y[:-1])
     extruding[1:] = moves[1:] & (e[1:] > e[:-1])
     return moves, extruding
+
+
+def smaller(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
+    for chunk in chunks:
+        for start in range(0, len(chunk), n):
+            yield part(chunk, start, min(start + n, len(chunk)))
+        if not len(chunk):
+            yield chunk

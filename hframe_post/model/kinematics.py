@@ -119,10 +119,6 @@ class Differences:
             self._before = command[:1].repeat(2, axis=0)
         return self._before
 
-    def skip(self, command: Array) -> None:
-        """Take the next samples of the command (n, 2), whose rates are not needed."""
-        self._before = np.concatenate([self.before(command), command[-2:]])[-2:]
-
     def rates(self, command: Array) -> Rates:
         """Return the rates at the next samples of the command (n, 2), mm."""
         if not len(command):

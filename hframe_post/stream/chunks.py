@@ -77,14 +77,6 @@ def on_a_grid(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
         yield from batches(stretch, n)
 
 
-def smaller(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
-    for chunk in chunks:
-        for start in range(0, len(chunk), n):
-            yield part(chunk, start, min(start + n, len(chunk)))
-        if not len(chunk):
-            yield chunk
-
-
 def with_neighbours(
     chunks: Iterable[Samples], before: int, after: int
 ) -> Iterator[tuple[Samples, Samples, slice]]:

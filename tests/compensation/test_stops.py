@@ -20,10 +20,10 @@ from hframe_post.planner.sampling import sample
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import STOPS, Printer, Travel
-from hframe_post.stream.chunks import join, smaller, stretches
+from hframe_post.stream.chunks import join, stretches
 from hframe_post.stream.types import Dwell, Samples, StopRules
 from tests.gcode_tools import HEAD, planned, strokes
-from tests.paths import stroke
+from tests.paths import smaller, stroke
 
 NAMES = ("fbs", "racking")
 

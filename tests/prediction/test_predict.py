@@ -16,9 +16,8 @@ from hframe_post.prediction.predict import as_written, contour_error, judge
 from hframe_post.prediction.statistics import SMALLEST, ErrorStatistics
 from hframe_post.prediction.windows import FEW, SOME, WINDOW, Windows
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.chunks import smaller
 from hframe_post.stream.types import Samples
-from tests.paths import walk
+from tests.paths import smaller, walk
 
 
 def brute_force(path: Array, actual: Array, at: Integers, reach: int) -> Array:

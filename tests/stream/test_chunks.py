@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
-from hframe_post.stream.chunks import branches, join, part, smaller, stretches, with_neighbours
+from hframe_post.stream.chunks import branches, join, part, stretches, with_neighbours
 from hframe_post.stream.marks import Mark, Marks
 from hframe_post.stream.types import (
     Dwell,
@@ -23,6 +23,7 @@ from hframe_post.stream.types import (
     frozen,
 )
 from tests.mark_tools import mark
+from tests.paths import smaller
 
 STATE = ModalState(True, True, 0.0, 60.0, (0.0, 0.0, 0.0))
 SIZES = st.lists(st.integers(0, 9), min_size=1, max_size=12)
