@@ -24,7 +24,7 @@ from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import Compensator
-from hframe_post.prediction.predict import Judgement, judge
+from hframe_post.prediction.predict import Judgement, judge, with_path
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Moves
@@ -209,8 +209,8 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
     if printed_window:
         window, compensator = "printed", Compensator(printer.plant, PRINTED_WINDOW)
     strategies = "none", "fbs", "racking"
-    options = Options("racking", strategies, limits="printer", picture=True)  # computes "none", too
-    commands = WholeFile(lines, printer, options).commands(compensator=compensator)
+    options = Options("racking", strategies, limits="printer")
+    commands = map(with_path, WholeFile(lines, printer, options).commands(compensator=compensator))
     error: dict[str, list[Array]] = {name: [] for name in strategies}
     for walls in _outer_walls(judge(commands, printer.plant)).values():
         wanted = _width(walls["path"], walls["path"])
