@@ -22,7 +22,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array
 from tests.klipper.batch import Sensed, compile_helper, record_moves, stand_in_for_accelerometers
 from tests.klipper.host import MOVE, evaluated
-from tests.simulator import BEGUN, Axis, Chip, Machine, Mode
+from tests.simulator import RATE, Axis, Chip, Machine, Mode
 
 SETTLE = 1.0  # s before and after a recording, from which on the printer is simulated
 
@@ -54,9 +54,14 @@ def recorded(machine: Machine, moves: "array[float]", first: float, last: float)
     """Return time and acceleration (n, 4) between two print times, s and mm/s²."""
     begin = first - SETTLE
     t = begin + TS * np.arange(int((last - first + 2.0 * SETTLE) / TS))
-    command = evaluated(np.frombuffer(moves.tobytes(), MOVE), t)[:, :2]
-    made = Chip().record(machine, command, len(moves))
-    return np.column_stack([made.t - BEGUN + begin, made.a])
+    chip, command = Chip(), evaluated(np.frombuffer(moves.tobytes(), MOVE), t)[:, :2]
+    motion, rng = machine.played(command, 1), np.random.default_rng(len(moves))
+    times = begin + np.arange(0.0, len(motion) / RATE, 1.0 / chip.rate)
+    grid = begin + np.arange(len(motion)) / RATE
+    a = np.column_stack([np.interp(times, grid, motion[:, k]) for k in (2, 3)] + [0.0 * times])
+    a += rng.normal(0.0, chip.noise * np.sqrt(chip.rate / 2.0), a.shape)
+    a[:, 2] += 9806.65
+    return np.column_stack([times, np.round(a / chip.step) * chip.step])
 
 
 def main() -> None:

@@ -66,8 +66,7 @@ def errors(printer: Printer, exact: bool = False) -> Errors:
 
 
 def as_good_as_exact(printer: Printer) -> None:
-    # found 1.07 after a whole measurement, 1.2 after a check of 20 s; a model 5 % off: over 2
-    most = 1.25 * errors(printer, exact=True).compensated
+    most = 1.2 * errors(printer, exact=True).compensated
     below(errors(printer).compensated, most, "contour error, µm RMS")
 
 
