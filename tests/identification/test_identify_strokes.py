@@ -22,9 +22,14 @@ from tests.resonance_recordings import MOTIONS, SENSORS, drawn_sensor, linear_pr
 from tests.simulator import Axis, Chip, Machine, Mode
 
 STEP = 0.0206  # mm of belt
-LINEAR, MOVING = (2, 6), (19, 199)
-FRICTION, PLAY, SECOND, THIRD = 1, 3, 5, 7
-PLACES = (80.0, 140.0, 200.0)  # mm of x, of an H-bot that racks
+MOVING = 199  # its modes move far as the gantry does
+# seeds, s recorded at a place, and the share of the error of the rectangle that is left at most;
+# longer where friction and play, and the figures of linear ones, are told the better for it
+DRAWN = [
+    (2, 60.0, 0.05), (6, 60.0, 0.1), (1, 60.0, 0.13), (3, 60.0, 0.12), (5, 20.0, 0.03),
+    (7, 20.0, 0.04), (19, 20.0, 0.1), (MOVING, 20.0, 0.15),
+]  # fmt: skip
+PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)  # mm of x, of an H-bot that racks
 
 
 def errors(machine: Machine, plant: Plant) -> Errors:
@@ -38,20 +43,19 @@ def as_good_as_exact(machine: Machine, own: Errors) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [*LINEAR, *MOVING, FRICTION, PLAY, SECOND, THIRD])
-def test_drawn_printers_become_better(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "seconds", "share"), DRAWN)
+def test_drawn_printers_become_better(seed: int, seconds: float, share: float) -> None:
     """Each fault comes once; linear ones are as good as by their exact model."""
     machine, chip, fault = drawn(seed)
-    seconds = 60.0 if seed in LINEAR else 20.0
     found = identified(machine, struck(machine, chip, seed, seconds, STEP))
     assert found.refusal is None
     own = errors(machine, plant := found.plant(machine.x_c))
-    assert own.compensated < own.none
+    below(own.compensated, share * own.none, "error of the rectangle, µm RMS")
     if fault == "linear":
         as_good_as_exact(machine, own)
         for axis, gain in zip("xy", chip.gains, strict=False):
             assert found.gains[axis] == pytest.approx(gain, abs=0.01)
-    if seed == MOVING[-1]:  # its modes move far as the gantry does
+    if seed == MOVING:
         text = IdentificationReport(found, plant, None, Gathered([], [])).remarks()
         assert any("cannot describe all of them" in line for line in text)
 
