@@ -15,7 +15,7 @@ from operator import itemgetter
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E
-from hframe_post.compensation.shape import LIVE, SHAPER, Shapes, shape
+from hframe_post.compensation.shape import SHAPER, shape
 from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.plant import Plant
@@ -82,19 +82,11 @@ class SlicedFile:
         """Return the motion of a few pieces, once all items have passed."""
         return paths(self._samples(self._pieces[:: max(len(self._pieces) // SHAPED_PIECES, 1)]))
 
-    def today(self, live: bool = False) -> Today:
-        """Return the errors of the pieces, once all items have passed.
-
-        live: also what Klipper would leave that compensates by itself.
-        """
+    def today(self) -> Today:
+        """Return the errors of the pieces, once all items have passed."""
         shaping = self.shaping(self._printer.plant)
         meter, samples = ErrorMeter(self._printer.plant), self._samples(self._pieces)
-        shapes: dict[str, Shapes] = {} if shaping is None else {SHAPER: shaping}
-        if live:
-            from hframe_post.firmware.klipper.live import by_itself
-
-            shapes |= by_itself(self._printer, LIVE)
-        shaped = shape(samples, shapes)
+        shaped = shape(samples, {} if shaping is None else {SHAPER: shaping})
         if (steps := self._firmware.steps) is not None:
             shaped = quantise(shaped, self._printer.kinematics, steps)
         for _ in meter.samples(shaped):

@@ -141,7 +141,7 @@ class WholeFile:
         ledger = joined(planned, self.done)
         shaping, share = None, 1.0
         if "none" in (options.predict or ()) and options.strategy != "none":
-            today = self._sliced.today(live=options.picture)
+            today = self._sliced.today()
             shaping, share = today.shaping, today.share
             ledger = replace(
                 ledger, contour={**ledger.contour, **today.contour},

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hframe_post.arrays import Array, X, Y
-from hframe_post.compensation.shape import LIVE, SHAPER
+from hframe_post.compensation.shape import SHAPER
 from hframe_post.conversion.print_report import Report
 from hframe_post.model.shapers import Shaping
 from hframe_post.model.strategies import STRATEGIES
@@ -49,7 +49,7 @@ def page(report: Report, lines: Iterable[bytes], name: str, notes: list[str]) ->
         "name": name,
         "version": __version__,
         "warnings": report.warnings(),
-        "notes": [*(each for each in notes if not each.startswith("WARNING")), *_live(report)],
+        "notes": [each for each in notes if not each.startswith("WARNING")],
         "facts": _facts(report),
         "chosen": report.strategy,
         "strategies": [_strategy(each, report) for each in strategies],
@@ -90,16 +90,6 @@ def _compressed(lines: Iterable[bytes], count: int) -> bytes:
 
 
 # ---------------------------------------------------------------------- figures
-
-
-def _live(report: Report) -> list[str]:
-    """Return what the file as sliced would have if Klipper compensated by itself."""
-    if LIVE not in report.contour:
-        return []
-    um = 1e3 * report.contour[LIVE].rms
-    return [
-        f"in Klipper       {um:.1f} µm RMS: the sliced file, compensated by Klipper itself (live)"
-    ]
 
 
 def _strategy(name: str, report: Report) -> dict[str, Any]:

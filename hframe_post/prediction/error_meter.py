@@ -161,7 +161,7 @@ class ErrorMeter:
         piece = piece if self.picture is None else with_path(piece)
         judgement = self.judge.judged(replace(window, piece=piece))
         if self.picture is not None:
-            self.picture.add(judgement.shown())
+            self.picture.add(judgement)
         weight = judgement.weight
         if not weight:
             return

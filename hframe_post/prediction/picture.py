@@ -54,7 +54,7 @@ class Picture:
     """Collects pieces with the errors of each strategy, and sums by layer and feature.
 
     strategies: those of the judgements. labels: name the layers and features. sums: (layer,
-    feature) → number of samples, and the sum of squared errors (mm²) of each strategy.
+    feature) → number of samples in motion, and the sum of squared errors (mm²) of each strategy.
     """
 
     def __init__(self, labels: Labels) -> None:
@@ -76,7 +76,7 @@ class Picture:
         if len(at):
             self.strategies = tuple(judgement.contour)
             errors = np.stack(list(judgement.contour.values()))
-            self._sum(layer, feature, errors)
+            self._sum(layer, feature, errors, judgement.every)
             line = chunk.line.take(at)
             shape = np.empty((self._speed, len(at)), np.float32)
             shape[:Z] = _columns(chunk.xyze, at)[:Z]
@@ -136,10 +136,10 @@ class Picture:
         """Return the first row of the largest errors, which follow speed and nozzle."""
         return self._speed + 1 + 2 * len(self.strategies)
 
-    def _sum(self, layer: Integers, feature: Integers, errors: Array) -> None:
+    def _sum(self, layer: Integers, feature: Integers, errors: Array, every: int) -> None:
         starts = _starts(layer, feature)
         counts, squares = np.diff(starts, append=len(layer)), np.square(errors)
-        sums = np.vstack([counts, np.add.reduceat(squares, starts, axis=1)])
+        sums = every * np.vstack([counts, np.add.reduceat(squares, starts, axis=1)])
         keys = zip(layer[starts].tolist(), feature[starts].tolist(), strict=True)
         for key, here in zip(keys, sums.T, strict=True):
             self.sums[key] = self.sums.get(key, 0.0) + here

@@ -30,17 +30,18 @@ from hframe_post.stream.types import Samples, frozen
 COMPENSATING = STRATEGIES.keys() - {"none"}
 
 
-SHOWN_EVERY = 4  # samples of what is only shown; ringing at 50 Hz takes 20
+SHOWN_EVERY = 4  # samples of windows that are only shown; ringing at 50 Hz takes 20
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
     """How well each strategy follows the samples of a window, at the k of them that count.
 
-    weight: of how many windows it is an example; 0: it is only shown. at (k,): indices of these
-    samples; extruding (k,): which of them extrude. contour: strategy → (k,), distance to the path;
-    off: strategy → (k, 2), the way to the nozzle from the nearest place on the path. motion:
-    strategy → the nozzle's x, y (n, 2) at all samples, or ``apart`` from ``begin`` on. mm.
+    weight: of how many windows it is an example; 0: it is only shown. every: samples from one that
+    counts to the next, while the path moves. at (k,): their indices; extruding (k,): which of them
+    extrude. contour: strategy → (k,), distance to the path; off: strategy → (k, 2), the way to the
+    nozzle from the nearest place on the path. motion: strategy → the nozzle's x, y (n, 2) at all
+    samples, or ``apart`` from ``begin`` on. mm.
 
     Of some of these samples, numbered by doubtful (d,), strategy → ``products`` (d, SUMS) say what
     is not known of the error; without doubts they are empty.
@@ -48,6 +49,7 @@ class Judgement:
 
     chunk: Samples
     weight: int
+    every: int
     at: Integers
     extruding: Flags
     contour: dict[str, Array]
@@ -65,17 +67,6 @@ class Judgement:
     def tracking(self, strategy: str) -> Array:
         """Return the deviation from the desired place at the same time, (k, 2), mm."""
         return np.asarray(self.nozzle(strategy, self.at) - self.chunk.xyze[self.at, :Z])
-
-    def shown(self) -> Judgement:
-        """Return what is shown of it: every SHOWN_EVERY-th sample of the print."""
-        if not self.weight:
-            return self
-        kept = np.flatnonzero((self.chunk.first + self.at) % SHOWN_EVERY == 0)
-        return replace(
-            self, at=self.at[kept], extruding=self.extruding[kept],
-            contour={name: each.take(kept) for name, each in self.contour.items()},
-            off={name: each.take(kept, axis=0) for name, each in self.off.items()},
-        )  # fmt: skip
 
 
 class Judge:
@@ -111,7 +102,7 @@ class Judge:
             which, products = self._doubts.along(window, at, off)
         at, begin = at - start, begin - start
         known = extruding, contour, off, motion
-        return Judgement(own, window.weight, at, *known, begin, apart, which, products)
+        return Judgement(own, window.weight, every, at, *known, begin, apart, which, products)
 
     def _at(self, window: Window) -> Nozzle:
         """Return the nozzle with a window's filament on the bed."""

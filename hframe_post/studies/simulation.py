@@ -329,7 +329,7 @@ class _Judged:
             for meter in drawn:
                 meter.add(window)
             if picture is not None:
-                picture.add(judgement.shown())
+                picture.add(judgement)
             layer, feature = labels.number(judgement.chunk)
             groups = _groups(layer[judgement.at], feature[judgement.at], labels, parts)
             _add_errors(judgement, groups, self._names)

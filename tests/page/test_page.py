@@ -108,6 +108,7 @@ def test_the_nozzle_next_to_the_path_is_magnified_and_the_canvas_lets_the_page_s
     assert browser.value("data.strategies.map(each => each.name)") == ["none", "racking"]
     assert browser.value("data.figures.map(each => each.name)") == ["none", "shaper", "racking"]
     assert browser.value("data.figures.every((each, k, all) => !k || each.rms < all[k - 1].rms)")
+    assert browser.value("data.strategies.every((each, k, all) => !k || each.rms < all[k - 1].rms)")
     assert not browser.value("document.getElementById('warnings').innerText")
 
     browser.value("state.strategy = 0")

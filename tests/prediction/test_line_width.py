@@ -60,6 +60,20 @@ def test_only_lines_count() -> None:
     assert errors.max() < 1e-9
 
 
+def test_where_a_piece_ends_does_not_depend_on_chunks() -> None:
+    rng = np.random.default_rng(0)
+    path = straight(3000)
+    path[:, E] += np.cumsum(rng.normal(0.0, 0.002, 3000))  # sometimes back
+    nozzle = path[:, :Z] + np.cumsum(rng.normal(0.0, 0.01, (3000, 2)), axis=0)
+    whole = drawn(path, nozzle)
+    begun, found = np.zeros(4), []
+    for low in range(0, 2999, 7):
+        part = slice(low, min(low + 7, 2999) + 1)
+        _, errors, begun = line_pieces(path[part], nozzle[part], fed(path[part]), PIECE_MM, begun)
+        found.append(errors)
+    np.testing.assert_allclose(np.concatenate(found), whole, rtol=1e-9)
+
+
 @pytest.mark.paper
 def test_compensation_keeps_the_line_even(paper: Printer) -> None:
     """The rectangle on an exact model, without pressure: 22 % without compensation."""
@@ -90,6 +104,18 @@ def test_flow_comes_and_goes_with_the_time_of_the_hot_end() -> None:
     flow = Melt().laid(path, advance(np.zeros(400))) / TS
     t = TS * np.arange(1, 401)
     np.testing.assert_allclose(flow, 3.0 * (1.0 - np.exp(-t / K)), atol=1e-9)
+
+
+def test_chunks_and_changes_of_the_advance_lose_nothing() -> None:
+    path = line(np.full(300, 80.0))
+    ahead = np.linspace(0.0, 0.2, 300)
+    table = advance(ahead)
+    table[100:, 1] = 0.08
+    whole = Melt().laid(path, table)
+    one = Melt()
+    parts = [one.laid(path[k : k + 8], table[k : k + 7]) for k in range(0, 300 - 7, 7)]
+    joined = np.concatenate(parts)
+    np.testing.assert_allclose(joined, whole[: len(joined)], rtol=1e-9)
 
 
 def test_what_is_held_comes_out_and_retractions_take_nothing_away() -> None:
