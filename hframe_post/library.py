@@ -32,7 +32,7 @@ from hframe_post.errors import (
     PrinterError,
 )
 from hframe_post.gcode.lines import Input, Source
-from hframe_post.model.nozzle import nozzle
+from hframe_post.model.plant import nozzle
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
 from hframe_post.prediction.predict import contour_error as off_path

@@ -16,7 +16,7 @@ from hframe_post.model.kinematics import Kinematics
 from hframe_post.prediction.predict import contour_error
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.inputs import rectangle
+from hframe_post.studies.tuning import rectangle
 from tests.gcode_tools import layers
 from tests.paths import in_motion
 from tests.simulator import Axis, Chip, Machine, Mode

@@ -28,7 +28,7 @@ from hframe_post.prediction.predict import Judgement, judge, with_path
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Moves
-from hframe_post.studies.inputs import rectangle
+from hframe_post.studies.tuning import rectangle
 
 N_FIG_9 = 125  # control points, counted as the paper's n
 SHARES = (0.01, 0.05, 0.10, 0.15, 0.20, 0.25)  # n/E of Fig. 8

@@ -188,9 +188,7 @@ def _picked(pick: tuple[float, float], output: Path, printer: str, profile: Prin
 
 def _shifted(plant: Plant, x: float, y: float) -> Plant:
     """Return the plant with frequencies changed by shares in x and in y."""
-    from hframe_post.studies.uncertainty import perturbed
-
-    return perturbed(plant, np.array([[1.0 + x, 1.0, 1.0], [1.0 + y, 1.0, 1.0], np.ones(3)]))
+    return plant.perturbed(np.array([[1.0 + x, 1.0, 1.0], [1.0 + y, 1.0, 1.0], np.ones(3)]))
 
 
 def _publish(

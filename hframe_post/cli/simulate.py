@@ -25,12 +25,12 @@ from hframe_post.cli.parameters import (
 from hframe_post.conversion.options import Options
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.lines import Input, lines_of
-from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shaping import (
     compare_shapers,
     comparison_as_json,
     comparison_as_text,
 )
+from hframe_post.studies.tuning import rectangle
 from hframe_post.writers.outputs import Outputs
 
 

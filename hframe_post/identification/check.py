@@ -37,8 +37,8 @@ from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
-from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.simulation import Study, simulate
+from hframe_post.studies.tuning import rectangle
 
 SECONDS = 20.0
 FITTED = 0.7  # of the motion; the rest judges

@@ -14,10 +14,8 @@ from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.printer.settings import Motors, Printer
 from hframe_post.stream.running import one_blas_thread
-from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.simulation import SimulationReport, Study, simulate
-from hframe_post.studies.tuning import KNOTS, Trial, candidates, recommended, tune
-from hframe_post.studies.uncertainty import draws
+from hframe_post.studies.tuning import Trial, recommended, rectangle, tried
 
 RANDOM = 10  # printers around the model
 # λ of measured responses, √λ being how far Q is off in another session, besides a drift of its
@@ -82,7 +80,7 @@ def recommend(plant: Plant, profile: Printer, model_error: float) -> Recommendat
     no window, or if one of these printers would be worse off than without compensation.
     """
     updated = replace(profile, plant=plant, name="the identified printer")
-    printers = draws(plant, model_error, RANDOM, seed=0)
+    printers = plant.drawn(model_error, RANDOM, seed=0)
     best = _best(updated, printers)
     if best is None:
         return None
@@ -108,23 +106,22 @@ def _best(printer: Printer, printers: list[Plant]) -> Trial | None:
     """
     # what nobody stated grows with the file that is converted, and limits no window
     motors = printer.motors.stated
-    compensation = printer.compensation
     spared = replace(motors, belt_acceleration=SPARED * motors.belt_acceleration)
-    alike = replace(compensation, effort=(1.0, 1.0))
-    grids = [candidates(alike, KNOTS[:1], [effort]) for effort in MEASURED]
-    tried = list[tuple[Trial, Trial]]()
-    for grid in grids:
-        at_corners = tune(square(printer), printer, grid, [])
-        tried += zip(tune(rectangle(printer), printer, grid, printers), at_corners, strict=True)
-        if (found := _recommended(tried, spared)) is not None:
+    trials = list[tuple[Trial, Trial]]()
+    for effort in MEASURED:
+        window = Window(5, 88, 44, effort, printer.compensation.degree)
+        own = printer, (window, window)
+        at_corners = tried(square(printer), *own, [])
+        trials.append((tried(rectangle(printer), *own, printers), at_corners))
+        if (found := _recommended(trials, spared)) is not None:
             return found
-    able = [trial for trial, _ in tried if trial.within(motors)]
+    able = [trial for trial, _ in trials if trial.within(motors)]
     gentlest = min(able, key=lambda trial: trial.acceleration, default=None)
-    return _recommended(tried, motors) or gentlest
+    return _recommended(trials, motors) or gentlest
 
 
-def _recommended(tried: Sequence[tuple[Trial, Trial]], motors: Motors) -> Trial | None:
-    return recommended([trial for trial, turning in tried if turning.within(motors)], motors)
+def _recommended(trials: Sequence[tuple[Trial, Trial]], motors: Motors) -> Trial | None:
+    return recommended([trial for trial, turning in trials if turning.within(motors)], motors)
 
 
 def square(printer: Printer) -> list[bytes]:

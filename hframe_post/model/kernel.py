@@ -34,8 +34,7 @@ from hframe_post.hosts.klipper.kernel_file import AHEAD, TAPS
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.nozzle import nozzle
-from hframe_post.model.plant import Plant, Racking
+from hframe_post.model.plant import Plant, Racking, nozzle
 
 OMEGA = np.linspace(0.0, np.pi, 4097)  # rad/sample, of the least squares; 0.12 Hz apart
 CORNER_HZ = 4.0  # moves of a print last about 1/4 s; from 2 to 8 Hz the error changes by 2 %

@@ -1,4 +1,4 @@
-"""The linear plant of a printer.
+"""The linear plant of a printer, and the nozzle's motion under a command.
 
 The printer of the paper moves as (eq. 1, 2 and Fig. 2b)
 
@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hframe_post.arrays import Array, X
-from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
+from hframe_post.arrays import Array, X, Y, moved
+from hframe_post.errors import ArgumentError
+from hframe_post.model.impulse_response import CoarseFilter, FiniteFilter, ImpulseResponse
 from hframe_post.model.transfer_function import TransferFunction
 
 HEAVIER = 0.005  # step of the logarithm of a bed's mass; frequencies follow within 0.13 %
@@ -103,3 +104,104 @@ class Plant:
         if not load:
             return replace(self, bed=None)
         return replace(self, Gyy=self.Gyy.heavier(math.exp(HEAVIER * load)), bed=None)
+
+    def perturbed(self, factors: Array) -> Plant:
+        """Return the plant with factors (3, 3) on frequency, damping and gain of Gxx, Gyy and Gxθ.
+
+        Each response takes more or less time, as it does when a belt gets tighter or a carriage
+        heavier, and decays faster or slower. A nozzle at rest stays where its steps put it; only
+        the gain of racking changes.
+        """
+        (fx, dx, _), (fy, dy, _), theta = factors.tolist()
+        Gxx, Gyy = _perturbed(self.Gxx, fx, dx), _perturbed(self.Gyy, fy, dy)
+        Gxtheta = self.Gxtheta and _perturbed(self.Gxtheta, *theta)
+        return replace(self, Gxx=Gxx, Gyy=Gyy, Gxtheta=Gxtheta)
+
+    def drawn(self, share: float, count: int, seed: int) -> list[Plant]:
+        """Return ``count`` random plants, parameters off by up to a share (0.05: ±5 %), uniformly.
+
+        Equal seeds give the same printers at every share, only farther off. Raises ArgumentError
+        for a share that is not from 0 to below 1.
+        """
+        if not 0.0 <= share < 1.0:
+            raise ArgumentError(f"a model error is a share from 0 to below 1, not {share:g}")
+        rng = np.random.default_rng(seed)
+        units = rng.uniform(-1.0, 1.0, (count, 3, 3))  # draw, transfer function, parameter
+        return [self.perturbed(1.0 + share * unit) for unit in units]
+
+
+def _perturbed(
+    G: ImpulseResponse, frequency: float, damping: float, gain: float = 1.0
+) -> ImpulseResponse:
+    """Return a response with other frequencies and decays of its modes, each times a factor.
+
+    The lag is a damper's, too.
+    """
+    changed = G.stretched(1.0 / frequency).damped(damping)
+    return replace(changed, deviation=gain * changed.deviation, lag=gain * (damping * changed.lag))
+
+
+# ---------------------------------------------------------------------- the nozzle under a command
+
+
+class Response:
+    """The nozzle's motion under a command that comes in pieces, from rest at ``origin`` (2,).
+
+    late: samples by which the motion comes later than the command.
+    """
+
+    def __init__(self, plant: Plant, origin: Array) -> None:
+        self.late, self._racking, self._origin = plant.ahead, plant.racking, origin
+        self._filters = [FiniteFilter(G, self.late) for G in plant.responses]
+
+    def run(self, command: Array) -> Array:
+        """Return the nozzle's x, y (n, 2) at samples that lag behind those of command (n, 2)."""
+        return self.motion(command)[0]
+
+    def motion(self, command: Array) -> tuple[Array, Array]:
+        """Return what ``run`` does, and θ (n,) there, rad."""
+        u = np.subtract(command.T, self._origin[:, None], order="C")
+        axes = (X, Y, X)[: len(self._filters)]
+        x, y, *theta = (f.run(u[axis]) for f, axis in zip(self._filters, axes, strict=True))
+        place = moved((x, y), self._origin)
+        if not self._racking:
+            return place, np.zeros(len(place))
+        place[:, Y] += self._racking.lever(place) * theta[0]
+        return place, theta[0]
+
+
+def nozzle(plant: Plant, origin: Array, command: Array) -> Array:
+    """Return the nozzle's x, y (n, 2) under a whole command (n, 2).
+
+    The plant rests at ``origin`` (2,) before it, and the command rests after it.
+    """
+    response = Response(plant, origin)
+    following = np.pad(command, ((0, response.late), (0, 0)), mode="edge")
+    return response.run(following)[response.late :]
+
+
+class Nozzle:
+    """A plant's nozzle in pieces of commands, at half the rate.
+
+    past, ahead: samples of a command that a piece needs before it and after it.
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        self._racking = plant.racking
+        self._filters = [CoarseFilter(G) for G in plant.responses]
+        self.past = max(f.past for f in self._filters)
+        self.ahead = max(f.ahead for f in self._filters)
+
+    def at(self, command: Array, n: int, every: int) -> Array:
+        """Return the nozzle's x, y at every n-th (``every``) of n samples.
+
+        command (past + n + ahead, 2).
+        """
+        u = np.ascontiguousarray(command.T)
+        axes = (X, Y, X)[: len(self._filters)]
+        found = zip(self._filters, axes, strict=True)
+        x, y, *theta = (f.output(u[axis], self.past, n, every) for f, axis in found)
+        place = np.column_stack([x, y])
+        if self._racking:
+            place[:, Y] += self._racking.lever(place) * theta[0]
+        return place

@@ -17,8 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Flags, X, Y, Z
-from hframe_post.model.nozzle import nozzle
-from hframe_post.model.plant import Plant
+from hframe_post.model.plant import Plant, nozzle
 from hframe_post.model.shapers import AxisShaping, Shaper, Shaping, most_damping
 from hframe_post.prediction.predict import contour_error
 from hframe_post.stream.chunks import stretches

@@ -15,8 +15,7 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Flags, Integers, Z
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.nozzle import Nozzle
-from hframe_post.model.plant import Plant
+from hframe_post.model.plant import Nozzle, Plant
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.native.judging import count_turns, deviation, moving, square
 from hframe_post.native.stop import NEAREST

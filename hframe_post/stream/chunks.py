@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
-from typing import TypeVar
 
 import numpy as np
 
 from hframe_post.arrays import Array
 from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import Event, Samples, frozen
-
-T = TypeVar("T")
 
 
 def stretches(chunks: Iterable[Samples]) -> Iterator[Iterator[Samples]]:
@@ -174,23 +170,3 @@ def shifted(chunk: Samples, samples: int) -> Samples:
         for event in chunk.events
     )
     return replace(chunk, first=chunk.first + samples, events=events)
-
-
-def branches(chunks: Iterable[T], count: int) -> list[Iterator[T]]:
-    """Return ``count`` iterators over the same chunks, each kept until the slowest has taken it.
-
-    ``itertools.tee`` releases items in groups of dozens only, and a chunk takes megabytes.
-    """
-    source, queues = iter(chunks), [deque[T]() for _ in range(count)]
-
-    def branch(queue: deque[T]) -> Iterator[T]:
-        while True:
-            if not queue:
-                chunk = next(source, None)
-                if chunk is None:
-                    return
-                for each in queues:
-                    each.append(chunk)
-            yield queue.popleft()
-
-    return [branch(queue) for queue in queues]

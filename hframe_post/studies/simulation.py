@@ -34,7 +34,6 @@ from hframe_post.prediction.windows import WINDOW, Windows
 from hframe_post.printer.settings import Printer, Steps
 from hframe_post.stream.chunks import on_a_grid
 from hframe_post.stream.types import Samples
-from hframe_post.studies.uncertainty import draws
 from hframe_post.writers.print_time import duration
 
 # ---------------------------------------------------------------------- the report
@@ -247,7 +246,7 @@ class Study:
     ) -> Study:  # fmt: skip
         """Return the study of a printer, and of ``count`` random ones for each share."""
         plant = printer.plant
-        drawn = {share: draws(plant, share, count, seed) for share in dict.fromkeys(shares)}
+        drawn = {share: plant.drawn(share, count, seed) for share in dict.fromkeys(shares)}
         doubts = Doubts.from_plant(plant, printer.uncertainty)
         return cls(plant, drawn, steps, printer.name, doubts)
 

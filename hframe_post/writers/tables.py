@@ -20,8 +20,7 @@ from typing import IO
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers, Z
-from hframe_post.model.nozzle import Response
-from hframe_post.model.plant import Plant
+from hframe_post.model.plant import Plant, Response
 from hframe_post.native import digits
 from hframe_post.stream.chunks import batches, stretches, with_neighbours
 from hframe_post.stream.types import Samples

@@ -11,7 +11,6 @@ from tempfile import TemporaryDirectory
 
 import hframe_post as hp
 from hframe_post.studies import simulation
-from hframe_post.studies.uncertainty import draws
 from tests.klipper.host import play
 from tests.marlin.planner import Build, Machine
 
@@ -53,7 +52,7 @@ def row(sliced: Path, printer: hp.Printer) -> Iterator[str]:
 def inexact(sliced: Path, printer: hp.Printer) -> Iterator[str]:
     """Yield the median of printers that differ from the model by up to a share, for each share."""
     options = hp.Options("racking", ("racking",)).resolved(printer)
-    similar = {share: draws(printer.plant, share, DRAWS, 0) for share in OFF}
+    similar = {share: printer.plant.drawn(share, DRAWS, 0) for share in OFF}
     study = simulation.Study(printer.plant, similar, name=printer.name)
     lines = sliced.read_bytes().splitlines(keepends=True)
     for found in simulation.simulate(lambda: iter(lines), printer, options, study).model_error:

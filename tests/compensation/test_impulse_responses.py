@@ -13,8 +13,7 @@ from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.model.lpfbs import Lpfbs, Window
-from hframe_post.model.nozzle import nozzle
-from hframe_post.model.plant import Bed, Plant
+from hframe_post.model.plant import Bed, Plant, nozzle
 from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load

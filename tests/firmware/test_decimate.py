@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hframe_post.arrays import TS, Array, Flags, Integers
 from hframe_post.conversion.options import TOLERANCE
 from hframe_post.firmware.klipper.klipper_stream import PIECE_SAMPLES, sparser
-from hframe_post.model.nozzle import Response
+from hframe_post.model.plant import Response
 from hframe_post.native.decimate import breakpoints, fitted
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples

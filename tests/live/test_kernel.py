@@ -11,7 +11,7 @@ from hframe_post.errors import ArgumentError
 from hframe_post.firmware.klipper.live import bounds_of, kernel_file, live_kernel
 from hframe_post.hosts.klipper.kernel_file import FIGURES, LIMITS, TAPS, read, signed
 from hframe_post.model.kernel import kernel, played, strokes
-from hframe_post.model.nozzle import nozzle
+from hframe_post.model.plant import nozzle
 from hframe_post.printer.profile import load
 
 PRINTERS = ("paper", "example-hbot", "example-corexy", "example-ender")

@@ -12,7 +12,7 @@ from examples.paper.tables import transfer_functions
 from hframe_post.arrays import Array, Complex
 from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.nozzle import Nozzle, Response
+from hframe_post.model.plant import Nozzle, Response
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Printer
 from tests.paths import walk

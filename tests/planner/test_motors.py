@@ -17,7 +17,7 @@ from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Extruder, Motors
 from hframe_post.stream.marks import Mark, Marks
 from hframe_post.stream.types import FileLimits, Handling, Item, Moves, Passthrough, Plan
-from hframe_post.studies.inputs import rectangle
+from hframe_post.studies.tuning import rectangle
 from tests.planner.planning import LIMITS, STATE, moves
 from tests.quantities import below
 

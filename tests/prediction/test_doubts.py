@@ -11,8 +11,7 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.model.error_range import SUMS, error_range, products
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.nozzle import nozzle
-from hframe_post.model.plant import Plant
+from hframe_post.model.plant import Plant, nozzle
 from hframe_post.prediction.doubts import EVERY, Doubts
 from hframe_post.prediction.predict import judge
 from hframe_post.prediction.statistics import ContourErrors
@@ -20,7 +19,7 @@ from hframe_post.prediction.windows import around
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from hframe_post.studies.inputs import rectangle
+from hframe_post.studies.tuning import rectangle
 from tests.paths import ORIGIN, strokes
 from tests.plants import deviation_of_mode
 

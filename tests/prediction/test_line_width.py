@@ -9,7 +9,7 @@ from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.native.judging import line_pieces
 from hframe_post.prediction.error_meter import PIECE_MM, Melt
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.inputs import rectangle
+from hframe_post.studies.tuning import rectangle
 
 
 def drawn(path: Array, nozzle: Array) -> Array:

@@ -1,7 +1,5 @@
 """Re-cutting loses no sample and no event, wherever it cuts."""
 
-import weakref
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -10,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hframe_post.arrays import Array
-from hframe_post.stream.chunks import branches, join, part, stretches, with_neighbours
+from hframe_post.stream.chunks import join, part, stretches, with_neighbours
 from hframe_post.stream.marks import Mark, Marks
 from hframe_post.stream.types import (
     Dwell,
@@ -142,59 +139,3 @@ def test_stretches_end_where_the_machine_is_yielded(yields: list[bool]) -> None:
     for stretch in found[:-1]:
         assert stretch[-1].ends_stretch
     assert len(found) == sum(yields) + (len(yields) > 0 and not yields[-1])
-
-
-@given(st.integers(0, 6), st.integers(1, 4), st.data())
-def test_every_branch_has_every_block(blocks: int, count: int, data: st.DataObject) -> None:
-    source = stream([3] * blocks)
-    taken: list[list[Samples]] = [[] for _ in range(count)]
-    running = dict(enumerate(branches(iter(source), count)))
-    while running:
-        k = data.draw(st.sampled_from(sorted(running)))
-        if (block := next(running[k], None)) is None:
-            del running[k]
-        else:
-            taken[k].append(block)
-    for blocks_of_one in taken:
-        assert [id(block) for block in blocks_of_one] == [id(block) for block in source]
-
-
-Watch = list["weakref.ref[Array]"]
-
-
-def watched(made: Watch) -> Iterator[Samples]:
-    """Blocks made when they are asked for, each of whose arrays is watched."""
-    for k in range(60):
-        xyze = frozen(np.full((4, 4), float(k)))
-        made.append(weakref.ref(xyze))
-        yield Samples(4 * k, xyze, np.zeros(4, np.int64))
-        del xyze
-
-
-def held(made: Watch) -> int:
-    return sum(array() is not None for array in made)
-
-
-def test_branches_hold_what_the_slowest_has_not_taken() -> None:
-    made: Watch = []
-    fast, slow = branches(watched(made), 2)
-    for _ in range(20):
-        next(fast)
-    assert held(made) == 20
-    for k in range(20):
-        assert next(slow).first == 4 * k
-        assert held(made) <= 20 - k
-    assert len(made) == 20
-
-
-def failing() -> Iterator[Samples]:
-    yield from stream([3, 3])
-    raise RuntimeError("the source is broken")
-
-
-def test_an_exception_comes_after_the_blocks_before_it() -> None:
-    one, other = branches(failing(), 2)
-    assert [next(one).first, next(one).first] == [5, 8]
-    with pytest.raises(RuntimeError, match="broken"):
-        next(one)
-    assert [next(other).first, next(other).first] == [5, 8]

@@ -20,8 +20,8 @@ from hframe_post.prediction.best_shaper import Paths, error, guess, quadratic_fo
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.shaping import ShaperComparison, comparison_as_text
+from hframe_post.studies.tuning import rectangle
 from tests.command_line import run
 from tests.conftest import SAMPLES
 

@@ -16,10 +16,8 @@ from hframe_post.model.strategies import STRATEGIES
 from hframe_post.prediction.statistics import TRAVEL
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Printer
-from hframe_post.studies.inputs import rectangle
 from hframe_post.studies.simulation import Group, SimulationReport, Study, simulate
-from hframe_post.studies.tuning import RACKING, tune
-from hframe_post.studies.uncertainty import draws
+from hframe_post.studies.tuning import RACKING, rectangle, tried
 from tests.conftest import few
 from tests.gcode_tools import layers, sample
 
@@ -73,7 +71,7 @@ def test_layers_and_features_add_up_to_the_whole(cube: SimulationReport) -> None
 @pytest.mark.paper
 def test_racking_with_5_percent_model_error_beats_fbs_without() -> None:
     paper = profile.load("paper")
-    study = Study(paper.plant, {0.05: draws(paper.plant, 0.05, 50, 0)})
+    study = Study(paper.plant, {0.05: paper.plant.drawn(0.05, 50, 0)})
     report = simulated(rectangle(paper), study)
     (error,) = report.model_error
     assert len(error.rms("racking")) == 50
@@ -99,7 +97,7 @@ def test_text_shows_the_worst_layers() -> None:
 
 def test_tune_simulate_and_convert_agree(paper: Printer, tmp_path: Path) -> None:
     lines = rectangle(paper)
-    (trial,) = tune(list(lines), paper, [paper.compensation.windows], [])
+    trial = tried(lines, paper, paper.compensation.windows, [])
     study = Study(paper.plant, exact=True)  # of commands as computed, as trials are
     simulated = simulate(lambda: lines, paper, RACKING, study).parts.whole["racking"]
     assert trial.contour.rms == simulated.contour.rms
@@ -127,22 +125,22 @@ def same(one: Plant, other: Plant) -> bool:
 
 
 def test_equal_seeds_give_equal_printers_and_others_do_not() -> None:
-    first, again = (draws(PLANT, 0.05, 8, seed=1) for _ in range(2))
+    first, again = (PLANT.drawn(0.05, 8, seed=1) for _ in range(2))
     assert all(same(a, b) for a, b in zip(first, again, strict=True))
-    assert not any(same(a, b) for a, b in zip(first, draws(PLANT, 0.05, 8, 2), strict=True))
+    assert not any(same(a, b) for a, b in zip(first, PLANT.drawn(0.05, 8, 2), strict=True))
     assert not any(same(a, b) for a, b in pairwise(first))
 
 
 @pytest.mark.parametrize("plant", [PLANT, CARTESIAN], ids=["hbot", "cartesian"])
 def test_no_model_error_is_the_plant_itself(plant: Plant) -> None:
-    for drawn in draws(plant, 0.0, 3, seed=0):
+    for drawn in plant.drawn(0.0, 3, seed=0):
         assert (drawn.x_c, drawn.Gxtheta is None) == (plant.x_c, plant.Gxtheta is None)
         assert same(drawn, plant)
 
 
 def test_parameters_are_uniform_within_the_share() -> None:
     share, own = 0.05, [len(CARTESIAN.Gxx.deviation), len(CARTESIAN.Gyy.deviation)]
-    drawn = draws(CARTESIAN, share, 400, seed=3)
+    drawn = CARTESIAN.drawn(share, 400, seed=3)
     lengths = np.array([[len(p.Gxx.deviation), len(p.Gyy.deviation)] for p in drawn]) / own
     off = (lengths - 1.0) / share
     assert np.abs(off).max() <= 1.1

@@ -10,18 +10,7 @@ from hypothesis import strategies as st
 from hframe_post.model.lpfbs import Window
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Motors, Printer
-from hframe_post.studies.inputs import rectangle
-from hframe_post.studies.tuning import (
-    EFFORTS,
-    KNOTS,
-    PREVIEW,
-    ROUGHLY,
-    Trial,
-    candidates,
-    recommended,
-    tune,
-)
-from hframe_post.studies.uncertainty import draws
+from hframe_post.studies.tuning import ROUGHLY, Trial, recommended, rectangle, tried
 
 EFFORT = (1.0, 10.0, 100.0, 1000.0)
 SLACK = 1.03  # of numbers that should be in order
@@ -34,17 +23,14 @@ def profiled() -> Printer:
 
 @pytest.fixture(scope="module")
 def trials(profiled: Printer) -> list[Trial]:
-    grid = candidates(profiled.compensation, (5, 20), EFFORT)
-    return tune(rectangle(profiled), profiled, grid, draws(profiled.plant, 0.05, 2, 0))
+    drawn = profiled.plant.drawn(0.05, 2, 0)
+    grid = [windows(L, effort) for L in (5, 20) for effort in EFFORT]
+    return [tried(rectangle(profiled), profiled, each, drawn) for each in grid]
 
 
-def test_candidates_keep_the_preview_and_the_ratio_of_the_efforts(profiled: Printer) -> None:
-    grid = candidates(profiled.compensation)
-    assert [(x.L, x.effort) for x, _ in grid] == [(L, e) for L in KNOTS for e in EFFORTS]
-    for x, y in grid:
-        assert PREVIEW <= x.L_C < PREVIEW + x.L
-        assert (x.L, x.n_C, x.n_up, x.degree) == (y.L, y.n_C, y.n_up, y.degree)
-        assert y.effort / x.effort == pytest.approx(188.0 / 96.0, rel=1e-3)
+def windows(L: int, effort: float) -> tuple[Window, Window]:
+    n_C = 440 // L
+    return Window(L, n_C, n_C // 2, effort), Window(L, n_C, n_C // 2, 188.0 / 96.0 * effort)
 
 
 def test_more_effort_is_more_error_and_less_acceleration(trials: list[Trial]) -> None:
@@ -62,12 +48,13 @@ def test_more_effort_is_more_error_and_less_acceleration(trials: list[Trial]) ->
 def test_a_window_that_diverges_is_refused_and_the_others_are_tried(profiled: Printer) -> None:
     bad = Window(20, 11, 5, 0.0)
     good = profiled.compensation.windows
-    refused, tried = tune(rectangle(profiled), profiled, [(bad, bad), good], [])
+    grid = ((bad, bad), good)
+    refused, able = (tried(rectangle(profiled), profiled, each, []) for each in grid)
     assert "spectral radius" in refused.refused
     assert not refused.within(profiled.motors)
-    assert not tried.refused
-    assert tried.contour.all.count > 0
-    assert recommended([refused, tried], profiled.motors) is tried
+    assert not able.refused
+    assert able.contour.all.count > 0
+    assert recommended([refused, able], profiled.motors) is able
 
 
 WINDOW = Window(5, 88, 44, 1.0)

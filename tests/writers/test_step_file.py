@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hframe_post.arrays import Array
-from hframe_post.model.nozzle import nozzle
+from hframe_post.model.plant import nozzle
 from hframe_post.prediction.predict import judge
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
