@@ -21,66 +21,39 @@ from typing import TYPE_CHECKING, Any
 from hframe_post.version import __version__
 
 if TYPE_CHECKING:
-    from hframe_post.conversion.options import Options
-    from hframe_post.conversion.print_report import Report
-    from hframe_post.errors import HframeError
-    from hframe_post.identification.identify import MeasurementSettings, Run, identify
-    from hframe_post.library import (
-        compensate,
-        contour_error,
-        convert,
-        load_printer,
-        predict,
-        simulate,
-    )
-    from hframe_post.model.impulse_response import ImpulseResponse
-    from hframe_post.model.lpfbs import Lpfbs, Window
-    from hframe_post.model.plant import Plant
-    from hframe_post.model.transfer_function import TransferFunction
-    from hframe_post.printer.settings import Printer
+    from hframe_post.conversion.options import Options as Options
+    from hframe_post.conversion.print_report import Report as Report
+    from hframe_post.errors import HframeError as HframeError
+    from hframe_post.identification.identify import MeasurementSettings as MeasurementSettings
+    from hframe_post.identification.identify import Run as Run
+    from hframe_post.identification.identify import identify as identify
+    from hframe_post.library import compensate as compensate
+    from hframe_post.library import contour_error as contour_error
+    from hframe_post.library import convert as convert
+    from hframe_post.library import load_printer as load_printer
+    from hframe_post.library import predict as predict
+    from hframe_post.library import simulate as simulate
+    from hframe_post.model.impulse_response import ImpulseResponse as ImpulseResponse
+    from hframe_post.model.lpfbs import Lpfbs as Lpfbs
+    from hframe_post.model.lpfbs import Window as Window
+    from hframe_post.model.plant import Plant as Plant
+    from hframe_post.model.transfer_function import TransferFunction as TransferFunction
+    from hframe_post.printer.settings import Printer as Printer
 
-__all__ = [
-    "HframeError",
-    "ImpulseResponse",
-    "Lpfbs",
-    "MeasurementSettings",
-    "Options",
-    "Plant",
-    "Printer",
-    "Report",
-    "Run",
-    "TransferFunction",
-    "Window",
-    "__version__",
-    "compensate",
-    "contour_error",
-    "convert",
-    "identify",
-    "load_printer",
-    "predict",
-    "simulate",
-]
-
-_ROOMS = {  # name → module
-    "HframeError": "errors",
-    "ImpulseResponse": "model.impulse_response",
-    "Lpfbs": "model.lpfbs",
-    "MeasurementSettings": "identification.identify",
-    "Options": "conversion.options",
-    "Plant": "model.plant",
-    "Printer": "printer.settings",
-    "Report": "conversion.print_report",
-    "Run": "identification.identify",
-    "TransferFunction": "model.transfer_function",
-    "Window": "model.lpfbs",
-    "compensate": "library",
-    "contour_error": "library",
-    "convert": "library",
-    "identify": "identification.identify",
-    "load_printer": "library",
-    "predict": "library",
-    "simulate": "library",
+_OFFERED = {  # names by module
+    "conversion.options": "Options",
+    "conversion.print_report": "Report",
+    "errors": "HframeError",
+    "identification.identify": "MeasurementSettings Run identify",
+    "library": "compensate contour_error convert load_printer predict simulate",
+    "model.impulse_response": "ImpulseResponse",
+    "model.lpfbs": "Lpfbs Window",
+    "model.plant": "Plant",
+    "model.transfer_function": "TransferFunction",
+    "printer.settings": "Printer",
 }
+_ROOMS = {name: room for room, names in _OFFERED.items() for name in names.split()}
+__all__ = [*_ROOMS, "__version__"]
 
 
 def __getattr__(name: str) -> Any:

@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from hframe_post.studies.simulation import SimulationReport
 
 DEFAULT = Options()
-SHAPED_BYTES = 600_000  # of a file, from which a page's input shaper is chosen; 2 % off at most
 
 
 def load_printer(name_or_path: str | Path) -> Printer:
@@ -203,7 +202,8 @@ def simulate(
     if given.once:
         given = Input(list(given.lines()))
     if page is not None:
-        items = Chain(printer, options).read(given.beginning(SHAPED_BYTES))
+        beginning = given.beginning(600_000)  # bytes, which suffice for a shaper within 2 %
+        items = Chain(printer, options).read(beginning)
         shaping = SlicedFile.from_items(items, printer).shaping(actual.plant)
         options = replace(options, picture=True, shaping=shaping)
     with ExitStack() as opened:

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from hframe_post.arrays import TS, Array
 from hframe_post.identification.recordings.accelerometer import GRAVITY, Recording
-from hframe_post.model.impulse_response import ENDED, LONGEST, ImpulseResponse
+from hframe_post.model.impulse_response import LONGEST, ImpulseResponse
 from hframe_post.model.plant import Plant
 
 RATE = 20000
@@ -292,4 +292,4 @@ def _axis(off: Array) -> ImpulseResponse:
 def _ended(deviation: Array) -> Array:
     """Return a deviation from its pulse on, without the end in which hardly anything moves."""
     size = np.abs(deviation)
-    return np.append(0.0, deviation[: int(np.flatnonzero(size > ENDED * size.max())[-1]) + 1])
+    return np.append(0.0, deviation[: int(np.flatnonzero(size > 1e-5 * size.max())[-1]) + 1])

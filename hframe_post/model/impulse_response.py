@@ -29,9 +29,6 @@ from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.native.judging import coarse_filter, finite_filter
 
 LONGEST = 4000  # samples of a response: a bed at 18 Hz whose damping is 0.03 rings for 3400
-ENDED = 1e-5  # share of all deviation after the end: 0.01 µm of a strong acceleration's
-AROUND = 4  # samples on either side from which one in between is interpolated
-BLOCK = 64  # samples whose frequency response is summed at once
 GAIN_TOLERANCE = {1.0: 1e-4, 0.0: 1e-9}  # of axes, whose roots may be rounded, and couplings
 
 
@@ -112,7 +109,8 @@ class ImpulseResponse:
         h[1] -= lag
         deviation = np.concatenate([[0.0], np.cumsum(np.cumsum(h))])
         left = np.cumsum(np.abs(deviation[::-1]))[::-1]
-        m = max(int(np.count_nonzero(left > ENDED * left[0])), 1)
+        # a share of 1e-5 of all deviation is 0.01 µm of a strong acceleration's
+        m = max(int(np.count_nonzero(left > 1e-5 * left[0])), 1)
         if m > LONGEST:
             raise ArgumentError(
                 f"the response still rings after {LONGEST} ms: its poles are too close to 1"
@@ -158,9 +156,10 @@ class ImpulseResponse:
         omega = np.asarray(omega, dtype=float)
         w = -1j * omega.reshape(-1, 1)
         # Σ_r e^(Brw) Σ_c q[Br + c] e^(cw): B + n/B exponentials for each frequency instead of n
-        q = np.pad(self.deviation, (0, -len(self.deviation) % BLOCK)).reshape(-1, BLOCK)
-        shifts = np.exp(w * (BLOCK * np.arange(len(q)) - self.lead))
-        Q = (np.exp(w * np.arange(BLOCK)) @ q.T * shifts).sum(axis=1)
+        B = 64
+        q = np.pad(self.deviation, (0, -len(self.deviation) % B)).reshape(-1, B)
+        shifts = np.exp(w * (B * np.arange(len(q)) - self.lead))
+        Q = (np.exp(w * np.arange(B)) @ q.T * shifts).sum(axis=1)
         by_velocity = self.lag * (1.0 - np.exp(-1j * omega))
         by_acceleration = (2.0 * np.sin(omega / 2.0)) ** 2 * Q.reshape(omega.shape)
         return np.asarray(self.rest - by_velocity - by_acceleration)
@@ -222,20 +221,20 @@ class ImpulseResponse:
 
 
 def _stretched(q: Array, lead: int, factor: float) -> tuple[Array, int]:
-    """Return q(t/factor)·factor and its lead, by polynomials through 2·AROUND samples."""
+    """Return q(t/factor)·factor and its lead, by polynomials through 8 samples around it."""
     new = int(np.ceil(lead * factor))
     last = int((len(q) - 1 - lead) * factor)
     t = np.arange(-new, min(last, LONGEST - 1 - new) + 1) / factor + lead
     whole = np.floor(t).astype(np.int64)
-    q = np.pad(q, AROUND + 1)
-    nodes, part = range(1 - AROUND, AROUND + 1), t - whole
+    q = np.pad(q, 5)
+    nodes, part = range(-3, 5), t - whole
     stretched = np.zeros(len(t))
     for node in nodes:
         weight = np.full(len(t), factor)
         for other in nodes:
             if other != node:
                 weight *= (part - other) / (node - other)
-        stretched += weight * q[whole + node + AROUND + 1]
+        stretched += weight * q[whole + node + 5]
     return stretched, new
 
 
@@ -279,7 +278,6 @@ class FiniteFilter:
 BELL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 8.0
 _ROOTS = -14.0 + np.array([1.0, -1.0]) * np.sqrt(128.0)  # of s² + 28 s + 68, s = z + 1/z
 POLES = 0.5 * (_ROOTS + np.sqrt(_ROOTS**2 - 4.0))
-DECIDED = 20  # bells on either side of a sample; the next would count for a millionth
 
 
 class CoarseFilter:
@@ -290,13 +288,14 @@ class CoarseFilter:
 
     def __init__(self, G: ImpulseResponse) -> None:
         self._rest, self._lag = G.rest, G.lag
-        before = 2 * (DECIDED + (G.lead + 1) // 2)  # samples of the curve before the pulse
+        decided = 20  # bells on either side of a sample; the next would count for a millionth
+        before = 2 * (decided + (G.lead + 1) // 2)  # samples of the curve before the pulse
         begin = before - G.lead
-        q = np.pad(G.deviation, (begin, 2 * DECIDED + 2 + (begin + len(G.deviation)) % 2))
+        q = np.pad(G.deviation, (begin, 2 * decided + 2 + (begin + len(G.deviation)) % 2))
         q[before + 1] -= 0.5 * G.lag  # what a speed over two samples has less than one over one
         bells = np.convolve(q, BELL, "same")[::2]
         for pole in POLES:
-            weights = pole ** np.abs(np.arange(-DECIDED, DECIDED + 1)) / (pole - 1.0 / pole)
+            weights = pole ** np.abs(np.arange(-decided, decided + 1)) / (pole - 1.0 / pole)
             bells = np.convolve(bells, weights, "same")
         self._taps = np.ascontiguousarray(64.0 * bells[::-1])
         self.ahead = before + 3

@@ -43,7 +43,6 @@ EFFORTS = tuple(10.0 ** (k / 4.0) for k in range(17))  # λ = 1 … 10⁴
 # of a measured model: on next sessions of two Vorons and an SV08 the mean error is the least from
 # 10 to 30, and 60 ms ahead instead of 100 leave up to 9 % more
 MEASURED_EFFORTS = EFFORTS[5:]  # λ = 18 … 10⁴
-STROKES = 100  # of the test path: 6 s, lengths of 0.2 to 60 mm
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,11 +197,14 @@ def taps(G: Spectrum, D: Spectrum | None, effort: float) -> Array:
 
 
 def strokes(bounds: Bounds) -> Array:
-    """Return the test path (n, 2): strokes of all lengths and directions at the path's limits."""
+    """Return the test path (n, 2): strokes of all lengths and directions at the path's limits.
+
+    A hundred of them take 6 s.
+    """
     rng = np.random.default_rng(1)
-    lengths = np.geomspace(0.2, 60.0, STROKES)
+    lengths = np.geomspace(0.2, 60.0, 100)
     rng.shuffle(lengths)
-    turns = rng.choice(np.arange(8) * np.pi / 4.0, STROKES)
+    turns = rng.choice(np.arange(8) * np.pi / 4.0, len(lengths))
     away = np.column_stack([np.cos(turns), np.sin(turns)])
     away[1::2] = -away[::2]  # there and back: about the same place
     at, pieces, carry = np.array(bounds.place), [np.tile(bounds.place, (500, 1))], 0.0

@@ -27,12 +27,14 @@ from hframe_post.native.judging import sliding_sums
 PICO = 1e9  # of a mm
 REACH = 250  # samples from which a faster change may come; see ``bounded``
 NEAR = 2  # samples before and after one between which its speed is measured
-SHARE = 0.8  # of the acceleration; the rest is for the ends of a line, where A sets out at once
 
 
 def steepest(velocity: float, acceleration: float, half: Integers | int) -> Array:
-    """Return how fast A may change, mm/s, for its mean to stay within an acceleration, mm/s²."""
-    return np.asarray(np.minimum(velocity, SHARE * acceleration * half * TS))
+    """Return how fast A may change, mm/s, for its mean to stay within an acceleration, mm/s².
+
+    A fifth of that is for the ends of a line, where A sets out at once.
+    """
+    return np.asarray(np.minimum(velocity, 0.8 * acceleration * half * TS))
 
 
 def extruding(path: Array) -> Flags:

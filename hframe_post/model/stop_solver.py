@@ -43,7 +43,6 @@ from hframe_post.model.plant import Plant
 from hframe_post.native.judging import sliding_sums
 from hframe_post.native.stop import RINGING, SIDE, StopModel
 
-USABLE = 0.8  # share of the belts' acceleration to use: firmware needs the rest to be in time
 SPACING = (1, 1, 1, 1, 1, 1, 2, 2, 2, 3, 3, 4, 5, 6, 8, 10, 12, 14, 19)  # of knots, from a stop on
 
 
@@ -63,7 +62,8 @@ def stop_model(
     # a tenth of the effort elsewhere, since a stop is short and asks for more
     efforts, edges = (max(0.1 * e, 1e-3) for e in effort), np.transpose(bed).ravel()
     x_c = plant.racking.x_c if plant.racking else 0.0
-    bounds = np.array([*efforts, *belts.ravel(), *edges, USABLE * acceleration * TS**2, x_c])
+    usable = 0.8 * acceleration * TS**2  # firmware needs the rest to be in time
+    bounds = np.array([*efforts, *belts.ravel(), *edges, usable, x_c])
     taps, ahead = [G.taps(plant.ahead) for G in plant.responses], plant.ahead
     filters = np.zeros((len(taps), 2 + max(map(len, taps))))
     for G, row, of_filter in zip(plant.responses, filters, taps, strict=True):

@@ -16,8 +16,6 @@ from hframe_post.arrays import Array, Complex
 from hframe_post.errors import ArgumentError
 from hframe_post.native.linear import product, recursion
 
-REAL_TOLERANCE = 1e-10  # imaginary part up to which a root counts as real
-
 
 @dataclass(frozen=True)
 class TransferFunction:
@@ -115,11 +113,11 @@ class TransferFunction:
 
 def _closed(roots: Complex) -> bool:
     """Return whether the roots that are not real form conjugate pairs."""
-    upper = roots[roots.imag > REAL_TOLERANCE].tolist()
-    lower = roots[roots.imag < -REAL_TOLERANCE].conj().tolist()
+    upper, lower = (roots[sign * roots.imag > 1e-10] for sign in (1.0, -1.0))  # others are real
     if len(upper) != len(lower):
         return False
-    return all(abs(_taken(lower, root) - root) <= 1e-9 for root in upper)
+    left = lower.conj().tolist()
+    return all(abs(_taken(left, root) - root) <= 1e-9 for root in upper.tolist())
 
 
 def _taken(roots: list[complex], place: complex) -> complex:

@@ -26,18 +26,9 @@ RACKING_WALLS = 0.8
 MAX_PREVIEW_SAMPLES = 2000  # samples; the matrix of a window has as many rows and columns
 CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")  # of an accelerometer in Klipper's commands
 MAX_ADVANCE_S, MAX_SMOOTHING_S = 10.0, 0.2  # s
-# Compensation moves harder than the path: a cube at max_accel and a higher jerk, on simulated
-# printers with modes from 18 to 55 Hz, needs up to 2.5 times max_accel. The acceleration that a
-# slow printer's owner allows says nothing of its motors: at every corner they change their speed at
-# once. A command that takes CORNER_S for it, with an effort of 1 to 10, leaves the least error.
-MORE_ACCELERATION = 1.5  # times the path's, as far as HARD
-# The same where racking is compensated. Slices at 5000 mm/s² ask up to 41 000 of the belts of the
-# paper's H-bot; with 2.5 times, commands were cut by up to 5 mm, and 31 µm were left instead of 5
-MORE_FOR_RACKING = 5.0
-HARD = 8000.0  # mm/s²
-CORNER_S = 0.002  # s
 # times the path's speed, the guess of a belt's limit; times that, the stream's, never to limit it
 VELOCITY_HEADROOM = 1.1
+CORNER_S = 0.002  # s for a change of speed at a corner: with an effort of 1 to 10 it errs least
 SMOOTH_TIME_S = 0.04  # s, Klipper's default
 
 
@@ -123,10 +114,18 @@ class Motors:
 
         What the firmware plays today, the motors can do: a path with these limits in any direction.
         corner: speed through a right angle, mm/s.
+
+        Compensation moves harder than the path: a cube at max_accel and a higher jerk, on simulated
+        printers with modes from 18 to 55 Hz, needs up to 2.5 times max_accel. Where racking is
+        compensated, slices at 5000 mm/s² ask up to 41 000 of the belts of the paper's H-bot; with
+        2.5 times, commands were cut by up to 5 mm, and 31 µm were left instead of 5.
+
+        The acceleration that a slow printer's owner allows says nothing of its motors: at every
+        corner they change their speed at once, for which a command takes CORNER_S.
         """
         belts = 1.0 / kinematics.min_speed_ratio
-        more = MORE_FOR_RACKING if kinematics.racks else MORE_ACCELERATION
-        harder = acceleration + more * min(acceleration, HARD)
+        more = 5.0 if kinematics.racks else 1.5
+        harder = acceleration + more * min(acceleration, 8000.0)
         turned = acceleration + corner / CORNER_S
         guess = round(belts * VELOCITY_HEADROOM * velocity, 1), round(belts * max(harder, turned))
         stated = self.belt_velocity, self.belt_acceleration

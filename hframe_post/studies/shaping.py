@@ -60,8 +60,6 @@ def search(plant: Plant, paths: Paths) -> list[Shaping]:
 #     our plan ──► commands of the strategies ──► their lines ┴─► nozzle ──► contour error of each
 #
 
-WORTH = 0.95  # of a shaper's error, below which one that needs a newer Klipper is shown
-
 
 @dataclass(frozen=True, slots=True)
 class ShaperComparison:
@@ -144,7 +142,7 @@ def comparison_as_text(found: list[ShaperComparison], firmware: Firmware | type[
     least, newer = next(
         (each for each in shapers if each[1].x.name in WITH_PARAMETERS), (rms, best)
     )
-    if firmware.newer_versions and least < WORTH * rms:
+    if firmware.newer_versions and least < 0.95 * rms:  # so much is worth an update
         lines += ["", f"# {1e3 * least:.1f} µm, on {firmware.newer_versions} only:"]
         lines += [f"# {line}" for line in firmware.shaper_settings(newer).splitlines()]
     return "\n".join(lines)

@@ -39,7 +39,6 @@ from hframe_post.writers.print_time import duration
 # ---------------------------------------------------------------------- the report
 
 Group = dict[str, Figures]  # strategy → figures of one part of the print
-LAYERS_SHOWN = 5  # the worst ones, unless all are asked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,11 +130,11 @@ class SimulationReport(Report):
         lines += self._table("feature", list(self._judged(self.parts.features)))
         layers = list(self._judged(self.parts.layers))
         title = "layer"
-        if len(layers) > LAYERS_SHOWN:
+        if len(layers) > 5:
             title = f"worst of {len(layers)} layers"
             best = self.strategies[-1]
             layers.sort(key=lambda item: -item[1][best].contour.expected)
-            layers = layers[:LAYERS_SHOWN]
+            del layers[5:]
         lines += self._table(title, layers)
         lines += self._trust()
         warnings = [f"WARNING          {text}" for text in self.warnings()]
@@ -219,8 +218,6 @@ def _row(name: str, figures: Figures) -> str:
 
 # ---------------------------------------------------------------------- the simulation
 
-DRAWS_JUDGED_EVERY = 4  # samples: many printers, and their spread is wide
-
 
 @dataclass(frozen=True, slots=True)
 class Study:
@@ -303,8 +300,8 @@ class _Judged:
         self._source, self._kinematics, self._study = source, printer.kinematics, study
         self._steps, self._rules = steps, rules
         self._names = set[str]()  # strategies of its own
-        self._meters = {
-            share: [ErrorMeter(plant, DRAWS_JUDGED_EVERY) for plant in plants]
+        self._meters = {  # every fourth sample: there are many printers, and their spread is wide
+            share: [ErrorMeter(plant, every=4) for plant in plants]
             for share, plants in study.drawn.items()
         }
         self.off = {

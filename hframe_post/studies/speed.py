@@ -20,10 +20,6 @@ from hframe_post.printer.settings import Speed
 SLOWEST, FASTEST = 1.0 / 16.0, 32.0  # factors
 AIM, NEAR = 0.975, 0.95  # shares of the bound: to aim at, and from which on it is used up
 STEP = 1.2  # least ratio of two factors while all are on one side of the bound
-CLOSE = 1.02  # ratio of two factors between which no other is tried
-SAME_TIME = 0.999  # of a print's time: a larger factor that leaves so much is of no use
-LEAST_ERROR = 1e-6  # mm
-MOST_TRIALS = 8
 MEASURES = {"rms": "RMS", "p95": "at 95 %", "peak": "at most"}
 
 Convert = Callable[[Options], Report]  # converts the file; what it wrote last counts
@@ -45,7 +41,7 @@ def fastest(options: Options, convert: Convert) -> Report:
     """
     speed, trials, factor = options.speed, list[Trial](), 1.0
     assert speed is not None
-    while len(trials) < MOST_TRIALS:
+    while len(trials) < 8:
         trials.append(_tried(options, convert, factor))
         found = next_factor({each.factor: each.error / speed.max_error for each in trials})
         if found is None or _saturated(trials, speed.max_error):
@@ -76,7 +72,7 @@ def next_factor(shares: dict[float, float]) -> float | None:
     if within and beyond < math.inf:  # between both, on the line through their logarithms
         rise = math.log(shares[beyond] / shares[within])
         way = min(max(math.log(AIM / shares[within]) / rise, 0.1), 0.9)
-        return within * math.pow(beyond / within, way) if beyond > CLOSE * within else None
+        return within * math.pow(beyond / within, way) if beyond > 1.02 * within else None
     known, *others = sorted(shares, reverse=within > 0.0)  # the nearest to the bound first
     growth = 0.7  # of the error with the factor, on logarithmic scales, until two factors tell
     if others:
@@ -92,7 +88,7 @@ def _saturated(trials: list[Trial], bound: float) -> bool:
     if len(trials) < 2 or trials[-1].error > bound or trials[-1].factor < trials[-2].factor:
         return False
     before, now = (each.report.time.after for each in trials[-2:] if each.report is not None)
-    return now > SAME_TIME * before
+    return now > 0.999 * before
 
 
 def worst(contour: ContourErrors, measure: str) -> float:
@@ -116,7 +112,7 @@ def _tried(options: Options, convert: Convert, factor: float) -> Trial:
     speed = options.speed
     assert speed is not None
     contour = report.contour.get(options.strategy, ContourErrors())  # none if nothing moves
-    return Trial(factor, max(worst(contour, speed.error_measure), LEAST_ERROR), report)
+    return Trial(factor, max(worst(contour, speed.error_measure), 1e-6), report)
 
 
 def _row(trial: Trial, report: Report, speed: Speed) -> Row:
