@@ -5,17 +5,35 @@
 
 #include "kernels.h"
 
-enum { TOGETHER = 4, DEEP = 32 }; /* rows of add_rows; rows of b that stay in the cache */
+enum { TOGETHER = 4 }; /* rows of a sum, and terms of each, that are added at once */
 
-/* Add to sum (n) one row a (k) times b (k, n). */
-INSIDE void add_product(const double *a, const double *b, int64_t k, int64_t n, double *restrict sum)
+/* Add to some rows of sum (n) as many terms each: those of a, which begin ``step`` apart, times b (n). */
+INSIDE void add_terms(const double *a, int64_t step, int rows, int terms, const double *b, int64_t n,
+                      double *restrict sum)
 {
-    int64_t r = 0;
-    for (; r + TOGETHER <= k; r += TOGETHER)
-        add_rows(a + r, b + r * n, n, 0, n, sum);
-    for (; r < k; r++)
-        for (int64_t j = 0; j < n; j++)
-            sum[j] += a[r] * b[r * n + j];
+    for (int64_t j = 0; j < n; j++)
+        for (int i = 0; i < rows; i++) {
+            double so_far = sum[i * n + j];
+            for (int r = 0; r < terms; r++)
+                so_far += a[i * step + r] * b[r * n + j];
+            sum[i * n + j] = so_far;
+        }
+}
+
+/* Add to sum (m, n) rows of k terms. */
+INSIDE void add_product(const double *a, int64_t step, int64_t m, const double *b, int64_t k, int64_t n,
+                        double *restrict sum)
+{
+    for (int64_t r = 0; r < k;) {
+        int64_t i = 0, all = r + TOGETHER <= k;
+        for (; all && i + TOGETHER <= m; i += TOGETHER)
+            add_terms(a + i * step + r, step, TOGETHER, TOGETHER, b + r * n, n, sum + i * n);
+        for (; all && i < m; i++)
+            add_terms(a + i * step + r, step, 1, TOGETHER, b + r * n, n, sum + i * n);
+        for (; i < m; i++)
+            add_terms(a + i * step + r, step, 1, 1, b + r * n, n, sum + i * n);
+        r += all ? TOGETHER : 1;
+    }
 }
 
 /* out (m, n) = a b (k, n), where row i of a (m, k) begins at i·step. */
@@ -23,9 +41,7 @@ WIDE static int64_t products(const double *a, int64_t step, int64_t m, const dou
                              int64_t n, double *out)
 {
     memset(out, 0, sizeof(double) * (size_t)(m * n));
-    for (int64_t r = 0; r < k; r += DEEP)
-        for (int64_t i = 0; i < m; i++)
-            add_product(a + i * step + r, b + r * n, k - r < DEEP ? k - r : DEEP, n, out + i * n);
+    add_product(a, step, m, b, k, n, out);
     return m;
 }
 
@@ -42,7 +58,7 @@ WIDE static int64_t recursion(const double *M, const double *w, int64_t m, int64
         double *next = s + d;
         for (int64_t j = 0; j < n; j++)
             next[j] = 0.0;
-        add_product(s, M, d, n, next);
+        add_product(s, 0, 1, M, d, n, next);
         for (int64_t j = 0; j < n; j++)
             next[j] += w[j];
     }

@@ -7,7 +7,7 @@
 
 #include "stop.h"
 
-enum { TOGETHER = 4 }; /* rows of add_rows */
+enum { TOGETHER = 4, AT_ONCE = 8 }; /* rows of add_rows; rows in time whose squares are added at once */
 
 /* Iterations of the steps of model/stop_solver.py, at most: 1, 3 and 2; then more of step 2 while a belt
  * exceeds HARDEST, where rows are raised by their shares, as Lawson does. */
@@ -49,8 +49,8 @@ struct weight {
 /* Rows in time whose squares are added at once: outputs of x and y, of x times racking's lever, and
  * what these are weighted to be multiplied with. */
 struct rows {
-    double x[TOGETHER][SPLINES], y[TOGETHER][SPLINES], racked[TOGETHER][SPLINES];
-    double by_x[TOGETHER][SPLINES], by_racked[TOGETHER][SPLINES], by_y[TOGETHER][SPLINES];
+    double x[AT_ONCE][SPLINES], y[AT_ONCE][SPLINES], racked[AT_ONCE][SPLINES];
+    double by_x[AT_ONCE][SPLINES], by_racked[AT_ONCE][SPLINES], by_y[AT_ONCE][SPLINES];
 };
 
 struct search {
@@ -170,10 +170,12 @@ INSIDE void take_row(const struct problem *q, int64_t row, struct weight w, stru
 INSIDE void add_products(const double left[][SPLINES], const double right[][SPLINES], int64_t i,
                          int64_t low, int64_t high, double *restrict sum)
 {
-    double factor[TOGETHER];
-    for (int r = 0; r < TOGETHER; r++)
-        factor[r] = left[r][i];
-    add_rows(factor, right[0], SPLINES, low, high, sum);
+    for (int64_t j = low; j < high; j++) {
+        double so_far = sum[j];
+        for (int r = 0; r < AT_ONCE; r++)
+            so_far += left[r][i] * right[r][j];
+        sum[j] = so_far;
+    }
 }
 
 /* Add the squares of rows, of which ``begun`` columns are not zero, to the upper triangle of H. */
@@ -212,9 +214,9 @@ INSIDE void sum_squares(const struct problem *q, struct search *room)
             take_row(q, row, more, &room->rows, count++);
             *old = w, begun = q->begun[row];
         }
-        if (count < TOGETHER && !(count && row == q->r - 1))
+        if (count < AT_ONCE && !(count && row == q->r - 1))
             continue;
-        for (; count < TOGETHER; count++)
+        for (; count < AT_ONCE; count++)
             take_row(q, 0, (struct weight){0.0, 0.0, 0.0}, &room->rows, count);
         add_squares(&room->rows, begun, k, q->racks, room->squares);
         count = 0;
@@ -241,9 +243,11 @@ INSIDE void add_bounds(const struct problem *q, struct search *room)
 {
     double greatest = 0.0;
     const struct bound_weights *w = &room->weights;
-    memcpy(room->solved, room->squares, sizeof room->solved);
-    for (int64_t i = 0; i < 2 * q->k; i++)
+    for (int64_t i = 0; i < 2 * q->k; i++) {
+        int64_t low = i / LINE * LINE;
+        memcpy(room->solved[i] + low, room->squares[i] + low, sizeof(double) * (size_t)(WIDTH - low));
         room->solved[i][2 * q->k] = room->gradient[i];
+    }
     for (int axis = 0; axis < 2; axis++) {
         for (int64_t r = 0; r < q->q - 2; r++)
             add_row(q->D[r], q->bands[r][0], q->bands[r + 2][1], q->bounds->effort[axis] * w->effort[r],
