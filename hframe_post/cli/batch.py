@@ -20,16 +20,7 @@ from typing import Any, Literal
 
 import click
 
-from hframe_post.cli.parameters import (
-    Summary,
-    chosen_printer,
-    conversion_options,
-    files_read,
-    help_all_option,
-    json_option,
-    printer_option,
-    say,
-)
+from hframe_post.cli.parameters import FOLDER, Summary, chosen_printer, files_read, say, shared
 from hframe_post.conversion.options import Options, first_line
 from hframe_post.errors import HframeError
 from hframe_post.gcode.lines import NAMES, is_gcode_name
@@ -48,22 +39,16 @@ INTERRUPTS = [  # that a terminal sends to all processes of a job
 @click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True),
                 metavar="[FILE|FOLDER]...")  # fmt: skip
 @click.option(
-    "-o", "--output", "folder", required=True, type=click.Path(path_type=Path, file_okay=False),
-    metavar="FOLDER", help="Folder for the converted files.",
+    "-o", "--output", "folder", required=True, type=FOLDER, metavar="FOLDER",
+    help="Folder for the converted files.",
 )  # fmt: skip
 @click.option(
     "-j", "--jobs", type=click.IntRange(1, 256), metavar="N",
     help="Files at a time. Default: one per processor.",
 )  # fmt: skip
-@printer_option
-@conversion_options("strategy", "limits", "clamp", "force")
-@click.option(
-    "--resume", is_flag=True,
-    help="Skip files that are converted already.",
-)  # fmt: skip
-@json_option
-@help_all_option
-@click.option("-q", "--quiet", is_flag=True, help="Print no progress and no summary.")
+@shared("printer", "strategy", "limits", "clamp", "force")
+@click.option("--resume", is_flag=True, help="Skip files that are converted already.")
+@shared("json", "help_all", "quiet")
 @click.pass_context
 def batch(
     context: click.Context, sources: tuple[Path, ...], folder: Path, jobs: int | None,

@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from hframe_post.cli.measure import FILE
 from hframe_post.cli.model_output import Findings, Rows, publish
 from hframe_post.cli.parameters import (
+    READ,
+    WRITTEN,
     ask,
     files_read,
-    number,
-    printer_option,
+    pair,
+    percent,
     quoted,
     say,
     share,
+    shared,
 )
 from hframe_post.errors import HframeError
 from hframe_post.printer.model_file import measured, with_windows
@@ -34,31 +36,28 @@ NO_WINDOW = "the motors' limits are too low to compensate these waves: raise bot
 
 def _shift(text: str) -> float:
     """Read ``-6%`` or ``0`` as a share."""
-    value = number(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+    value = percent(text)
     if not -0.3 <= value <= 0.3:
         raise click.BadParameter(f"{text!r} is not a change of at most 30%, such as -6%")
     return value
 
 
 def _heat(text: str) -> tuple[float, float]:
-    nozzle, _, bed = text.partition(",")
-    try:
-        values = number(nozzle), number(bed)
-    except ValueError:
-        values = 0.0, 0.0
-    if not (150.0 <= values[0] <= 320.0 and 0.0 <= values[1] <= 130.0):
+    nozzle, bed = pair(text)
+    if not (150.0 <= nozzle <= 320.0 and 0.0 <= bed <= 130.0):
         raise click.BadParameter(f"{text!r} is not °C of nozzle and bed, such as 210,60")
-    return values
+    return nozzle, bed
 
 
 @click.command("calibrate-print")
 @click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE", help="The G-code to print; with --form or --pick the profile to write.",
+    "-o", "--output", required=True, type=WRITTEN, metavar="FILE",
+    help="The G-code to print; with --form or --pick the profile to write.",
 )  # fmt: skip
-@printer_option
-@click.option("--form", type=FILE, metavar="FORM.TOML", help="The form, filled in: what the walls "
-              "show.")  # fmt: skip
+@shared("printer")
+@click.option(
+    "--form", type=READ, metavar="FORM.TOML", help="The form, filled in: what the walls show."
+)
 @click.option(
     "--compare", type=share, metavar="SHARE",
     help="Print three squares next to each other: for lower frequencies by this share, for the "

@@ -14,7 +14,7 @@ import click
 from platformdirs import user_data_path
 
 from hframe_post.cli.moonraker import RESTART, Moonraker, agreed, find_printer_cfg, make
-from hframe_post.cli.parameters import quoted, say
+from hframe_post.cli.parameters import READ, quoted, say
 from hframe_post.cli.setup import NewProfile
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.macros import macros
@@ -38,8 +38,7 @@ PROGRAMS = ("slicer", "cura", "octoprint", "moonraker", "klipper")
     help="Cura's scripts folder, or OctoPrint's folder, if it is not found.",
 )  # fmt: skip
 @click.option(
-    "--printer-cfg", "config", metavar="FILE",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    "--printer-cfg", "config", type=READ, metavar="FILE",
     help="printer.cfg for moonraker, if it is not found.",
 )  # fmt: skip
 @click.option("--remove", is_flag=True, help="Undo 'connect moonraker'.")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.parameters import coloured, quoted
+from hframe_post.cli.parameters import READ, coloured, quoted
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware, source_of
@@ -38,9 +38,9 @@ Findings = Iterator[tuple[str, str]]  # labels and texts
     help="Printer profile. Default: the one that a command without -p takes.",
 )  # fmt: skip
 @click.option(
-    "--printer-cfg", "config", type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    metavar="FILE", help="Compare Klipper's printer.cfg, with its includes and macros, or Marlin's "
-    "answers to M503, with the profile.",
+    "--printer-cfg", "config", type=READ, metavar="FILE",
+    help="Compare Klipper's printer.cfg, with its includes and macros, or Marlin's answers to "
+    "M503, with the profile.",
 )  # fmt: skip
 @click.pass_context
 def doctor(context: click.Context, requested: str | None, config: Path | None) -> None:

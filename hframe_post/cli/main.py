@@ -33,7 +33,7 @@ GROUPS = {  # by group and command: its module in hframe_post.cli, a line of hel
         "doctor": ("doctor", "Check the installation, a profile and printer.cfg."),
     },
     "Study": {
-        "simulate": ("simulate", "Predict what compensation does for a print."),
+        "simulate": ("convert", "Predict what compensation does for a print."),
     },
     "Other programs": {
         "connect": ("connect", "Connect a slicer, Cura, OctoPrint or Moonraker."),

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import click
 
 from hframe_post.arrays import X, Y
-from hframe_post.cli.parameters import files_read, position, printer_option, quoted, say
+from hframe_post.cli.parameters import WRITTEN, files_read, position, quoted, say, shared, typed
 from hframe_post.printer.profile import check_identified, load
-from hframe_post.printer.settings import CHIP_NAME
+from hframe_post.printer.settings import chip_name
 from hframe_post.writers.outputs import Outputs
 from hframe_post.writers.print_time import Output, write_output
 
@@ -24,24 +24,14 @@ if TYPE_CHECKING:
     from hframe_post.identification.recordings.runs import PlannedRun
     from hframe_post.printer.settings import Printer
 
-FILE = click.Path(path_type=Path, exists=True, dir_okay=False)  # that is read
 HEIGHT = 10.0  # mm, at which a motion is played; the line G1 Z10 of the G-code
-
-
-def _chip(text: str) -> str:
-    if not CHIP_NAME.fullmatch(text):
-        raise click.BadParameter(
-            f"{text!r} is not a chip's name: for [adxl345 hotend] in printer.cfg type hotend"
-        )
-    return text
 
 
 @click.command()
 @click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False),
-    metavar="OUT.GCODE", help="File to print.",
-)  # fmt: skip
-@printer_option
+    "-o", "--output", required=True, type=WRITTEN, metavar="OUT.GCODE", help="File to print."
+)
+@shared("printer")
 @click.option(
     "--for", "purpose", default="identify", show_default=True,
     type=click.Choice(["identify", "check"]), help="What to find out.",
@@ -51,7 +41,7 @@ def _chip(text: str) -> str:
     help="Where to measure, mm; may be repeated.",
 )  # fmt: skip
 @click.option(
-    "--chip", "chips", type=_chip, multiple=True, metavar="NAME",
+    "--chip", "chips", type=typed(chip_name), multiple=True, metavar="NAME",
     help="Klipper's name of the accelerometer; may be repeated.",
 )  # fmt: skip
 @click.option(

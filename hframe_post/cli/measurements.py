@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hframe_post.cli.measure import FILE
 from hframe_post.cli.model_output import (
     Findings,
     Rows,
@@ -18,16 +17,7 @@ from hframe_post.cli.model_output import (
     publish,
     recordings_argument,
 )
-from hframe_post.cli.parameters import (
-    Summary,
-    files_read,
-    help_all_option,
-    json_option,
-    page_option,
-    position,
-    printer_option,
-    say,
-)
+from hframe_post.cli.parameters import READ, Summary, files_read, position, say, shared
 from hframe_post.errors import IdentificationError, PrinterError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import kinematics_in, text_from_klipper, warnings
@@ -60,12 +50,12 @@ def _columns(text: str) -> tuple[str, ...]:
     help="Profile to complete. Default: that of -o, if it exists, or a new one from --printer-cfg.",
 )  # fmt: skip
 @click.option(
-    "--printer-cfg", "config_file", type=FILE, metavar="FILE",
+    "--printer-cfg", "config_file", type=READ, metavar="FILE",
     help="Klipper's printer.cfg: it describes recordings of TEST_RESONANCES and, without -p, the "
     "printer.",
 )  # fmt: skip
 @click.option(
-    "-n", "--nozzle", type=(FILE, FILE), multiple=True, metavar="COMMAND RECORDING",
+    "-n", "--nozzle", type=(READ, READ), multiple=True, metavar="COMMAND RECORDING",
     help="A command that 'measure' wrote, and its recording, where their names do not match. May "
     "be repeated.",
 )  # fmt: skip
@@ -81,10 +71,9 @@ def _columns(text: str) -> tuple[str, ...]:
     "--sensor-offset", "offset", type=position, default="0,0", metavar="X,Y",
     help="From the nozzle to its sensor, mm, which changes the lever arm of racking.", hidden=True,
 )  # fmt: skip
-@page_option
-@json_option
+@shared("report", "json")
 @profile_option
-@help_all_option
+@shared("help_all")
 def identify(
     recordings: tuple[Path, ...], printer: str | None, config_file: Path | None,
     nozzle: tuple[tuple[Path, Path], ...], columns: tuple[str, ...] | None,
@@ -158,8 +147,7 @@ def _profile_source(
 
 @click.command()
 @recordings_argument
-@printer_option
-@json_option
+@shared("printer", "json")
 @profile_option
 def check(
     recordings: tuple[Path, ...], printer: str, summary: Summary, output: Path | None

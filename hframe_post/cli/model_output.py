@@ -9,7 +9,7 @@ from typing import IO, TYPE_CHECKING, Any, Protocol
 
 import click
 
-from hframe_post.cli.parameters import Summary, quoted, say, write_kernel
+from hframe_post.cli.parameters import WRITTEN, Summary, quoted, say, write_kernel
 from hframe_post.errors import HframeError
 from hframe_post.printer.choice import PROFILE
 from hframe_post.printer.model_file import model_path, texts
@@ -23,7 +23,7 @@ recordings_argument = click.argument(
     type=click.Path(path_type=Path, exists=True),
 )  # fmt: skip
 profile_option = click.option(
-    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), metavar="PROFILE.TOML",
+    "-o", "--output", type=WRITTEN, metavar="PROFILE.TOML",
     help="Write the profile with what was found; may be that of -p.",
 )  # fmt: skip
 

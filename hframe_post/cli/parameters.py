@@ -9,7 +9,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
@@ -48,36 +48,29 @@ def chosen_printer() -> Choice:
     return choice
 
 
-printer_option = click.option(
-    "-p", "--printer", metavar="NAME|FILE", callback=_choose_printer,
-    help="Your printer's profile. Default: from 'setup'.",
-)  # fmt: skip
+def shared(*names: str) -> Callable[[Command], Command]:
+    """Return the decorator that adds options to a command: of ``SHARED``, or fields of ``Options``.
 
-
-def conversion_options(*names: str) -> Callable[[Command], Command]:
-    """Return the decorator that adds these fields of ``Options`` to a command.
-
-    The command gets all of them as one argument, ``options``. An OptionError is wrong usage.
+    The command gets the latter as one argument, ``options``. An OptionError is wrong usage.
     """
 
     def add(command: Command) -> Command:
         @wraps(command)
         def collected(*arguments: Any, **given: Any) -> Any:
-            asked = {name: given.pop(name) for name in names}
+            asked = {name: given.pop(name) for name in names if name in SHOWN}
             values = {
                 name: SHOWN[name].choices[value] if SHOWN[name].choices else value
                 for name, value in asked.items()
                 if value is not None
             }
             try:
-                options = replace(given.pop("options", Options()), **values)
-                return command(*arguments, options=options, **given)
+                return command(*arguments, options=Options(**values), **given)
             except OptionError as error:
                 raise click.UsageError(str(error)) from None
 
-        made: Any = collected
+        made: Any = command if SHOWN.keys().isdisjoint(names) else collected
         for name in reversed(names):
-            made = _click_option(name, SHOWN[name])(made)
+            made = (SHARED.get(name) or _click_option(name, SHOWN[name]))(made)
         return cast(Command, made)
 
     return add
@@ -108,12 +101,6 @@ def _show_all(context: click.Context, _: click.Parameter, asked: bool) -> None:
         context.exit()
 
 
-help_all_option = click.option(
-    "--help-all", is_flag=True, is_eager=True, expose_value=False, callback=_show_all,
-    help="Show rare options, too.",
-)  # fmt: skip
-
-
 def typed(read: Callable[[str], Any]) -> Callable[[str], Any]:
     """Return a type of options: ``read`` whose ArgumentError is wrong usage."""
 
@@ -124,12 +111,6 @@ def typed(read: Callable[[str], Any]) -> Callable[[str], Any]:
             raise click.BadParameter(str(error)) from None
 
     return convert
-
-
-page_option = click.option(
-    "--report", "report_file", type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.HTML", help="Write a report for a browser.",
-)  # fmt: skip
 
 
 def say(text: str) -> None:
@@ -173,20 +154,30 @@ def number(text: str) -> float:
         return math.nan
 
 
+def percent(text: str) -> float:
+    """Return ``5%`` or ``0.05`` as 0.05; nan for any other text."""
+    return number(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+
+
 def share(text: str) -> float:
-    """Read ``5%`` or ``0.05`` as 0.05."""
-    value = number(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+    """Read a share that an error or a change may have."""
+    value = percent(text)
     if not 0.0 <= value < 1.0:
         hint = f"; for {value:g} percent type {text}%" if 1.0 <= value < 100.0 else ""
         raise click.BadParameter(f"{text!r} is not a share from 0% to below 100%{hint}")
     return value
 
 
+def pair(text: str) -> tuple[float, float]:
+    """Return the two numbers of ``X,Y``; nan for any other text."""
+    x, _, y = text.partition(",")
+    return number(x), number(y)
+
+
 def position(text: str) -> tuple[float, float]:
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        raise click.BadParameter(f"{text!r} is not X,Y in mm") from None
+    x, y = pair(text)
+    if math.isnan(x + y):
+        raise click.BadParameter(f"{text!r} is not X,Y in mm")
     if not (abs(x) < 1e4 and abs(y) < 1e4):
         raise click.BadParameter(f"{text!r} is more than 10 m away")
     return round(x, 3), round(y, 3)
@@ -306,8 +297,30 @@ def _summary(context: click.Context, _: click.Parameter, path: Path | None) -> S
     return summary
 
 
-json_option = click.option(
-    "--json", "summary", type=click.Path(path_type=Path, allow_dash=True, dir_okay=False),
-    metavar="FILE", callback=_summary, is_eager=True,
-    help="Summary as JSON; '-' is standard output.",
-)  # fmt: skip
+# ---------------------------------------------------------------------- shared options
+
+READ = click.Path(path_type=Path, exists=True, dir_okay=False)
+WRITTEN = click.Path(path_type=Path, dir_okay=False)
+STREAMED = click.Path(path_type=Path, allow_dash=True, dir_okay=False)  # '-': standard output
+FOLDER = click.Path(path_type=Path, file_okay=False)
+SHARED = {
+    "printer": click.option(
+        "-p", "--printer", metavar="NAME|FILE", callback=_choose_printer,
+        help="Your printer's profile. Default: from 'setup'.",
+    ),
+    "report": click.option(
+        "--report", "report_file", type=WRITTEN, metavar="FILE.HTML",
+        help="Write a report for a browser.",
+    ),
+    "json": click.option(
+        "--json", "summary", type=STREAMED, metavar="FILE", callback=_summary, is_eager=True,
+        help="Summary as JSON; '-' is standard output.",
+    ),
+    "help_all": click.option(
+        "--help-all", is_flag=True, is_eager=True, expose_value=False, callback=_show_all,
+        help="Show rare options, too.",
+    ),
+    "quiet": click.option(
+        "-q", "--quiet", is_flag=True, help="Print no summary and no progress bar."
+    ),
+}  # fmt: skip

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from hframe_post.cli.parameters import ask, files_read, number, quoted, write_kernel
+from hframe_post.cli.parameters import FOLDER, READ, ask, files_read, pair, quoted, write_kernel
 from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Source
 from hframe_post.firmware.klipper.macros import FILE
@@ -28,10 +28,7 @@ ANY_KIND = f"How do the motors move the nozzle? cartesian (one motor for each ax
 
 
 def _size(text: str) -> tuple[float, float]:
-    try:
-        x, y = (number(part) for part in text.split(","))
-    except ValueError:
-        x = y = 0.0
+    x, y = pair(text)
     if not (0.0 < x <= 1e4 and 0.0 < y <= 1e4):
         raise click.BadParameter(f"{text!r} is not the width and depth of a bed, such as 220,220")
     return x, y
@@ -39,11 +36,10 @@ def _size(text: str) -> tuple[float, float]:
 
 @click.command()
 @click.argument(
-    "files", metavar="PRINTER.CFG|M503.TXT [HEADERS]", nargs=-1, required=True,
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-)  # fmt: skip
+    "files", metavar="PRINTER.CFG|M503.TXT [HEADERS]", nargs=-1, required=True, type=READ
+)
 @click.option(
-    "-o", "--output", "folder", type=click.Path(path_type=Path, file_okay=False),
+    "-o", "--output", "folder", type=FOLDER,
     help=f"Folder for {PROFILE} and {FILE}. Default: the present one.",
 )  # fmt: skip
 @click.option(

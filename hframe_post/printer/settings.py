@@ -23,8 +23,8 @@ MAX_RAMP_S = 60.0  # s
 # model that is 5 % off, falls by 8 to 20 %; slices still take about the firmware's own time, which
 # with 0.75 one of them exceeds by 0.7 % on Klipper's host
 RACKING_WALLS = 0.8
-MAX_PREVIEW_SAMPLES = 2000  # samples; the matrix of a window has as many rows and columns
 CHIP_NAME = re.compile(r"[A-Za-z0-9_-]+")  # of an accelerometer in Klipper's commands
+MAX_PREVIEW_SAMPLES = 2000  # samples; the matrix of a window has as many rows and columns
 MAX_ADVANCE_S, MAX_SMOOTHING_S = 10.0, 0.2  # s
 # times the path's speed, the guess of a belt's limit; times that, the stream's, never to limit it
 VELOCITY_HEADROOM = 1.1
@@ -188,6 +188,15 @@ class Compensation:
         return x, y
 
 
+def chip_name(text: str) -> str:
+    """Return a CHIP_NAME. Raises ArgumentError for any other text."""
+    if not CHIP_NAME.fullmatch(text):
+        raise ArgumentError(
+            f"{text!r} is not a chip's name: for [adxl345 hotend] in printer.cfg write hotend"
+        )
+    return text
+
+
 @dataclass(frozen=True, slots=True)
 class Sweep:
     """What measures a printer. Raises ArgumentError if the settings do not fit together.
@@ -204,12 +213,8 @@ class Sweep:
     chip_y: str = ""
 
     def __post_init__(self) -> None:
-        for chip in (self.chip_x, self.chip_y):
-            if chip and not CHIP_NAME.fullmatch(chip):
-                raise ArgumentError(
-                    f"{chip!r} is not a chip's name: for [adxl345 hotend] in printer.cfg write "
-                    "hotend"
-                )
+        for chip in filter(None, (self.chip_x, self.chip_y)):
+            chip_name(chip)
         seconds = self.end_hz / self.rate_hz_per_s
         if not 1.0 <= seconds <= 900.0:
             raise ArgumentError(

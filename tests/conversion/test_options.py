@@ -7,7 +7,7 @@ from typing import Any
 import click
 import pytest
 
-from hframe_post.cli.parameters import conversion_options
+from hframe_post.cli.parameters import shared
 from hframe_post.conversion.options import SHOWN, Options, error_bound
 from hframe_post.errors import ArgumentError, HframeError, OptionError
 from hframe_post.printer.settings import Printer
@@ -17,7 +17,7 @@ def read(*words: str, names: tuple[str, ...] = tuple(SHOWN)) -> Options:
     """The options that a command with these words receives."""
 
     @click.command()
-    @conversion_options(*names)
+    @shared(*names)
     def command(options: Options) -> Options:
         return options
 
