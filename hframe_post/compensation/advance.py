@@ -62,8 +62,11 @@ class Advancing:
             for event in chunk.events:
                 for mark in said(event, SETS):
                     latest = self._since[-1][1]
-                    if (changed := latest.after(mark.text)) is not latest:
-                        self._since.append((mark.index, changed))
+                    if (changed := latest.after(mark.text)) is latest:
+                        continue
+                    if self._since[-1][0] == mark.index:  # the last of several holds
+                        self._since.pop()
+                    self._since.append((mark.index, changed))
             yield chunk
 
     def _advanced(self, before: list[Samples], chunk: Samples, after: list[Samples]) -> Samples:

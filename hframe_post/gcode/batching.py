@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,16 +12,18 @@ from hframe_post.errors import GcodeError
 from hframe_post.gcode import commands
 from hframe_post.gcode.commands import Vocabulary
 from hframe_post.gcode.curves import MAX_COORDINATE_MM
-from hframe_post.gcode.lines import Lines
+from hframe_post.gcode.objects import Objects
 from hframe_post.gcode.state import Extent, ReadOptions, State
 from hframe_post.native.plain_lines import (
     APPLY,
     CHANGES,
     HARMLESS,
+    LABELS,
     SHOWS,
     SKIP,
     TELLS,
-    name_table,
+    Known,
+    digest,
     plain_lines,
 )
 from hframe_post.stream.features import PLACE_WORDS
@@ -52,17 +53,6 @@ WORDS = commands.COMMENT_WORDS, PLACE_WORDS, commands.TIME_WORDS
 CORNER = 7  # column of ``PlainLines``' rows
 
 
-class Taken(NamedTuple):
-    """Whether lines that were read travel, and give E a new name; more: whether to read on."""
-
-    travels: bool = False
-    renamed: bool = False
-    more: bool = False
-
-
-NOTHING_TAKEN = Taken()
-
-
 class PlainLines:
     """Reader of many plain lines at once.
 
@@ -70,43 +60,45 @@ class PlainLines:
     a closer look: see ``native.plain_lines``.
     """
 
-    def __init__(self, source: Lines, state: State, options: ReadOptions) -> None:
-        self._source, self._state, self._options = source, state, options
+    def __init__(self, state: State, objects: Objects, options: ReadOptions) -> None:
+        self._source, self._known = objects.source, objects.known
+        self._state, self._objects, self._options = state, objects, options
         bed = Extent(options.travel)
         low, high = (np.array(each) for each in (bed.smallest, bed.largest))
         for axis, edge in enumerate(state.endstops):
             low[axis], high[axis] = max(low[axis], edge[0]), min(high[axis], edge[1])
         self._edges = *low.tolist(), *high.tolist()
-        self._names = _names(options.vocabulary)
-        self._values, self._rules = np.empty(14), np.empty(23)
+        self._values, self._rules = np.empty(17), np.empty(24)
         self._rows = np.empty((MOVES_PER_ITEM, 8))
         self._marks, self._taken = np.empty((MARKS_AT_ONCE, 4), np.int64), np.zeros(6, np.int64)
 
-    def take(self, items: ItemBuilder) -> Taken:
-        """Read lines, change the state, and add to the items."""
-        state, source = self._state, self._source
+    def take(self, items: ItemBuilder) -> bool:
+        """Read lines, change the state, and add to the items; return whether to read on."""
+        state, objects, source = self._state, self._objects, self._source
         text, offset = source.upcoming()
         if not text:
-            return NOTHING_TAKEN
+            return False
         values = self._values
         values[:] = (
             *state.position, *state.offset, state.feed, state.speed, state.acceleration,
-            state.travel_acceleration, state.corner, items.passed,
+            state.travel_acceleration, state.corner, items.passed, objects.present, objects.last,
+            state.setting,
         )  # fmt: skip
         self._rules[:] = self._present_rules()
         count = plain_lines(
-            text, offset, source.number + 1, self._names, WORDS, values, self._rules,
+            text, offset, source.number + 1, self._known, WORDS, values, self._rules,
             self._rows[: items.free], self._marks, self._taken,
         )  # fmt: skip
         lines, size, passed, renamed, sets, stopped = self._taken.tolist()
         if not lines:
-            return NOTHING_TAKEN
+            return False
         source.skip(lines, size)
         start = state.position
         *_, e_offset, state.feed, _ = values[:10].tolist()
         state.acceleration, state.travel_acceleration, state.corner = values[10:13].tolist()
+        objects.present, objects.last, state.setting = map(int, values[14:].tolist())
         if renamed:
-            state.offset = (*state.offset[:3], e_offset)
+            state.offset, state.e_named = (*state.offset[:3], e_offset), True
         marks = Marks(self._marks[:passed].copy(), text).compact() if passed else NO_MARKS
         if sets:
             self._set_advance(marks)
@@ -114,16 +106,15 @@ class PlainLines:
         if count:
             x, y, z, e = values[:4].tolist()
             state.position = (x, y, z, e)
-        travels = items.add_rows(start, rows, marks, int(values[-1]))
-        return Taken(travels, bool(renamed), not stopped)
+        items.add_rows(start, rows, marks, int(values[13]))
+        return not stopped
 
     def _set_advance(self, marks: Marks) -> None:
-        for line in marks.of(SETS):
-            seconds, smooth_time = self._options.dialect.advance(line.text)
-            if seconds is not None:
-                self._state.advance = seconds
-            if smooth_time is not None:
-                self._state.smooth_time = smooth_time
+        """Apply lines, and let the loop know the last again, unless the stream has to answer it."""
+        for text in (line.text for line in marks.of(SETS)):
+            change = self._state.set_advance(text)
+        if change.smooth_time is None:
+            self._known.learn(text, digest(text))
 
     def _present_rules(self) -> tuple[float, ...]:
         state, limits, dialect = self._state, self._options.limits, self._options.dialect
@@ -140,17 +131,18 @@ class PlainLines:
             state.scale, state.factor, MIN_FEED_MM_S, MAX_COORDINATE_MM, MAX_FILAMENT_MM,
             *self._edges, not state.absolute_e, 0.99 * MAX_FILAMENT_PER_PATH, MIN_PATH_MM,
             MAX_MOVE_S, moves, m204, m205, velocity_limit, others.cruise_ratio, others.path,
-            MAX_MARK_BYTES, BYTES_PER_MARK,
+            MAX_MARK_BYTES, BYTES_PER_MARK, self._objects.may_be_several,
         )  # fmt: skip
 
 
-def _names(vocabulary: Vocabulary) -> bytes:
-    """Return the table of the commands that pass in mid-motion, and that no item depends on."""
+def known_names(vocabulary: Vocabulary) -> Known:
+    """Return the classes of the commands that pass in mid-motion, and that no item depends on."""
     passing = [name for name, effect in vocabulary.names.items() if effect is commands.Effect.NONE]
     classes = {name: HARMLESS for name in passing if name not in commands.FOLLOWED}
     special = {"M73": TELLS, "M117": SHOWS, "M118": SHOWS}
     special |= {"SET_PRESSURE_ADVANCE": CHANGES, "M900": CHANGES}
-    return name_table(classes | {name: special[name] for name in special if name in passing})
+    special |= dict.fromkeys(("M486", "EXCLUDE_OBJECT_START", "EXCLUDE_OBJECT_END"), LABELS)
+    return Known(classes | {name: special[name] for name in special if name in passing})
 
 
 class ItemBuilder:
@@ -183,8 +175,8 @@ class ItemBuilder:
         if not self.free:
             self.flush()
 
-    def add_rows(self, start: Position, rows: Array, marks: Marks, passed: int) -> bool:
-        """Add at most ``free`` rows and lines of ``PlainLines``; return whether a row travels.
+    def add_rows(self, start: Position, rows: Array, marks: Marks, passed: int) -> None:
+        """Add at most ``free`` rows and lines of ``PlainLines``.
 
         passed: bytes since the last move.
         """
@@ -204,7 +196,6 @@ class ItemBuilder:
         self.passed = passed
         if not self.free:
             self.flush()
-        return len(rows) > len(stand)
 
     def _add_travel(self, start: Position, rows: Array, marks: Marks) -> None:
         if marks is not NO_MARKS and not self._count:

@@ -32,6 +32,7 @@ from hframe_post.gcode.batching import (
     MIN_PATH_MM,
     ItemBuilder,
     PlainLines,
+    known_names,
 )
 from hframe_post.gcode.commands import (
     Line,
@@ -85,25 +86,18 @@ class _Reader:
         self._source, self._options, self._dialect = source, options, options.dialect
         self._state = State(options.dialect, options.extrusion, options.start)
         self._bed = Extent(options.travel)
-        self._objects = Objects(options.dialect, source)
+        self._objects = Objects(options.dialect, source, known_names(options.vocabulary))
         self._retraction = FirmwareRetraction(options.retraction, options.dialect)
-        self._plain_lines = PlainLines(source, self._state, options)
+        self._plain_lines = PlainLines(self._state, self._objects, options)
         self._any_motion = False  # requested so far, even from unknown positions
         self._macro = ""  # the last one that may have set modes
-        self._e_named = False  # by G92, since the last macro
         self._other_tool = False  # prints, of which the profile has no model
         self._cause = START_OF_FILE  # of the unknown position
         self.items = ItemBuilder(self._state)
 
     def apply_plain_lines(self) -> bool:
         """Apply many lines at once, as far as they are plain; return whether more may be."""
-        if self._objects.left:
-            return False
-        taken = self._plain_lines.take(self.items)
-        if taken.travels:
-            self._objects.moved()
-        self._e_named |= taken.renamed
-        return taken.more
+        return self._plain_lines.take(self.items)
 
     def apply(self, line: Line) -> None:
         """Apply one line, whatever it is. Raises GcodeError, LimitError."""
@@ -153,7 +147,7 @@ class _Reader:
             state.rename_position(line, words)
             # The stream's E is relative, so a new name of E alone is harmless in it.
             only_e = words.keys() == {"E"}
-            self._e_named |= "E" in words
+            state.e_named |= "E" in words
             self._pass_through(line, Handling.CARRY if only_e else Handling.RELEASE)
             return
         straight = name in ("G0", "G1")
@@ -161,7 +155,7 @@ class _Reader:
             return
         start, asked = state.position, self._end(line, words)
         end = self._within_endstops(line, asked)
-        elsewhere = self._objects.left and state.scale == 1.0  # the output is in mm
+        elsewhere = state.scale == 1.0 and self._objects.left  # the output is in mm
         lifts = end[2] != start[2]
         if not state.starts_known(words):
             self._pass_move_through(line, name, words, end, self._cause)
@@ -294,11 +288,7 @@ class _Reader:
             self._apply_other(line, name)
 
     def _apply_other(self, line: Line, name: str, arguments: bytes = b"") -> None:
-        seconds, smooth_time = self._dialect.advance(line.text)
-        if seconds is not None:
-            self._state.advance = seconds
-        if smooth_time is not None:
-            self._state.smooth_time = smooth_time
+        self._state.set_advance(line.text)
         if name == "M211":
             self._state.set_endstops(numbers_among(line, arguments, "S"))
         self._retraction.apply(line, name, arguments)
@@ -320,7 +310,7 @@ class _Reader:
         self._retraction.forget()
         self._state.forget(axes)
         if self._dialect.may_be_macro(name):
-            self._macro, self._e_named = name[:40], False
+            self._macro, self._state.e_named = name[:40], False
 
     def _apply_retraction(self, line: Line, name: str) -> bool:
         """Turn G10 or G11 into a move of filament; return False if it must pass through."""
@@ -378,7 +368,7 @@ class _Reader:
         known = all(state.known[:2]) and state.absolute
         absolute = is_absolute(
             chain([line], self._source.ahead()), x if known else math.nan, y if known else math.nan,
-            e if self._e_named else math.nan,
+            e if state.e_named else math.nan,
         )  # fmt: skip
         if absolute is False and self._macro:
             return False

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from hframe_post.arrays import Z
 from hframe_post.errors import LimitError
 from hframe_post.firmware.base import FirmwareLimits
-from hframe_post.firmware.dialect import Dialect
+from hframe_post.firmware.dialect import AdvanceChange, Dialect
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.commands import Line, Vocabulary, Words
 from hframe_post.printer.settings import Printer, Retraction, Travel
@@ -94,7 +94,8 @@ class State:
     scale: mm per unit of the file. feed: F as the file gives it. factor: M220.
     acceleration, travel_acceleration: of moves with and without extrusion; corner: square-corner
     velocity; others: what else limits moves. They are the firmware's (``start``; infinite without)
-    until the file sets others. advance, smooth_time: see ``ModalState``.
+    until the file sets others. advance, smooth_time: see ``ModalState``; setting: the ``digest`` of
+    the line that set them last, -1 if that is not known. e_named: by G92, since the last macro.
     """
 
     def __init__(
@@ -120,6 +121,8 @@ class State:
             self.corner, self.others = start.corner, start.others
         self.advance: float | None = None
         self.smooth_time: float | None = None
+        self.setting = -1
+        self.e_named = False
 
     @property
     def speed(self) -> float:
@@ -274,6 +277,17 @@ class State:
                 ratio = 1.0 - min(1.0, slower / self.acceleration)
             path = words.get("VELOCITY", self.others.path)
             self._limit(path=path, cruise_ratio=ratio)
+
+    def set_advance(self, text: bytes) -> AdvanceChange:
+        """Apply what a line sets of pressure advance, and return it."""
+        change = self._dialect.advance(text)
+        if change.seconds is not None:
+            self.advance = change.seconds
+        if change.smooth_time is not None:
+            self.smooth_time = change.smooth_time
+        if change != (None, None):
+            self.setting = -1
+        return change
 
     def _limit(self, **limits: Any) -> None:
         """Change these of the other limits; they stay the same object where nothing changes."""

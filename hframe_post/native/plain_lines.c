@@ -6,7 +6,7 @@
 
 #include "kernels.h"
 
-enum { EXACT_DIGITS = 15, LONGEST_LINE = 512, ROW = 8, MARK = 4, TAKEN = 6, CELL = 32, CELLS = 1024 };
+enum { EXACT_DIGITS = 15, LONGEST_LINE = 512, ROW = 8, MARK = 4, TAKEN = 6, CELL = 128, CELLS = 1024 };
 enum { APPLY, SKIP };                 /* what to do with a line that limits the motion */
 enum { NO_MOVE, TRAVELS, STANDS };    /* a move: x or y changes; only z or e does */
 
@@ -72,7 +72,7 @@ static const char *words(const char *c, const char *last, double *value, int *gi
 /* ------------------------------------------------------------------------ lines that pass */
 
 enum { PLAIN, CLOCK, PLACES, SETS };               /* kinds, as in stream/marks.py */
-enum { UNKNOWN, HARMLESS, TELLS, SHOWS, CHANGES }; /* classes of names, as in plain_lines.py */
+enum { UNKNOWN, HARMLESS, TELLS, SHOWS, CHANGES, LABELS }; /* classes of names, as in plain_lines.py */
 
 /* Words in lower case between bars, and which characters begin one. */
 struct words {
@@ -107,36 +107,41 @@ static int is_any(const char *c, const struct words *words)
     return 0;
 }
 
-/* Return the line feed that ends a line; NULL: it has one of the words, or a character that no line
- * of text has. others: set if it has one of theirs. */
-static const char *rest(const char *c, const char *last, const struct words *words,
-                        const struct words *others_words, int *others)
+/* Return the line feed that ends a line; NULL: it has a character that no line of text has.
+ * has: set where the line has one of the words of either list. */
+static const char *rest(const char *c, const char *last, const struct words *one,
+                        const struct words *other, int has[2])
 {
     for (; *c != '\n'; c++) {
-        if (*c == 0 || c >= last || (*c == '\r' && c[1] != '\n') || (words && is_any(c, words)))
+        if (*c == 0 || c >= last || (*c == '\r' && c[1] != '\n'))
             return NULL;
-        if (others && !*others)
-            *others = is_any(c, others_words);
+        if (one && !has[0])
+            has[0] = is_any(c, one);
+        if (other && !has[1])
+            has[1] = is_any(c, other);
     }
     return c;
 }
 
-/* Return the class of a name (length). names: a table of CELLS by hash, each a name and its class. */
-static int class_of(const char *name, int64_t length, const char *names)
+/* Set the number of a text (length); return whether it has one. known: a table of CELLS by hash, each
+ * a text and its number. */
+static int is_known(const char *text, int64_t length, const char *known, int64_t *number)
 {
     uint32_t hash = 0;
-    if (length > CELL - 2)
-        return UNKNOWN;
+    if (length >= CELL - (int64_t)sizeof *number)
+        return 0;
     for (int64_t i = 0; i < length; i++)
-        hash = hash * 31 + (uint8_t)name[i];
+        hash = hash * 31 + (uint8_t)text[i];
     for (uint32_t i = 0; i < CELLS; i++) {
-        const char *cell = names + CELL * ((hash + i) % CELLS);
+        const char *cell = known + CELL * ((hash + i) % CELLS);
         if (*cell == 0)
-            return UNKNOWN;
-        if (memcmp(cell, name, (size_t)length) == 0 && cell[length] == 0)
-            return cell[CELL - 1];
+            return 0;
+        if (memcmp(cell, text, (size_t)length) == 0 && cell[length] == 0) {
+            memcpy(number, cell + CELL - sizeof *number, sizeof *number);
+            return 1;
+        }
     }
-    return UNKNOWN;
+    return 0;
 }
 
 /* Return the end of the words of M73, whole numbers; NULL: there is anything else. */
@@ -164,52 +169,67 @@ static const char *progress(const char *c, int64_t *kind)
     return *c == ';' || *c == '\n' || (*c == '\r' && c[1] == '\n') ? c : NULL;
 }
 
-/* names: see class_of; words of comments that concern the reader, of those that concern later stages,
- * and of messages that say a time. */
+/* known: names of commands and their classes, and lines with their line feeds and what the reader found
+ * in them (see is_known); words of comments that concern the reader, of those that concern later
+ * stages, and of messages that say a time. */
 struct lists {
-    const char *names;
+    const char *known;
     struct words reader, later, times;
 };
 
-/* Return the line feed of a line that passes in mid-motion and that the reader need not know; NULL:
- * it is another one. */
+struct state { /* mm and s; offset: of the place from what the file calls it */
+    double at[COLUMNS], offset[COLUMNS], feed, speed, acceleration, travel_acceleration, corner,
+        passed, object, left_object, setting; /* numbers; left_object: of the last motion */
+};
+
+/* Return the line feed of a line that passes in mid-motion and that the reader need not know, or knows;
+ * NULL: it is another one. */
 static const char *passing(const char *c, const char *last, const struct lists *lists,
-                           int64_t *kind)
+                           struct state *state, int64_t *kind)
 {
-    int others = 0;
+    const char *line = c;
+    int has[2] = {0, 0};
+    int64_t class = HARMLESS, number = 0;
     *kind = PLAIN;
     while (*c == ' ' || *c == '\t')
         c++;
     if (*c == ';') {
-        c = rest(c, last, &lists->reader, &lists->later, &others);
-        *kind = others ? PLACES : PLAIN;
-        return c;
+        c = rest(c, last, &lists->reader, &lists->later, has);
+        *kind = has[1] ? PLACES : PLAIN;
+        class = has[0] ? LABELS : HARMLESS;
+    } else {
+        const char *name = c;
+        while ((*c >= 'A' && *c <= 'Z') || (*c >= '0' && *c <= '9') || *c == '_' || *c == '.')
+            c++;
+        int ended = *c == '\n' || (*c == '\r' && c[1] == '\n');
+        if (!(ended || (c > name && (*c == ' ' || *c == ';'))))
+            return NULL;
+        if (c > name && !is_known(name, c - name, lists->known, &class))
+            return NULL;
+        if (class == TELLS && (c = progress(c, kind)) == NULL)
+            return NULL;
+        c = rest(c, last, class == SHOWS ? &lists->times : NULL, NULL, has);
+        if (has[0])
+            return NULL;
     }
-    const char *name = c;
-    while ((*c >= 'A' && *c <= 'Z') || (*c >= '0' && *c <= '9') || *c == '_' || *c == '.')
-        c++;
-    int class = c == name ? HARMLESS : class_of(name, c - name, lists->names);
-    int ended = *c == '\n' || (*c == '\r' && c[1] == '\n');
-    if (class == UNKNOWN || !(ended || (c > name && (*c == ' ' || *c == ';'))))
-        return NULL;
-    if (class == TELLS && (c = progress(c, kind)) == NULL)
-        return NULL;
-    if (class == CHANGES)
-        *kind = SETS;
-    return rest(c, last, class == SHOWS ? &lists->times : NULL, NULL, NULL);
+    if (c == NULL || class < CHANGES)
+        return c;
+    int known = is_known(line, c + 1 - line, lists->known, &number);
+    if (class == LABELS) {
+        state->object = known ? (double)number : state->object;
+        return known ? c : NULL;
+    }
+    *kind = known && state->setting == (double)number ? PLAIN : SETS;
+    state->setting = known ? (double)number : -1.0;
+    return c;
 }
 
 /* ------------------------------------------------------------------------ all lines */
 
-struct state { /* mm and s; offset: of the place from what the file calls it */
-    double at[COLUMNS], offset[COLUMNS], feed, speed, acceleration, travel_acceleration, corner,
-        passed;
-};
-
 struct rules { /* see plain_lines.py */
     double scale, factor, least_feed, farthest, most_filament, least[3], greatest[3], relative_e,
         most_per_path, least_path, longest, moves, m204, m205, velocity_limit, cruise_ratio, path_speed,
-        most_passed, per_line;
+        most_passed, per_line, several;
 };
 enum { STATE = sizeof(struct state) / sizeof(double), RULES = sizeof(struct rules) / sizeof(double) };
 
@@ -246,6 +266,11 @@ static const char *move(const char *c, const char *last, const struct rules *rul
         if (*moved == TRAVELS ? de > rules->most_per_path * path || path <= rules->least_path
                               : dz == 0.0 && de == 0.0)
             return NULL;
+        if (*moved == TRAVELS) {
+            if (state->left_object != 0.0 && state->object != state->left_object && rules->several != 0.0)
+                return NULL;
+            state->left_object = state->object;
+        }
         for (int k = X; k <= E; k++)
             state->at[k] = to[k];
     }
@@ -353,12 +378,12 @@ static const char *renamed(const char *c, const char *last, const struct rules *
  * before it, where it begins and ends, and its kind. taken: lines, bytes, marks, new names of E, lines
  * of kind SETS, and whether the next line needs a closer look. Returns the number of rows. */
 static int64_t plain_lines(const char *text, int64_t size, int64_t offset, int64_t first_line,
-                           int64_t most, int64_t most_marks, const char *names,
+                           int64_t most, int64_t most_marks, const char *known,
                            const char *for_reader, const char *for_later, const char *of_times,
                            struct state *state, const struct rules *rules, double *rows,
                            int64_t *marks, int64_t *taken)
 {
-    struct lists lists = {names, words_of(for_reader), words_of(for_later), words_of(of_times)};
+    struct lists lists = {known, words_of(for_reader), words_of(for_later), words_of(of_times)};
     const char *c = text + offset, *last = text + size, *next, *end;
     int64_t count = 0, lines = 0, passed = 0;
     memset(taken, 0, TAKEN * sizeof *taken);
@@ -375,7 +400,7 @@ static int64_t plain_lines(const char *text, int64_t size, int64_t offset, int64
         } else if ((next = limit(c, last, rules, state)) == NULL) {
             if (c[0] == 'G' && (next = renamed(c, last, rules, state)) != NULL)
                 end = next - 1, taken[3] = 1;
-            else if ((end = passing(c, last, &lists, &kind)) == NULL)
+            else if ((end = passing(c, last, &lists, state, &kind)) == NULL)
                 break;
             double all = state->passed + (double)(end - c) + rules->per_line;
             if (all > rules->most_passed)

@@ -6,38 +6,67 @@ commands whose names the caller lists.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
+from hashlib import blake2b
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.native import kernels
 
-CELLS, CELL = 1024, 32  # of a table of names, and bytes of each
+CELLS, CELL = 1024, 128  # of a table of names and lines, and bytes of each
+NUMBER_BYTES = 8  # of the number that a cell ends with
 # classes of names: nothing in their lines matters; they tell the time left, or may show it; a later
-# stage reads their words
-HARMLESS, TELLS, SHOWS, CHANGES = 1, 2, 3, 4
+# stage reads their words; they label objects
+HARMLESS, TELLS, SHOWS, CHANGES, LABELS = 1, 2, 3, 4, 5
 APPLY, SKIP = 0.0, 1.0  # what to do with a line that limits the motion
 
 
-def name_table(classes: Mapping[str, int]) -> bytes:
-    """Return a table in which the loop finds the classes of names; long names are left out."""
-    table = bytearray(CELLS * CELL)
-    for name, number in classes.items():
-        text = name.encode("latin-1", "replace")
-        if len(text) > CELL - 2:
-            continue
-        at = 0
+class Known:
+    """What the loop knows: the classes of names, and lines that were read before, by their text.
+
+    Long ones are left out. There is room for CELLS / 2 texts; then the lines are forgotten.
+    """
+
+    def __init__(self, classes: Mapping[str, int]) -> None:
+        self._classes = classes
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the lines."""
+        self.table, self._count = bytearray(CELLS * CELL), 0
+        for name, number in self._classes.items():
+            self._add(name.encode("latin-1", "replace"), number)
+
+    def learn(self, line: bytes, number: int) -> None:
+        """Note the number of a line, a ``digest``: of the object that it names, or what it sets."""
+        if self._count >= CELLS // 2:
+            self.forget()
+        self._add(line + b"\n", number)
+
+    def _add(self, text: bytes, number: int) -> None:
+        full = self._count >= CELLS // 2
+        if full or not text or len(text) >= CELL - NUMBER_BYTES or b"\0" in text:
+            return
+        table, at = self.table, 0
         for byte in text:
             at = (31 * at + byte) % (1 << 32)
-        while table[CELL * (at % CELLS)]:
+        key = text + b"\0"
+        while table[begin := CELL * (at % CELLS)]:
+            if table[begin : begin + len(key)] == key:
+                return
             at += 1
-        at = CELL * (at % CELLS)
-        table[at : at + len(text)] = text
-        table[at + CELL - 1] = number
-    return bytes(table)
+        table[begin : begin + len(text)] = text
+        table[begin + CELL - NUMBER_BYTES : begin + CELL] = number.to_bytes(8, sys.byteorder)
+        self._count += 1
+
+
+def digest(text: bytes) -> int:
+    """Return a number that a float holds and that no other text of a file has; 0 for none."""
+    return int.from_bytes(blake2b(text, digest_size=6).digest()) if text else 0
 
 
 def plain_lines(
-    text: bytes, offset: int, first_line: int, names: bytes, words: Sequence[bytes], state: Array,
+    text: bytes, offset: int, first_line: int, known: Known, words: Sequence[bytes], state: Array,
     rules: Array, rows: Array, marks: Integers, taken: Integers,
 ) -> int:  # fmt: skip
     """Read lines from an offset in a text on; return how many moves are among them.
@@ -46,16 +75,18 @@ def plain_lines(
     slow, off the bed, too much filament for its path, a number with many digits. The text ends
     with a line feed.
 
-    names: see ``name_table``. words: in lower case, between bars: of comments that concern the
-    reader, of those that concern later stages, and of messages that say a time. state (14,): x, y,
-    z, e, mm, the offset of each from what the file calls it, feed rate, speed, mm/s, acceleration
-    with and without extrusion, corner velocity, bytes that passed since the last move; it
-    changes. rules (23,): mm per unit of the file, factor on the speed,
+    words: in lower case, between bars: of comments that concern the reader unless it knows them, of
+    those that concern later stages, and of messages that say a time. state (17,): x, y, z, e, mm,
+    the offset of each from what the file calls it, feed rate, speed, mm/s, acceleration with and
+    without extrusion, corner velocity, bytes that passed since the last move, the object that is
+    printed, that of the last move in x or y, the line that set something last, -1: not known; it
+    changes. rules (24,): mm per unit of the file, factor on the speed,
     least feed rate, greatest coordinate, greatest filament of a move, least x, y, z, greatest x, y,
     z, whether E is relative, greatest filament per mm of path, least path, greatest s of a move,
     whether moves are taken; what to do with M204, M205 and SET_VELOCITY_LIMIT; cruise ratio and
     path speed, which that must not change; most bytes that pass between moves, those counted for
-    each line in addition to its own.
+    each line in addition to its own; whether there may be several objects, so that the first move
+    in x or y after one needs a closer look.
 
     rows (m, 8): become source line, x, y, z, e at the end, speed, acceleration and corner velocity
     of each move; this is negative where x and y do not change; marks (k, 4): for each line that
@@ -63,5 +94,5 @@ def plain_lines(
     lines and bytes read, marks, whether E has a new name, lines of names that set something, and
     whether the next line needs a closer look.
     """
-    read = text, len(text), offset, first_line, len(rows), len(marks), names, *words
+    read = text, len(text), offset, first_line, len(rows), len(marks), known.table, *words
     return int(kernels.plain_lines(*read, state, rules, rows, marks, taken))

@@ -9,12 +9,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hframe_post.errors import HframeError
+from hframe_post.firmware.dialect import Advance
 from hframe_post.firmware.registry import FIRMWARES
 from hframe_post.gcode import batching
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.marks import Marks
+from hframe_post.stream.marks import SETS, Marks
+from hframe_post.stream.types import MoveAtRest, Moves, said
 from tests.conftest import ROOT, SAMPLES, few
 from tests.gcode_tools import one_by_one
 
@@ -85,6 +87,47 @@ def test_any_lines(paper: Printer, texts: list[str], firmware: str, end: str, be
     same_either_way(lines, options)
 
 
+object_name = st.sampled_from(["a", "A", "b_c", "b c", "-1", ""])
+label = st.builds(
+    lambda form, name: form.format(name),
+    st.sampled_from([
+        "EXCLUDE_OBJECT_START NAME={}", "EXCLUDE_OBJECT_END NAME={}", "EXCLUDE_OBJECT_END",
+        "; printing object {} id:0", "; stop printing object {}", ";MESH:{}", ";PRINTING_ID: {}",
+        "M486 S1", "M486 S-1", "M486 S{}", "M486 T2", " ;MESH:{} TYPE:", "exclude_object_end",
+        "EXCLUDE_OBJECT_START NAME={}\0", ";TIME_ELAPSED:{}",
+    ]), object_name,
+)  # fmt: skip
+setting = st.builds(
+    lambda name, word: f"{name} {word}", st.sampled_from(["SET_PRESSURE_ADVANCE", "M900"]),
+    st.sampled_from(["ADVANCE=0.04", "ADVANCE=0.05", "SMOOTH_TIME=0.03", "K0.1", "K0.2", "T1 K9"]),
+)  # fmt: skip
+going = st.one_of(
+    st.integers(20, 60).map("G1 X{}".format), st.integers(20, 60).map("G1 X{} Y9 E1".format),
+    st.sampled_from(["G1 Z.6", "G1 E-1", "G92 E0", "G20", "MACRO"]),
+)  # fmt: skip
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.lists(st.one_of(label, label, going, setting), max_size=20), st.integers(1, 3),
+    st.sampled_from(sorted(FIRMWARES)),
+)  # fmt: skip
+def test_lines_that_recur(texts: list[str], times: int, firmware: str) -> None:
+    """What was read once is known: labels of objects, and lines that set what is set."""
+    options = ReadOptions(FIRMWARES[firmware].dialect)
+    lines = START + [text.encode() + b"\n" for text in texts] * times
+    same_either_way(lines, options)
+
+
+def test_more_objects_than_the_loop_can_know() -> None:
+    lines = START + [
+        line
+        for k in (*range(300), *range(1000))
+        for line in (b"; printing object %d\n" % (k % 70 if k < 300 else k), b"G1 X%d\n" % (k % 7))
+    ]
+    same_either_way(lines, ReadOptions(FIRMWARES["klipper"].dialect))
+
+
 @pytest.mark.parametrize("name", few(["cube.gcode", "prism.gcode"], 1))
 def test_a_slice(name: str) -> None:
     lines = (SAMPLES / name).read_bytes().splitlines(keepends=True)
@@ -112,8 +155,29 @@ def test_an_error_of_the_source_comes_in_its_turn() -> None:
         list(read(source(b"G1 X20 F-3\n"), ReadOptions(FIRMWARES["klipper"].dialect)))
 
 
+def advances(lines: list[bytes], options: ReadOptions) -> list[tuple[tuple[int, int], Advance]]:
+    """Return the pressure advance that later stages find after each item's lines that set it."""
+    advance, found = (
+        Advance(0.0, 0.0, options.dialect.advance),
+        list[tuple[tuple[int, int], Advance]](),
+    )
+    try:
+        for k, item in enumerate(read(iter(lines), options)):
+            marks = item.marks if isinstance(item, Moves) else item
+            for mark in said(marks, SETS) if not isinstance(marks, MoveAtRest) else ():
+                advance = advance.after(mark.text)
+                at = (k, mark.index)
+                if found and found[-1][0] == at:
+                    found.pop()
+                if not found or found[-1][1] != advance:
+                    found.append((at, advance))
+    except HframeError:
+        pass
+    return found
+
+
 def same_either_way(lines: list[bytes], options: ReadOptions) -> None:
-    together = items(lines, options)
+    together = items(lines, options), advances(lines, options)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(batching, "plain_lines", one_by_one)
-        assert items(lines, options) == together
+        assert (items(lines, options), advances(lines, options)) == together
