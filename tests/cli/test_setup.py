@@ -160,6 +160,7 @@ def test_again_it_keeps_an_identified_plant(config: Path) -> None:
         (b"#define X_BED_SIZE 220\n", "Send M503 to the printer"),
         (b"[extruder]\nnozzle_diameter: 0.4\n", "no section [printer]"),
         (b"[include gone.cfg]\n", "[include gone.cfg] finds no file"),
+        (b"[include printer.cfg]\n", "[include printer.cfg] includes a file in itself"),
         (b"[printer]\nkinematics: delta\n", "kinematics: delta"),
         (b"[printer]\nkinematics: corexy\n", "[printer] max_velocity is missing"),
         (b"[printer]\nkinematics: corexy\nmax_velocity: 9\nmax_accel: 9\n", "position_max"),

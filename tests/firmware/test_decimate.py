@@ -151,3 +151,6 @@ def test_a_bound_on_lines_is_kept_where_forced_points_allow(rate: float) -> None
     counts, before = (np.histogram(e, [*pieces, n + 1])[0] for e in (fewer, ends))
     assert before.max() > 60.0 * PIECE_SAMPLES * TS  # the bound asks for something
     assert (counts <= np.maximum(rate * PIECE_SAMPLES * TS, 4) + 2).all()  # ends of pieces stay
+    points[: PIECE_SAMPLES + 40] = points[PIECE_SAMPLES + 40]  # one segment, into the second piece
+    calm = sparser(points, forced, MM, breakpoints(points, forced, MM), rate)
+    assert PIECE_SAMPLES in calm, "where a coarser piece begins"

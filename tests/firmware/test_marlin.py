@@ -1,5 +1,6 @@
 """The Marlin mode: commands, whole steps, filament, order, modes, equal bytes."""
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -293,6 +294,15 @@ def test_advance_is_computed_into_e_and_said(marlin: Printer) -> None:
     assert fed[1].min() < -0.01  # where it brakes
     assert fed[0].sum() == pytest.approx(fed[1].sum(), abs=1e-9)
     assert b"M900 K0.05" in advanced[0].splitlines()
+
+
+@pytest.mark.parametrize("planner", MARLIN_PLANNERS)
+def test_a_feed_rate_of_whole_steps_is_that_of_the_board(marlin: Printer, planner: str) -> None:
+    """Boards round steps a second up, or to the nearest."""
+    moves = firmware(with_marlin(marlin, planner=planner)).moves()
+    for steps in (150, 151, 9000):
+        written = moves.speed((steps + 0.3) * moves.step) / moves.step
+        assert (math.ceil(written), round(written)) == (steps, steps)
 
 
 def test_a_slow_sender_gets_fewer_lines(marlin: Printer) -> None:

@@ -14,7 +14,7 @@ from hframe_post.arrays import Array
 from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.native.planning import greatest_speeds
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.sliced import AsSliced
+from hframe_post.planner.sliced import AsSliced, ShortMoves
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.marks import Mark
 from hframe_post.stream.types import (
@@ -223,6 +223,15 @@ def test_the_firmwares_own_time_does_not_depend_on_how_moves_are_cut() -> None:
         seconds.append(sliced.seconds)
     assert seconds == pytest.approx([seconds[0]] * 3, rel=1e-12)
     assert np.isfinite(seconds[0])
+
+
+def test_boards_leave_out_moves_of_too_few_steps() -> None:
+    """Where only they move, the next begins at their start; whatever line they come from."""
+    short = ShortMoves(6, (0.0125, 0.0125, 0.0025, 0.01), np.diag([80.0, 80.0, 400.0, 100.0]))
+    steps = (10, 0, 0, 0), (0.05, 0, 0, 0), (0.05, 0, 0, 0), (0.01, 0, 0, 0), (10, 0, 0, 0)
+    (joined,) = short.joined_travel([moves(line(*steps))])
+    assert isinstance(joined, Moves)
+    assert joined.points[:, 0].tolist() == pytest.approx([0.0, 10.0, 10.1, 20.11])
 
 
 @pytest.mark.parametrize(("turn", "fits"), [(90.0, False), (40.0, True)])

@@ -53,6 +53,9 @@ def test_steps_are_the_variation_of_the_rounded_path(path: Array) -> None:
         assert (np.diff(ticks) > 0).all()
     assert (np.diff(done.rows[:, 0]) >= 0).all()
     assert done.counts.ticks == PER_SAMPLE * len(path)
+    pause = Dwell(len(path) - 2, 0, line(b"M117", Handling.REST))  # as soon as it is there
+    paused = stepped([block(path[:-2], 0, (pause,))], TABLE)
+    np.testing.assert_array_equal(paused.rows, done.rows)
 
 
 def spline(u: Array) -> CubicHermiteSpline:
