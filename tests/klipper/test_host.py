@@ -18,16 +18,6 @@ LIMITS = {
 }  # fmt: skip
 
 
-ORDINARY = (
-    "M104 S200 | M140 S60 | G28 | M109 S200 | M190 S60 | M106 S128 | "
-    "EXCLUDE_OBJECT_DEFINE NAME=part | EXCLUDE_OBJECT_START NAME=part | G1 X20 Y20 F6000 | G10 | "
-    "G2 X40 Y20 I10 J0 | G11 | SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0 | "
-    "SET_VELOCITY_LIMIT ACCEL=50000 SQUARE_CORNER_VELOCITY=100 MINIMUM_CRUISE_RATIO=0 | "
-    "SET_PRESSURE_ADVANCE ADVANCE=0.03 | EXCLUDE_OBJECT_END NAME=part | M118 done | M400 | "
-    "M204 S2000 | G92 E0 | G28 | M84 | "
-)  # separated by bars
-
-
 def play_text(folder: Path, text: str, **limits: float) -> Playback:
     gcode = folder / "input.gcode"
     gcode.write_text(text)
@@ -50,12 +40,6 @@ def test_two_collinear_lines_take_the_time_of_one_trapezoid(tmp_path: Path) -> N
     along = np.array([0.0, 0.5 * speed * ramp, 75.0, 150.0, 150.0])
     expected = along[:, None] * [0.8, 0.6, 0.0]
     np.testing.assert_allclose(playback.position(times), expected, atol=1e-9)
-
-
-def test_commands_of_ordinary_files_are_known(tmp_path: Path) -> None:
-    playback = play_text(tmp_path, ORDINARY.replace(" | ", "\n"))
-    assert playback.warnings == ()
-    np.testing.assert_allclose(playback.position([playback.end]), [[0.0, 0.0, 0.0]], atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -43,24 +43,21 @@ def test_shipped_profile_loads_and_can_be_compensated(name: str) -> None:
     assert prepared(profile) is not None
 
 
-def test_file_is_loaded_and_named_by_its_stem(tmp_path: Path) -> None:
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_file_is_loaded_and_named_by_its_stem(encoding: str, tmp_path: Path) -> None:
+    """Also as PowerShell writes it."""
     path = tmp_path / "my printer.toml"
-    path.write_text(PAPER, encoding="utf-8")
+    path.write_text(PAPER, encoding=encoding)
     profile = load(str(path))
     assert profile.name == "my printer"
     assert profile.digest == load("paper").digest
 
 
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
-def test_files_that_powershell_writes_are_read(encoding: str, tmp_path: Path) -> None:
-    path = tmp_path / "my.toml"
-    path.write_text(PAPER, encoding=encoding)
-    assert load(str(path)).digest == load("paper").digest
-
-
 def test_extension_takes_the_rest_from_its_base() -> None:
     paper = load("paper")
-    mine = parse(extending("[limits]\nvelocity = 120\n[compensation]\neffort = [1.0, 2]"), "mine")
+    text = "[limits]\nvelocity = 120\n[compensation]\neffort = [1.0, 2]\n[speed]\nmax_error = 0.03"
+    mine = parse(extending(text), "mine")
+    assert (paper.speed.max_error, mine.speed.max_error) == (0.0, 0.03)
     assert mine.limits.velocity == 120.0
     assert mine.limits.acceleration == paper.limits.acceleration
     assert mine.compensation.effort == (1.0, 2.0)
@@ -118,6 +115,9 @@ def test_digest_changes_with_content_and_with_nothing_else() -> None:
          "one line of printable text"),
         ("[plant]\nTs = 0.002", "plant.Ts", "must be 0.001"),
         ("[plant]\nGxx = 1.0", "plant.Gxx", "must be a table"),
+        ("[speed]\nmax_error = { infill = 0.1 }", "speed.max_error", "must be a number"),
+        ("[speed]\nmax_error = 11", "speed.max_error", "must be at most 10"),
+        ("[speed]\nmax_error = '30um'", "speed.max_error", "must be a number"),
     ],
 )  # fmt: skip
 def test_bad_value_is_an_error_with_its_key(text: str, key: str, cause: str) -> None:
@@ -168,21 +168,6 @@ def test_missing_key_or_table_is_an_error(pattern: str, key: str) -> None:
 @pytest.mark.parametrize("text", ["[limits", "a = ", "a = 1\na = 2", "velocity 3", "\x00"])
 def test_what_is_not_toml_is_an_error(text: str) -> None:
     assert "not valid TOML" in error(text).cause
-
-
-def test_an_error_is_one_number() -> None:
-    def asked(text: str) -> float:
-        return parse(f'extends = "paper"\n[speed]\nmax_error = {text}\n', "mine").speed.max_error
-
-    assert parse('extends = "paper"\n', "mine").speed.max_error == 0.0
-    assert asked("0.03") == 0.03
-    for wrong, cause in (
-        ("{ infill = 0.1 }", r"must be a number"),
-        ("11", r"speed.max_error: must be at most 10"),
-        ('"30um"', r"must be a number"),
-    ):
-        with pytest.raises(PrinterError, match=cause):
-            asked(wrong)
 
 
 STARTS = ("example-voron", "example-ender", "example-hbot")
