@@ -225,9 +225,11 @@ LIFT = MoveAtRest(7, (50, 0, 0.2, 2), (50, 0, 0.6, 2), 20.0)
 PASSING = replace(RESTS, lift_speed=2.0 / SPARED)
 
 
-def lift_of(items: Iterable[Item], rests: StopRules = PASSING) -> tuple[Dwell, Array, list[Event]]:
+def lift_of(
+    items: Iterable[Item], rests: StopRules = PASSING, action: MoveAtRest = LIFT
+) -> tuple[Dwell, Array, list[Event]]:
     xyze, events = whole(sampled(items, rests=rests))
-    (lift,) = (e for e in events if isinstance(e, Dwell) and e.action is LIFT)
+    (lift,) = (e for e in events if isinstance(e, Dwell) and e.action is action)
     return lift, xyze[lift.index - 1 : lift.index + lift.samples, Z], events
 
 
@@ -266,11 +268,7 @@ def test_a_long_or_a_combined_lift_comes_to_rest() -> None:
     lift, _, _ = lift_of([there(), LIFT, there(50.0)], replace(PASSING, long_from=20))
     assert (lift.entry, lift.leaving) == (0.0, 0.0)
     primed = replace(LIFT, end=(50, 0, 0.6, 2.1))
-    (pause,) = (
-        e
-        for e in whole(sampled([there(), primed, there(50.0)], rests=PASSING))[1]
-        if isinstance(e, Dwell)
-    )
+    pause, _, _ = lift_of([there(), primed, there(50.0)], action=primed)
     assert (pause.entry, pause.leaving) == (0.0, 0.0)
 
 
