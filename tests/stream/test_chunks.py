@@ -7,10 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.stream.chunks import join, part, with_neighbours
-from hframe_post.stream.types import (
-    Samples,
-    frozen,
-)
+from hframe_post.stream.types import Samples, frozen
 from tests.mark_tools import mark
 
 SIZES = st.lists(st.integers(0, 9), min_size=1, max_size=12)
