@@ -11,8 +11,8 @@ Lengths are mm, times s, one sample is 1 ms. ``help(hframe_post.convert)`` and s
     identify(runs, settings)        recordings -> the printer's plant
 
     >>> import hframe_post as hp
-    >>> hp.load_printer("paper").plant.Gxx.order
-    4
+    >>> hp.load_printer("paper").kinematics.racks
+    True
 """
 
 from importlib import import_module

@@ -46,11 +46,6 @@ class TransferFunction:
             raise ArgumentError(f"unstable: largest pole modulus {radius:.6g}")
 
     @property
-    def order(self) -> int:
-        """Return the number of poles."""
-        return len(self.poles)
-
-    @property
     def dc_gain(self) -> float:
         """Return the gain at rest, G(z = 1)."""
         return float(self.response(np.zeros(1))[0].real)

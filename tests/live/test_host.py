@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hframe_post.firmware.klipper.live import bounds_of, kernel_file, klipper_name, live_kernel
-from hframe_post.hosts.klipper.native import EDGE, HEADERS, compiled
+from hframe_post.hosts.klipper.kernel_file import EDGE, HEADERS, compiled
 from hframe_post.model.kernel import played as spline
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.profile import load
@@ -247,7 +247,7 @@ def test_an_unknown_klipper_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 @pytest.mark.slow
 def test_the_c_is_clean_under_sanitizers() -> None:
     program = (
-        "import sys, pytest, hframe_post.hosts.klipper.native as n\n"
+        "import sys, pytest, hframe_post.hosts.klipper.kernel_file as n\n"
         "n.GCC += ('-g', '-fsanitize=address,undefined', '-fno-sanitize-recover')\n"
         "sys.exit(pytest.main(['-q', '-p', 'no:cacheprovider', 'tests/live/test_native.py']))"
     )

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hframe_post.arrays import TS, X, Y
+from hframe_post.arrays import TS, Y
 from hframe_post.errors import ArgumentError
 from hframe_post.firmware.klipper.live import bounds_of, kernel_file, live_kernel
 from hframe_post.hosts.klipper.kernel_file import FIGURES, LIMITS, TAPS, read, signed
@@ -66,8 +66,8 @@ def test_a_file_gives_back_its_kernel() -> None:
     found = read(data)
     assert (found["x"], found["y"]) == tuple(h.tolist() for h in made.axes)
     assert made.racking is not None
-    (racking, h), ((*where, taps),) = made.racking, found["couplings"]
-    assert (where, taps) == ([Y, X, X, racking.x_c], h.tolist())
+    racking, h = made.racking
+    assert (found["x_c"], found["racking"]) == (racking.x_c, h.tolist())
     assert found["kinematics"] == "corexy"
     assert found["leaves"] == pytest.approx(figures.leaves, rel=1e-5)
     assert kernel_file(load("paper")) is None  # not measured
@@ -77,11 +77,10 @@ def test_a_file_gives_back_its_kernel() -> None:
 def a_kernel() -> dict[str, Any]:
     zeros = [0.0] * TAPS
     names = dict.fromkeys(("profile", "made_by", "measured", "kinematics"), "1")
-    rows = [[1, 0, -1, 0.0, zeros]]
     limits = dict.fromkeys(LIMITS, 1.0)
     return {
         **names, "limits": limits, **dict.fromkeys(FIGURES, 1.0), "x": zeros, "y": zeros,
-        "couplings": rows,
+        "racking": zeros, "x_c": 0.0,
     }  # fmt: skip
 
 
@@ -103,9 +102,9 @@ def test_each_damaged_byte_is_refused() -> None:
     ("key", "value"),
     [
         ("x", [0.0]), ("x", [float("nan"), *[0.0] * (TAPS - 1)]), ("x", "text"), ("y", None),
-        ("couplings", [[2, 0, 0, 0.0, [0.0] * TAPS]]), ("couplings", [[1, 0, 0]]),
-        ("couplings", 3), ("couplings", a_kernel()["couplings"] * 9), ("limits", 1), ("w", 1),
-        ("limits", {"max_velocity": 1}),
+        ("racking", [[0.0] * TAPS]), ("racking", [0.0]), ("racking", None), ("racking", 3),
+        ("racking", [float("inf"), *[0.0] * (TAPS - 1)]), ("x_c", None), ("x_c", float("nan")),
+        ("limits", 1), ("w", 1), ("limits", {"max_velocity": 1}),
     ],
 )  # fmt: skip
 def test_a_signed_file_of_something_else_is_refused(key: str, value: object) -> None:

@@ -10,8 +10,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from hframe_post.firmware.klipper.live import kernel_file, live_kernel
-from hframe_post.hosts.klipper.kernel_file import read
-from hframe_post.hosts.klipper.native import library, taps
+from hframe_post.hosts.klipper.kernel_file import library, read, taps
 from hframe_post.printer.profile import load
 
 STRUCTS = """

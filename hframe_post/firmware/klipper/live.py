@@ -62,7 +62,7 @@ def kernel_file(printer: Printer) -> bytes | None:
     except ArgumentError as error:
         return f"no kernel: {error}\n".encode()
     limits = bounds.velocity, bounds.acceleration, bounds.corner
-    racking = [made.racking] if made.racking else []
+    x_c, angle = (made.racking[0].x_c, made.racking[1].tolist()) if made.racking else (0.0, [])
     return signed({
         "profile": printer.name,
         "made_by": f"hframe-post {__version__}",
@@ -71,7 +71,7 @@ def kernel_file(printer: Printer) -> bytes | None:
         "limits": dict(zip(LIMITS, limits, strict=True)),
         **{name: float(f"{getattr(figures, name):.6g}") for name in FIGURES},
         "x": made.axes[X].tolist(), "y": made.axes[Y].tolist(),
-        "couplings": [(Y, X, X, its.x_c, h.tolist()) for its, h in racking],
+        "racking": angle, "x_c": x_c,
     })  # fmt: skip
 
 
@@ -96,7 +96,7 @@ def check_live(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
         return
     wanted, _ = live_kernel(printer)
     weights = [*wanted.axes, *(wanted.racking[1:] if wanted.racking else ())]
-    there = [found["x"], found["y"], *(row[4] for row in found["couplings"])]
+    there = [found["x"], found["y"], *filter(None, [found["racking"]])]
     if np.shape(there) != np.shape(weights) or np.abs(np.subtract(there, weights)).max() > SAME:
         again = "write it again: hframe-post setup printer.cfg, then restart Klipper"
         yield Finding(True, f"{path} is not of this profile as it is now: {again}")

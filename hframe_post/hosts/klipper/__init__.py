@@ -1,8 +1,8 @@
 """The extras module ``[hframe_live]``: while it is on, a kernel takes the input shaper's place.
 
 It is linked as ``hframe_live`` into klippy/extras, or Kalico's plugins, and needs neither
-hframe-post nor numpy there: ``kernel_file`` reads what ``model/kernel.py`` computed, ``native``
-compiles ``hframe_live.c``.
+hframe-post nor numpy there: ``kernel_file`` reads what ``model/kernel.py`` computed, and compiles
+``hframe_live.c``.
 
 It is on if the owner has it on and nothing that needs the bare motion is running: homing, probing,
 tests of resonances, and files that turn the input shaper off, as converted files and measurements
@@ -21,8 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from .kernel_file import FIGURES, LIMITS, read
-from .native import library, taps
+from .kernel_file import FIGURES, LIMITS, library, read, taps
 
 NAME = "hframe_live"
 KINEMATICS = ("cartesian", "corexy", "hybrid_corexy", "corexz")

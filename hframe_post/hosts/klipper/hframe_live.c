@@ -1,6 +1,6 @@
 // Compensation inside Klipper's host: the planner's path, convolved with a kernel, makes the steps.
 //
-// The path is sampled from the planner's moves, p[g] at g ms. Couplings are taken off it, then the
+// The path is sampled from the planner's moves, p[g] at g ms. Racking is taken off y, then the
 // plant's inverse is applied:
 //
 //     target[g] = p[g] - lever(p[g]) * sum_k q[k] p[g - k]
@@ -96,21 +96,16 @@ fill_target(struct hframe_live *live, struct move *m, int end)
     const struct hframe_kernel *k = live->kernel;
     for (; live->targets < end; live->targets += BLOCK) {
         int at = live->targets, now = at + PAST;
-        fill_path(live, m, now + BLOCK + (k->couplings ? AHEAD : 0));
+        fill_path(live, m, now + BLOCK + (k->racks ? AHEAD : 0));
         for (int axis = 0; axis < 2; axis++)
             for (int j = 0; j < BLOCK; j++)
                 live->target[axis][at + j] = live->path[axis][now + j];
-        for (int i = 0; i < k->couplings; i++) {
-            const struct hframe_coupling *c = &k->coupling[i];
-            double added[BLOCK];
-            if (live->way[c->answer] == 0.0)
-                continue;
-            convolve(added, c->h, &live->path[c->command][at]);
-            for (int j = 0; j < BLOCK; j++) {
-                double lever = c->along < 0 ? 1.0 : live->path[c->along][now + j] - c->centre;
-                live->target[c->answer][at + j] -= lever * added[j];
-            }
-        }
+        if (!k->racks || live->way[1] == 0.0)
+            continue;
+        double angle[BLOCK];
+        convolve(angle, k->racking, &live->path[0][at]);
+        for (int j = 0; j < BLOCK; j++)
+            live->target[1][at + j] -= (live->path[0][now + j] - k->x_c) * angle[j];
     }
 }
 
@@ -212,7 +207,7 @@ hframe_live_window(struct stepper_kinematics *sk)
 struct stepper_kinematics *
 hframe_live_alloc(struct stepper_kinematics *orig, const struct hframe_kernel *kernel)
 {
-    int moved = AF_X | AF_Y, reach = kernel->couplings ? 2 : 1;
+    int moved = AF_X | AF_Y, reach = kernel->racks ? 2 : 1;
     struct hframe_live *live = calloc(1, sizeof(*live));
     if (!live || !(orig->active_flags & moved) || orig->post_cb) {
         free(live);
@@ -226,7 +221,7 @@ hframe_live_alloc(struct stepper_kinematics *orig, const struct hframe_kernel *k
         live->way[axis] = orig->calc_position_cb(orig, &unit, 0.0);
     }
     live->sk.calc_position_cb = calc_position;
-    live->sk.active_flags = orig->active_flags | (kernel->couplings ? moved : 0);
+    live->sk.active_flags = orig->active_flags | (kernel->racks ? moved : 0);
     live->sk.gen_steps_pre_active = (reach * AHEAD + BLOCK + SPLINE) * GRID;
     live->sk.gen_steps_post_active = (reach * PAST + SPLINE) * GRID;
     return &live->sk;

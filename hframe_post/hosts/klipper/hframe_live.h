@@ -2,19 +2,14 @@
 
 #define AHEAD 100    // taps of the path to come, ms
 #define TAPS 501     // of them all
-#define COUPLINGS 8
-
-struct hframe_coupling {
-    int answer, command, along;    // axes; along is negative without a lever arm
-    double centre, h[TAPS];
-};
 
 // h[0] belongs to the oldest sample of the path. least and most are the travel, and edge the
-// distance from its edge within which the command fades into the path, mm.
+// distance from its edge within which the command fades into the path, mm. racking, if it racks, is
+// the angle for the path of x, and x_c where its lever arm is 0.
 struct hframe_kernel {
     double least[2], most[2], edge, axis[2][TAPS];
-    int couplings;
-    struct hframe_coupling coupling[COUPLINGS];
+    int racks;
+    double x_c, racking[TAPS];
 };
 
 struct stepper_kinematics *hframe_live_alloc(struct stepper_kinematics *orig
