@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from hframe_post.arrays import Array
 from hframe_post.compensation.compensate import settling_samples
-from hframe_post.conversion import files
+from hframe_post.conversion import whole_file
 from hframe_post.conversion.options import Options, stamp
 from hframe_post.conversion.pipeline import Chain, prepared
 from hframe_post.conversion.print_report import Report
@@ -141,7 +141,7 @@ def convert(
     if options.firmware is not None:
         printer = profile.played_by(printer, options.firmware)
     given, output = Input(source, progress), None if target in (None, "-") else Path(str(target))
-    options = files.with_format(options.resolved(printer), printer, output, given.path)
+    options = whole_file.with_format(options.resolved(printer), printer, output, given.path)
     if given.once:
         _check_read_once(page, options)
     with ExitStack() as opened:
@@ -154,7 +154,7 @@ def convert(
         if page is not None:
             predicted = dict.fromkeys(("none", *options.strategies))
             options = replace(options, predict=tuple(predicted), picture=True)
-        written = files.Target(outputs, output, given.path) if target is not None else None
+        written = whole_file.Target(outputs, output, given.path) if target is not None else None
         report = _converted(given, written, printer, options)
         if page_file is not None:
             name = title or (given.path.name if given.path else "print")
@@ -218,12 +218,12 @@ def simulate(
 
 
 def _converted(
-    given: Input, target: files.Target | None, printer: Printer, options: Options
+    given: Input, target: whole_file.Target | None, printer: Printer, options: Options
 ) -> Report:
     """Convert as the file asks, or as fast as the greatest error allows; return the report."""
 
     def converted(options: Options) -> Report:
-        return files.convert(given.lines(), target, printer, options)
+        return whole_file.convert(given.lines(), target, printer, options)
 
     if options.speed is None:
         return converted(options)

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.conversion.files import Target, convert, with_format
 from hframe_post.conversion.options import Kind, Options
-from hframe_post.conversion.whole_file import WholeFile
+from hframe_post.conversion.whole_file import Target, WholeFile, convert, with_format
 from hframe_post.gcode import batching
 from hframe_post.planner import sampling
 from hframe_post.printer.settings import Printer

@@ -10,9 +10,8 @@ import pytest
 
 from hframe_post.arrays import Z
 from hframe_post.conversion import pipeline
-from hframe_post.conversion.files import Target, convert
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.whole_file import WholeFile
+from hframe_post.conversion.whole_file import Target, WholeFile, convert
 from hframe_post.errors import HframeError
 from hframe_post.printer.profile import load
 from hframe_post.stream.marks import Marks

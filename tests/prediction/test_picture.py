@@ -7,8 +7,8 @@ import pytest
 
 from hframe_post.arrays import TS
 from hframe_post.conversion import spans
-from hframe_post.conversion.files import convert
 from hframe_post.conversion.options import Options
+from hframe_post.conversion.whole_file import convert
 from hframe_post.prediction import picture as picture_module
 from hframe_post.prediction.picture import Picture
 from hframe_post.prediction.predict import SHOWN_EVERY
