@@ -309,25 +309,6 @@ def test_a_command_that_dwells_next_to_its_path_dwells_after_a_clamp(away: int) 
     below(hardest, asked + 1e-4, "change of speed in a ms, mm/ms")
 
 
-@pytest.mark.parametrize("cut", [pytest.param(1, marks=pytest.mark.slow), 7, 100, 399])
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_neither_depends_on_how_the_stream_was_cut(cut: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    path = standing(600, x=0.5)
-    command = path.copy()
-    for _ in range(3):
-        at, width = int(rng.integers(50, 550)), int(rng.integers(10, 120))
-        command[:, int(rng.integers(2))] += bump(600, at, rng.normal(), width)
-    one = chunk(path, command)
-    whole, clamp = clamped(one, LIMITS)
-    pieces = Clamp(*LIMITS)
-    cut_up = join(list(pieces.limit(batches([one], cut), "racking"))).commands["racking"]
-    assert cut_up.tobytes() == whole.tobytes()
-    assert pieces.clamped == clamp.clamped
-    wide = (Travel((-9.0, 200.0), (0.0, 150.0)), *FAR[1:])
-    assert checked(batches([one], cut), wide).peaks == checked([one], wide).peaks
-
-
 def test_motors_of_which_nobody_stated_a_limit_cancel_racking_in_short_strokes() -> None:
     """With as much as a CoreXY needs, 13 µm were left."""
     lines = [b"G28\n", b"G90\n", b"M83\n", b"G1 X100 Y100 Z0.2 F9000\n", b"M204 S5000\n"]

@@ -1,27 +1,18 @@
 """Compensation and prediction with impulse responses: as with transfer functions, and two-sided."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from hframe_post.arrays import Array, X
-from hframe_post.compensation.compensate import compensate
-from hframe_post.compensation.stops import StopModels, dwell_at_stops
-from hframe_post.conversion.pipeline import prepared
+from hframe_post.arrays import Array
 from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.model.lpfbs import Lpfbs, Window
 from hframe_post.model.plant import Bed, Plant, nozzle
 from hframe_post.model.strategies import STRATEGIES, Compensator
-from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.chunks import join
-from hframe_post.stream.types import Samples
-from tests.gcode_tools import planned
-from tests.gcode_tools import strokes as printed_strokes
 from tests.paths import ORIGIN, strokes
 from tests.plants import axis_mode, coupling_mode, deviation_of_mode, resonant
 
@@ -88,21 +79,6 @@ def test_a_filter_is_the_definition_wherever_cut(rest: float, late: int, lag: fl
 
 
 # ---------------------------------------------------------------------- one axis
-
-
-def test_a_preview_shorter_than_the_lead_still_ends_with_the_path() -> None:
-    solver = Lpfbs(two_sided(40.0, 0.05), Window(5, 44, 44, 30.0))
-    x_d = np.pad(strokes()[:, X], 500, mode="edge")
-    assert len(solver.command(x_d)) == len(x_d)
-    plant = replace(early(), Gxtheta=None)
-    windows = Window(5, 44, 44, 30.0), Window(5, 44, 44, 30.0)
-    for cuts in ((), (1, 2, 900)):
-        state, taken, given = STRATEGIES["fbs"].begin(Compensator(plant, windows), ORIGIN), 0, 0
-        for piece in np.split(strokes(), cuts):
-            taken += len(piece)
-            given += len(state.feed(piece))
-            assert given <= taken
-        assert given + len(state.finish()) == len(strokes())
 
 
 def test_a_response_that_cannot_be_inverted_is_refused() -> None:
@@ -174,29 +150,6 @@ def test_a_two_sided_plant_is_inverted(strategy: str) -> None:
     off, without = (nozzle(plant, ORIGIN, u) - path for u in (command, path))
     assert np.sqrt(np.square(without).mean()) > 0.01  # mm
     assert np.sqrt(np.square(off).mean()) < 1e-3  # mm
-
-
-# ---------------------------------------------------------------------- stops
-
-
-def retracting(printer: Printer) -> list[Samples]:
-    return planned(printed_strokes(1, 4), printer)
-
-
-def held(chunks: Sequence[Samples], printer: Printer) -> Samples:
-    compensator, names = prepared(printer), ("fbs", "racking")
-    commands = compensate(chunks, compensator, names)
-    bounds = printer.travel, printer.motors, printer.kinematics
-    return join(list(dwell_at_stops(commands, StopModels(compensator, names, *bounds))))
-
-
-def test_a_two_sided_plant_stays_on_the_path_at_stops(hbot: Printer) -> None:
-    printer = replace(hbot, plant=early())
-    block = held(retracting(hbot), printer)
-    (judged,) = judge([block], printer.plant)
-    off = judged.contour["racking"][judged.extruding]
-    assert len(off) > 300
-    assert np.sqrt(np.square(off).mean()) < 5e-3  # mm
 
 
 # ---------------------------------------------------------------------- other printers

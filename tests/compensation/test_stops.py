@@ -23,7 +23,7 @@ from hframe_post.printer.settings import STOPS, Printer, Travel
 from hframe_post.stream.chunks import join, stretches
 from hframe_post.stream.types import Dwell, Samples, StopRules
 from tests.gcode_tools import HEAD, planned, strokes
-from tests.paths import smaller, stroke
+from tests.paths import stroke
 
 NAMES = ("fbs", "racking")
 
@@ -166,19 +166,6 @@ def test_no_peak_next_to_a_short_travel_or_at_a_corner_just_after_a_stop(paper: 
         blocks = compensated(planned(lines, printer), printer)
         assert errors(blocks, printer).max() < 0.130
         assert max(hardest(b.commands["racking"], printer) for b in blocks if len(b) > 2) <= 50_000
-
-
-@pytest.mark.parametrize("n", [1, 97, 1000])
-def test_equal_bits_however_the_stream_is_cut(paper: Printer, n: int) -> None:
-    lines = [*strokes(2, 3, 0.4), "G4 P1200", *strokes(3, 2)[2:], "M600", *strokes(4, 2)[2:]]
-    commanded = list(compensate(planned(lines, paper), prepared(paper), NAMES))
-    whole = whole_stretches(dwell_at_stops(commanded, models(paper)))
-    pieces = list(dwell_at_stops(smaller(commanded, n), models(paper)))
-    assert sum(map(len, pieces)) == sum(map(len, commanded))
-    for one, other in zip(whole_stretches(pieces), whole, strict=True):
-        assert one.events == other.events
-        for name in NAMES:
-            np.testing.assert_array_equal(one.commands[name], other.commands[name])
 
 
 def test_a_wait_of_hours_is_not_kept_in_memory(paper: Printer) -> None:

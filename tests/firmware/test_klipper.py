@@ -7,10 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from hframe_post.firmware.code import plain
 from hframe_post.firmware.klipper.klipper_stream import KlipperCode, KlipperMotion, stream_limits
 from hframe_post.firmware.klipper.macros import WRAPPERS, macros
 from hframe_post.firmware.motion import Way
@@ -88,14 +85,6 @@ def test_the_stream_may_do_what_the_motors_hold_in_any_direction_and_no_more() -
     assert (stream.z_velocity, stream.z_acceleration) == (20.0, 500.0)
     assert (stream.extruder_velocity, stream.extruder_acceleration) == (60.0, 2000.0)
     assert stream.extruder_corner_velocity == 1.5
-
-
-def test_stream_begins_unshaped_with_its_own_limits_and_modes() -> None:
-    assert KlipperCode(RESTORE, STREAM).begin((0.0, 0.0, 0.0), AT) == [
-        "G4 P0", "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0 SHAPER_FREQ_Z=0",
-        "SET_VELOCITY_LIMIT VELOCITY=770 ACCEL=35355 SQUARE_CORNER_VELOCITY=20 "
-        "MINIMUM_CRUISE_RATIO=0", "G90", "M83",
-    ]  # fmt: skip
 
 
 USERS = (
@@ -179,14 +168,6 @@ def test_no_segment_extrudes_more_than_klipper_takes_for_its_length() -> None:
 
 
 # ---------------------------------------------------------------------- plain numbers
-
-
-@given(st.floats(-1e9, 1e9), st.integers(1, 6))
-def test_plain_numbers_read_back(value: float, decimals: int) -> None:
-    text = plain(value, decimals)
-    assert re.fullmatch(r"-?(0|[1-9]\d*)(\.\d*[1-9])?", text)
-    assert text != "-0"
-    assert float(text) == pytest.approx(value, rel=1e-12, abs=0.5001 * 10**-decimals)
 
 
 DOCS = Path(__file__).parents[2] / "docs" / "klipper.md"

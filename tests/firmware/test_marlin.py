@@ -19,7 +19,7 @@ from hframe_post.firmware.marlin.marlin_motion import MarlinMotion
 from hframe_post.firmware.motion import Stroke, Way
 from hframe_post.firmware.registry import firmware
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.native.whole_steps import Blocks, without_reversals
+from hframe_post.native.whole_steps import without_reversals
 from hframe_post.printer.firmware_tables import MARLIN_PLANNERS
 from hframe_post.printer.profile import load, parse, played_by, shipped
 from hframe_post.printer.settings import Printer
@@ -57,14 +57,6 @@ def motion(profile: Printer) -> MarlinMotion:
 
 
 # ---------------------------------------------------------------------- commands
-
-
-def test_stream_begins_unshaped_with_its_own_limits_and_modes(marlin: Printer) -> None:
-    assert code(marlin).begin(NOWHERE, AT) == [
-        "M400", "M593 F0", "M900 K0", "M493 S0", "M494 T0 X0 Y0 Z0 E0",
-        "M201 X100000 Y100000 E100000", "M203 X770 Y770", "M204 P100000 T100000",
-        "M205 B0 S0 T0 J0.3", "G90", "M83",
-    ]  # fmt: skip
 
 
 def test_stream_ends_with_the_users_settings_to_the_last_digit(marlin: Printer) -> None:
@@ -111,25 +103,6 @@ def test_strokes_last_as_long_as_they_were_planned_to(marlin: Printer, planner: 
 def test_what_follows_a_late_stroke_is_no_faster_than_it_allows() -> None:
     stroke = Stroke(40.0, 0.1, fastest=50.0, cruise=0.2)
     assert stroke.time_of_next(1.0, 0.01) == pytest.approx(1.0 / 50.0)
-
-
-@pytest.mark.parametrize("planner", MARLIN_PLANNERS)
-def test_blocks_reach_what_their_acceleration_allows(marlin: Printer, planner: str) -> None:
-    """Three of 1 mm at 1000 mm/s² and 60 mm/s, from rest to rest."""
-    blocks = Blocks(np.full(3, 80.0), np.ones(3), np.full(3, 80_000.0))
-    joint, v = np.array([0.0, 60.0, 60.0, 0.0]), np.full(3, 60.0)
-    v_s, v_e = motion(with_marlin(marlin, planner=planner)).planner.reachable(blocks, joint, v)
-    reached = np.sqrt(2.0 * 1000.0)
-    np.testing.assert_allclose(v_e[:2], reached, rtol=0.03)
-    np.testing.assert_allclose(v_s[1:], reached, rtol=0.03)
-
-
-def test_turning_back_is_a_stop_and_going_on_is_none(marlin: Printer) -> None:
-    there, mine = from_there((0.0, 0.0, 0.4, 0.0)), motion(marlin)
-    x, y, z, e = there.end
-    on, back = Way(there.end, (x, y, z + 0.4, e)), Way(there.end, there.start)
-    assert mine.corners(back, 10.0, (0.0, 0.0), there)[0] == 0.0
-    assert mine.corners(on, 10.0, (0.0, 0.0), there)[0] > 0.0
 
 
 def test_limits_are_set_in_whole_numbers_and_corners_to_a_hundredth(marlin: Printer) -> None:

@@ -1,7 +1,6 @@
 """x, y ↔ belts, and printers that do not rack."""
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +9,7 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.errors import PrinterError
 from hframe_post.model.kinematics import TYPES, Kinematics
-from hframe_post.prediction.predict import judge
 from hframe_post.printer.profile import load, parse
-from hframe_post.stream.chunks import join
 from tests.gcode_tools import converted, sample
 from tests.same_print import unstamped
 
@@ -62,18 +59,3 @@ def test_corexz_plays_as_cartesian_but_its_z_steps_with_x() -> None:
     assert plays == cartesian
     with pytest.raises(PrinterError, match="the motor of z moves with x"):
         next(WholeFile(iter(LINES), parse(text.format("corexz"), "mine"), Options("fbs")).steps())
-
-
-def test_bed_slinger_is_compensated_in_x_and_y_each_by_its_own_resonance() -> None:
-    """Exchanged, its two models no longer fit."""
-    printer = load("example-cartesian")
-    right_plant = printer.plant
-    wrong_plant = replace(right_plant, Gxx=right_plant.Gyy, Gyy=right_plant.Gxx)
-    command = join(list(WholeFile(iter(LINES), printer, Options("fbs")).commands()))
-    errors = [
-        np.concatenate([j.contour["fbs"] for j in judge([command], plant, 1)])
-        for plant in (right_plant, wrong_plant)
-    ]
-    right, wrong = (float(np.sqrt(np.square(error).mean())) for error in errors)
-    assert right < 0.001
-    assert wrong > 10.0 * right

@@ -129,20 +129,6 @@ def test_a_damper_against_the_frame_is_a_lag() -> None:
     assert np.abs(q.impulse(1900) - G.impulse(1900)).max() < 1e-4  # of 1
 
 
-def test_a_stretched_response_lags_as_much_longer() -> None:
-    G = ImpulseResponse(
-        deviation_of_mode(40.0, 0.06, 900), 0, lag=2.0, drift=0.02,
-        unknown=0.1 * deviation_of_mode(60.0, 0.2, 300),
-    )  # fmt: skip
-    longer = G.stretched(1.25)
-
-    assert (longer.lag, longer.drift) == (2.5, 0.02)
-    expected = 0.1 * deviation_of_mode(48.0, 0.2, len(longer.unknown))
-    assert np.abs(longer.unknown - expected).max() < 0.01  # µm, of 0.3
-    slow = np.array([1e-3])
-    assert longer.response(slow) == pytest.approx(G.response(1.25 * slow), abs=1e-5)  # of 1
-
-
 @pytest.mark.parametrize(
     "bad",
     [{"deviation": []}, {"deviation": [0.0, np.inf]}, {"lead": 2}, {"rest": np.nan},

@@ -165,14 +165,3 @@ seeds = st.integers(0, 2**32 - 1)
 
 def carried(text: bytes) -> Marks:
     return mark(0, text)
-
-
-def bits(planned: list[Plan]) -> list[tuple[bytes, ...]]:
-    return [
-        (
-            p.line.tobytes(), p.points.tobytes(), p.s.tobytes(), p.ends.tobytes(),
-            p.speed.tobytes(), p.cruise.tobytes(), p.acceleration.tobytes(),
-            repr(list(p.marks)).encode(),
-        )
-        for p in planned
-    ]  # fmt: skip

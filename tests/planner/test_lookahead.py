@@ -19,7 +19,6 @@ from hframe_post.printer.settings import Limits
 from hframe_post.stream.marks import Mark
 from hframe_post.stream.types import (
     FileLimits,
-    MoveAtRest,
     Moves,
     Plan,
 )
@@ -203,26 +202,6 @@ def test_the_firmwares_own_time_is_that_of_its_ramps(length: float, seconds: flo
     for item in (moves(line((length, 0, 0, 1))), None):
         list(own.timed(item))
     assert own.seconds == pytest.approx(seconds)
-
-
-def test_the_firmwares_own_time_does_not_depend_on_how_moves_are_cut() -> None:
-    """A lift has the acceleration of the moves before it, whenever these are planned."""
-    whole = random_moves(6, 4200, marked=0.0)
-    whole = replace(whole, acceleration=np.full(4200, 1e3))
-    x, y, z, e = whole.points[-1].tolist()
-    own = FirmwareLimits(replace(LIMITS, z_acceleration=1e5), 1e3, 1e3, 5.0)
-    seconds = []
-    for size in (4200, 4099, 7):
-        sliced = AsSliced(own)
-        items: list[Moves | MoveAtRest] = [*cut(whole, size)]
-        # retracted from rest to rest, lifted at a speed, and on
-        items += [MoveAtRest(1, (x, y, z, e), (x, y, z, e - 1.0), 30.0)]
-        items += [MoveAtRest(1, (x, y, z, e - 1.0), (x, y, z + 2.0, e - 1.0), 30.0)]
-        for item in (*items, None):
-            list(sliced.timed(item))
-        seconds.append(sliced.seconds)
-    assert seconds == pytest.approx([seconds[0]] * 3, rel=1e-12)
-    assert np.isfinite(seconds[0])
 
 
 def test_boards_leave_out_moves_of_too_few_steps() -> None:

@@ -18,7 +18,7 @@ from hframe_post.planner.lookahead import plan
 from hframe_post.planner.profiles import Profiler
 from hframe_post.planner.sampling import SAMPLES_PER_CHUNK, SPARED, sample
 from hframe_post.printer.settings import Limits
-from hframe_post.stream.marks import NO_MARKS, Mark, Marks
+from hframe_post.stream.marks import NO_MARKS, Mark
 from hframe_post.stream.types import (
     Dwell,
     Event,
@@ -36,10 +36,8 @@ from tests.mark_tools import each
 from tests.planner.planning import (
     LIMITS,
     STATE,
-    bits,
     caps,
     carried,
-    cut,
     integrate,
     jerks,
     line,
@@ -93,18 +91,6 @@ def test_samples_follow_the_path_and_end_on_it(seed: int, n: int, jerk: float) -
         np.testing.assert_allclose(xyze[:, axis], on_path, atol=1e-8)
     np.testing.assert_array_equal(xyze[:FIRST], np.tile(item.points[0], (FIRST, 1)))
     np.testing.assert_array_equal(xyze[-1], item.points[-1])
-
-
-@settings(max_examples=40, deadline=None)
-@given(seeds, st.floats(10.0, 300.0), st.floats(500.0, 1e4))
-def test_straight_path_keeps_its_limits(seed: int, speed: float, acceleration: float) -> None:
-    steps = np.random.default_rng(seed).uniform(0.01, 20.0, 12)
-    straight = moves(line(*((0.6 * d, 0.8 * d, 0.0, d) for d in steps)), speed, acceleration)
-    jerk = 20.0 * acceleration / 0.2
-    s = whole(sampled([straight], replace(LIMITS, jerk=jerk)))[0][:, E]
-    assert np.diff(s).max() / TS <= speed * (1 + 1e-6)
-    assert np.abs(np.diff(s, 2)).max() / TS**2 <= acceleration * (1 + 1e-6)
-    assert np.abs(np.diff(s, 3)).max() / TS**3 <= jerk * (1 + 1e-3)
 
 
 def test_straight_move_takes_the_time_of_its_jerk_limited_profile() -> None:
@@ -194,15 +180,6 @@ def test_motion_and_pauses_have_standstill_between_them() -> None:
     assert isinstance(pause, Dwell)
     assert pause.index == before.index + RESTS.before
     assert pause.action is RETRACT
-
-
-def test_nothing_is_added_where_the_command_needs_none() -> None:
-    xyze, events = whole(sampled([there(), DWELL, there(50.0)], rests=StopRules()))
-    assert [type(e) for e in events] == [Dwell]
-    rested, with_rests = whole(sampled([there(), DWELL, there(50.0)]))
-    added = sum(e.samples for e in with_rests if isinstance(e, Rest))
-    assert added == RESTS.long_rest + RESTS.before + RESTS.after
-    assert len(xyze) == len(rested) - added
 
 
 def test_dwell_lasts_whole_samples_and_keeps_its_exact_time() -> None:
@@ -335,9 +312,6 @@ def test_standing_move_keeps_its_axis_limits(distance: float, axis: int, speed: 
     assert (xyze[:, others] == ORIGIN[others]).all()
 
 
-# ---------------------------------------------------------------------- cutting
-
-
 def test_chunks_stay_short_however_long_the_machine_stands() -> None:
     feeds = [
         MoveAtRest(k, (0, 0, 0, 900.0 * k), (0, 0, 0, 900.0 * (k + 1)), 60.0) for k in range(9)
@@ -345,82 +319,6 @@ def test_chunks_stay_short_however_long_the_machine_stands() -> None:
     sizes = [len(block) for block in sampled(feeds)]
     assert sum(sizes) > 4 * SAMPLES_PER_CHUNK
     assert max(sizes) < 2 * SAMPLES_PER_CHUNK
-
-
-def mixed() -> list[Item]:
-    """Return paths of several plans each, with pauses of all kinds between them."""
-    items: list[Item] = []
-    at = np.zeros(4)
-    rng = np.random.default_rng(0)
-    for k, n in enumerate((5200, 3, 700, 1, 200)):
-        turn = rng.normal(0.0, 10.0 ** rng.uniform(-3.0, 0.0, n))
-        length = 10.0 ** rng.uniform(-2.0, 0.3, n)
-        heading = np.cumsum(turn)
-        zero = np.zeros(n)
-        steps = np.stack(
-            [length * np.cos(heading), length * np.sin(heading), zero, 0.04 * length], axis=1
-        )
-        points = at + np.concatenate([np.zeros((1, 4)), np.cumsum(steps, axis=0)])
-        marked = np.flatnonzero(rng.random(n + 1) < 0.2)
-        marks = Marks.from_lines(Mark(int(m), b"%d" % m) for m in marked)
-        speed = np.repeat(rng.uniform(20.0, 300.0, n // 40 + 1), 40)[:n]
-        items.append(moves(points, speed, marks=marks))
-        at = points[-1]
-        start = (float(at[0]), float(at[1]), float(at[2]), float(at[3]))
-        end = (start[0], start[1], start[2] + 0.2, start[3] - 0.3 * k)
-        items += [MoveAtRest(k, start, end, 20.0), DWELL, carried(b";LAYER")]
-        at = np.array(end)
-        if k == 1:
-            items.append(YIELD)
-    return items
-
-
-def recut(items: list[Item], size: int) -> list[Item]:
-    found: list[Item] = []
-    for item in items:
-        found += cut(item, size) if isinstance(item, Moves) else [item]
-    return found
-
-
-def stream_bits(blocks: list[Samples]) -> tuple[bytes, bytes, list[Mark | Event]]:
-    xyze, events = whole(blocks)
-    return xyze.tobytes(), np.concatenate([b.line for b in blocks]).tobytes(), each(events)
-
-
-def test_samples_do_not_depend_on_how_moves_are_cut() -> None:
-    items = mixed()
-    expected = stream_bits(sampled(recut(items, 10_000)))
-    assert len(plans(items)) > 5
-    for size in (1, 77):
-        assert bits(plans(recut(items, size))) == bits(plans(items))
-        assert stream_bits(sampled(recut(items, size))) == expected
-
-
-def test_chunks_are_contiguous_finite_and_read_only() -> None:
-    blocks = sampled(mixed())
-    index = 0
-    for block in blocks:
-        assert block.first == index
-        assert len(block.line) == len(block)
-        assert np.isfinite(block.xyze).all()
-        assert not block.xyze.flags.writeable
-        indices = [event.index for event in block.events]
-        assert indices == sorted(indices)
-        assert all(block.first <= k <= block.end for k in indices)
-        index = block.end
-
-
-def test_filament_and_places_of_rest_are_those_of_the_file() -> None:
-    items = mixed()
-    xyze, events = whole(sampled(items))
-    stands = [item for item in items if isinstance(item, MoveAtRest)]
-    pauses = [e for e in events if isinstance(e, Dwell) and isinstance(e.action, MoveAtRest)]
-    assert [p.action for p in pauses] == stands
-    for pause in pauses:
-        assert isinstance(pause.action, MoveAtRest)
-        np.testing.assert_array_equal(xyze[pause.index - 1, :2], pause.action.start[:2])
-        np.testing.assert_array_equal(xyze[pause.index + pause.samples - 1], pause.action.end)
-    assert xyze[-1, E] == stands[-1].end[E]
 
 
 # ---------------------------------------------------------------------- single profiles

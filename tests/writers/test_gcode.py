@@ -2,7 +2,6 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator
 from functools import cache
 
 import numpy as np
@@ -17,7 +16,6 @@ from hframe_post.firmware.code import Code
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.firmware.registry import firmware as firmware_of
 from hframe_post.printer.profile import load
-from hframe_post.stream.chunks import batches
 from hframe_post.stream.marks import Mark, Marks
 from hframe_post.stream.types import (
     Dwell,
@@ -142,21 +140,6 @@ def test_filament_of_every_carried_line_is_exact(klipper: Parts) -> None:
     marked = Samples(0, whole.xyze, whole.line, marks, whole.commands, ends_stretch=True)
     reading = follow(text([marked], klipper)[0])
     np.testing.assert_allclose(reading.at_layer, whole.xyze[at, E], atol=1.1e-5)
-
-
-def test_lag_stays_bounded_however_long_the_stream(klipper: Parts) -> None:
-    """What Klipper takes by its own formulas, dwells and all, against the samples' time."""
-    parts = [("move", 700), ("retract", 80), ("move", 400), ("lift", 20), ("wait", 50)] * 40
-    writer, lags = GcodeWriter("none", *klipper), list[float]()
-
-    def chunks() -> Iterator[Samples]:
-        for part in batches([stream(parts)], 1000):
-            yield part
-            lags.append(abs(writer.lag))  # once all of it has been written
-
-    for _ in writer.write(chunks()):
-        pass
-    assert max(lags) < 1.5e-3
 
 
 def test_nothing_moves_in_the_streams_modes_after_a_release(klipper: Parts) -> None:
