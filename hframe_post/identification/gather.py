@@ -160,22 +160,23 @@ def _exchanged(found: Sequence[Experiment]) -> list[Experiment]:
 
 def _experiment(one: Measurement, config: KlipperConfig | None, travel: Travel) -> Experiment:
     """Return the experiment that a recording is of. Raises HframeError."""
-    command, notes = one.command, one.recording.warnings()
+    command, axis, clock = one.command, None, None
+    unusual: Sequence[str] = ()
+    recording = one.recording if command and command.kind else _in_sensor_axes(one, config)
     if command is None:
         found = find(one.recording, _expected(one, config, travel))
-        run = Run(one.label, found.test.command(), _in_sensor_axes(one, config), found.clock)
-        return Experiment(one, run, _described(found.test, config), notes, found.axis)
-    motion, name = command.motion, command.path.name
-    check_travel(motion, travel)
-    if not command.kind:
-        return Experiment(
-            one, Run(one.label, motion, _in_sensor_axes(one, config)), f"sweep {name}", notes
-        )
-    clock, unusual = known_start(one.recording, len(motion), one.name.ended)
-    run = Run(one.label, motion, one.recording, clock)
+        motion, clock, axis = found.test.command(), found.clock, found.axis
+        described = _described(found.test, config)
+    else:
+        motion, described = command.motion, f"{command.kind or 'sweep'} {command.path.name}"
+        check_travel(motion, travel)
+        if command.kind:
+            clock, unusual = known_start(recording, len(motion), one.name.ended)
+    run = Run(one.label, motion, recording, clock)
     run = replace(run, found=run.aligned())
-    run.own_axes()  # raises if it does not show them
-    return Experiment(one, run, f"{command.kind} {name}", [*unusual, *notes])
+    if run.known_start:
+        run.own_axes()  # raises if it does not show them
+    return Experiment(one, run, described, [*unusual, *one.recording.warnings()], axis)
 
 
 def _in_sensor_axes(one: Measurement, config: KlipperConfig | None) -> Recording:

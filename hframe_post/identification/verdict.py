@@ -5,6 +5,8 @@ A bound is a share unless its name has a unit. Each message shows the number and
 
 from __future__ import annotations
 
+from hframe_post.errors import IdentificationError
+
 # identify refuses
 GAIN_ERROR_STROKES = 0.075  # of a sensor's gain; its start and its motion are known
 GAIN_ERROR_TEST = 0.35  # likewise, where accel_per_hz may be wrong, too
@@ -23,12 +25,31 @@ FREQUENCY_CHANGE = 0.1  # of the main resonance, from which it is another printe
 LONGEST_GAP_S, LOST = 0.1, 0.01  # of samples; what is lost in all is a share
 UNRECORDED_S = 0.25  # of a motion's ends: Klipper of 2023 lost 0.03 s at the start, 0.08 at the end
 CLOCK_DRIFT = 0.03  # of a sensor; the worst seen have 0.02
-CHIRP_SCORE = 0.3  # of the line of growing frequency: 0.2 without one, 2 with a whole one
-TEST_EXPLAINED = 0.6  # of its slow part, by the motion of the test
+# of a recording's power, by its motion: 0.80 to 0.99 of those published; 0.02 or less of noise, of
+# recordings of other motions, and of those that are played backwards
+EXPLAINED = 0.4
 TEST_GROWTH = -0.5  # of its level, as a power of the frequency; a sine of equal size has -1
 TEST_LEVEL = 0.2  # of its level, and of its sweeping's, to the test's; settings differ less
 TEST_PEAK = 1.5  # of its resonance; 1.2 with input shaping, 2.9 and more without on 20 printers
 SHOWN = 0.3  # of a command's slow part; of any axis that the sensor rides
-LIKENESS = 0.4  # of each part to what the sensor shows
 LAG_S = 0.03  # of each part; printers have less
-COHERENCE = 0.25  # of a command and what the sensor shows, by their median; 0.65 and more is usual
+
+
+def check_follows(share: float, least: float = EXPLAINED) -> None:
+    """Raise IdentificationError if a motion explains too small a share of its recording."""
+    if share < least:
+        raise IdentificationError(
+            "the recording does not follow the command, which explains "
+            f"{100.0 * max(share, 0.0):.0f} % of it, not {100.0 * least:.0f} % or more. Check that "
+            "it is of this motion, complete, and of a sensor that moves with this axis. With "
+            "Marlin also check firmware.marlin.planner of the profile"
+        )
+
+
+def check_drift(drift: float) -> None:
+    """Raise IdentificationError if a sensor's clock would have to be fast by too large a share."""
+    if abs(drift) > CLOCK_DRIFT:
+        raise IdentificationError(
+            f"the sensor's clock would have to be {100.0 * abs(drift):.1f} % wrong, more than the "
+            f"{100.0 * CLOCK_DRIFT:g} % that sensors are. Is the recording's time in seconds?"
+        )

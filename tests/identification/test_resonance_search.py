@@ -97,7 +97,7 @@ def whole() -> Recorded:
             "ends in the middle of the resonance test, at 5[56] Hz of 100 Hz: it was cut",
         ),
         (slice(6000, None), "begins in the middle of the resonance test, at 3[56] Hz: it was cut"),
-        (slice(0, 800), "no resonance test"),
+        (slice(0, 800), "ends in the middle of the resonance test, at 9 Hz of 100 Hz: it was cut"),
     ],
 )
 def test_a_cut_recording_is_refused(whole: Recorded, part: slice, message: str) -> None:
@@ -111,13 +111,27 @@ def test_other_recordings_are_refused(whole: Recorded) -> None:
     t = np.arange(20000) / 400.0
     still = rng.normal(0.0, 50.0, (len(t), 3))
     moves = still + 2000.0 * np.sign(np.sin(2.0 * np.pi * 25.0 * t))[:, None]
-    for a in (still, moves):
-        with pytest.raises(IdentificationError, match="no resonance test"):
+    for a, words in (
+        (still, r"shows \d % of the acceleration that the test makes, not 20 % or more"),
+        (20.0 * still, r"no resonance test: \d+ % of what it shows .* not 40 % or more"),
+        (moves, r"shows \d % of the acceleration that the test makes, not 20 % or more"),
+    ):
+        with pytest.raises(IdentificationError, match=words):
             find(Recording(t, a, False), whole.test)
     moving = np.maximum(t - 2.0, 0.0)
     sine = 4000.0 * np.sin(2.0 * np.pi * (4.0 + 0.5 * 2.0 * moving) * moving)
     with pytest.raises(IdentificationError, match="acceleration does not grow with it"):
         find(Recording(t, still + sine[:, None] * [1.0, 0.0, 0.0], False), whole.test)
+
+
+def test_a_rate_that_printer_cfg_does_not_say_is_refused() -> None:
+    """Else the sensor's clock would be 10 % off, and so would all frequencies."""
+    test = klipper(X, hz_per_sec=1.25, max_freq=60.0)
+    chip = replace(drawn_sensor(8, "lis2dw-394"), drift=0.0, lead=0.4)
+    made = replace(chip.record(linear_printer(8), test.command(), 8), started=False)
+    words = r"grows by 1.25 Hz/s, not by hz_per_sec 1, and no sensor's clock is 11 % wrong .* 3 %"
+    with pytest.raises(IdentificationError, match=words):
+        find(made, replace(test, hz_per_sec=1.0))
 
 
 def test_input_shaping_is_noticed() -> None:

@@ -91,6 +91,13 @@ def test_the_line_of_a_sweep_shows_the_start_and_a_large_drift(drift: float) -> 
     assert found.start == pytest.approx(BEGUN, abs=0.02)
 
 
+def test_a_clock_that_no_sensor_has_is_refused() -> None:
+    swept = sweep()
+    recording = Chip(drift=0.06, lead=2.0).on_nozzle(swept, 0.0 * swept)
+    with pytest.raises(IdentificationError, match=r"to be 6\.0 % wrong, more than the 3 %"):
+        aligned(acceleration(swept[:, None]), recording)
+
+
 @pytest.mark.parametrize("seconds", [2.0, 30.0])
 def test_what_draws_no_line_is_refused(seconds: float) -> None:
     """A motion of a moment, and a recording of noise."""
@@ -98,5 +105,5 @@ def test_what_draws_no_line_is_refused(seconds: float) -> None:
     short = swept[: round(seconds / TS)]
     played = short if seconds < 3.0 else 0.0 * short
     recording = Chip(lead=2.0, noise=60.0).on_nozzle(played, played)
-    with pytest.raises(IdentificationError, match="does not follow the command"):
+    with pytest.raises(IdentificationError, match=r"explains \d % of it, not 40 %"):
         aligned(acceleration(short[:, None]), recording)

@@ -26,12 +26,10 @@ from scipy.signal import find_peaks
 
 from hframe_post.arrays import TS, Array, Complex, Flags, X, Y
 from hframe_post.errors import IdentificationError
-from hframe_post.identification import verdict
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.recordings.clock import (
     SLOW_HZ,
     Aligned,
-    not_found,
     slow_part,
 )
 
@@ -58,13 +56,13 @@ class Direction:
 def direction(found: Aligned, responses: list[FrequencyResponse]) -> Direction:
     """Return the axis that a test shows, by three responses, one for each of the sensor's axes.
 
-    Raises IdentificationError if the printer does not follow the command.
+    Raises IdentificationError if the command excites too little.
     """
     hz, power = responses[0].hz, responses[0].power
     H = np.array([one.H for one in responses])
     size = np.linalg.norm(H, axis=0)
     whole = size**2 / (np.abs(H) ** 2 / np.array([one.coherence for one in responses])).sum(axis=0)
-    excited = _excited(hz, power, whole)
+    excited = _excited(hz, power)
     resonance = _first_resonance(hz, size, excited)
     low, high = hz[excited][[0, -1]].tolist()
     below = max(0.7 * resonance, 2.5 * low)
@@ -85,21 +83,20 @@ def _delay(unit: Complex, hz: Array) -> float:
     return tried * (best - n if best > n // 2 else best)
 
 
-def _excited(hz: Array, power: Array, coherence: Array) -> Flags:
+def _excited(hz: Array, power: Array) -> Flags:
     """Flag the frequencies (k,) from the last gap at the low end to where the test ended.
 
     A test's pulses grow with the frequency. The slow sweeping under them has lines below, too, and
     the pulses have harmonics of a ninth of their power.
     """
-    coherence = _smoothed(coherence, hz, 1.0)
     middle = hz <= LATEST_GAP_HZ
     step = float(hz[1] - hz[0])
     level = power / np.square(hz)
     steady = median_filter(level, max(round(2.0 / step), 1), mode="nearest")
     usual = float(np.median(level[steady > EXCITED * steady[hz > LEAST_HZ].max(initial=0.0)]))
     inside = ~middle & (steady > EXCITED * usual)
-    if not inside.any() or np.median(coherence[inside]) < verdict.COHERENCE:
-        raise not_found()
+    if not inside.any():
+        raise IdentificationError(f"the motion excites nothing above {LATEST_GAP_HZ:g} Hz")
     gaps = np.flatnonzero(middle & (steady < EXCITED * usual))
     flags = np.zeros(len(hz), dtype=bool)
     ends = slice(int(gaps[-1]) + 1 if gaps.size else 0, int(np.flatnonzero(inside)[-1]) + 1)

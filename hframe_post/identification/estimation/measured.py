@@ -36,7 +36,6 @@ from hframe_post.identification.recordings.clock import (
     Clock,
     acceleration,
     aligned,
-    not_found,
 )
 
 AXIS = {"Gxx": "x", "Gyy": "y"}
@@ -87,8 +86,7 @@ class Run:
         Raises IdentificationError if they are not in it.
         """
         seen = slow_directions(self.aligned())
-        if (np.linalg.norm(seen, axis=1) < verdict.SHOWN).any():
-            raise not_found()
+        verdict.check_follows(float(np.linalg.norm(seen, axis=1).min()), verdict.SHOWN)
         return axes_in_sensor(self.directions, seen, self.nozzle.up)
 
     @property

@@ -7,7 +7,7 @@ and lets a printer's resonances count no more than other frequencies.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -16,7 +16,6 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal.windows import hann
 
 from hframe_post.arrays import TS, Array
-from hframe_post.identification import verdict
 
 FRAME, HOP = 1000, 250  # samples of a spectrum, and between spectra
 LINE_HZ = (5.0, 200.0)  # frequencies in which lines are searched
@@ -24,7 +23,6 @@ SLOPES = np.geomspace(0.08, 8.0, 462)  # Hz/s
 TRIPLE = 110  # slopes from one to its triple
 ROW = 3  # Hz between the frequencies of the coarse search
 CLEAR = 10.0  # ratio of the line's power to the median power at its frequency
-NOTHING_SEEN = np.zeros((0, 2))
 NEAR_HZ = 3.0  # around the line, in which its power is looked for
 
 
@@ -32,22 +30,15 @@ NEAR_HZ = 3.0  # around the line, in which its power is looked for
 class ChirpLine:
     """A line f = slope·(t − origin), in Hz, Hz/s and s from the first sample.
 
-    score: how far it stands out from the rest of the recording; 0.2 or less without a chirp, 2 or
-    more with a whole one. seen (n, 2): times (s) and frequencies (Hz) through which it is drawn.
-    first, last: frequencies between which it is clearly seen, Hz.
+    seen (n, 2): times (s) and frequencies (Hz) through which it is drawn. first, last: frequencies
+    between which it is clearly seen, Hz.
     """
 
     slope: float
     origin: float
-    score: float
     seen: Array
     first: float = 0.0
     last: float = 0.0
-
-    @property
-    def clear(self) -> bool:
-        """Return whether it is seen over 5 Hz at least, and stands out."""
-        return self.score >= verdict.CHIRP_SCORE and self.last - self.first >= 5.0
 
 
 def uniform(t: Array, a: Array) -> Array:
@@ -58,10 +49,10 @@ def uniform(t: Array, a: Array) -> Array:
     return np.asarray(a - a.mean(axis=0))
 
 
-def find_line(a: Array) -> ChirpLine:
-    """Return the brightest line in a signal (n, k), a sample every 1 ms."""
+def find_line(a: Array) -> ChirpLine | None:
+    """Return the brightest line in a signal (n, k), a sample every 1 ms, or None if it has none."""
     if len(a) < 4 * FRAME:
-        return ChirpLine(1.0, 0.0, 0.0, NOTHING_SEEN)
+        return None
     frames = sliding_window_view(a, FRAME, axis=0)[::HOP] * hann(FRAME, sym=False)
     hz = rfftfreq(FRAME, TS)
     inside = (hz >= LINE_HZ[0]) & (hz <= LINE_HZ[1])
@@ -69,15 +60,13 @@ def find_line(a: Array) -> ChirpLine:
     floor = 1e-9 * float(power.max()) + 1e-300
     contrast = power / np.maximum(np.median(power, axis=1, keepdims=True), floor)
     t = (np.arange(power.shape[1]) * HOP + FRAME / 2.0) * TS
-    line = _brightest(hz, contrast)
-    line = replace(line, origin=line.origin + t[0])
-    for _ in range(2):
-        line = _fitted(line, t, hz, power, contrast)
-    return line
+    slope, origin = _brightest(hz, contrast)
+    line = _fitted(slope, origin + t[0], t, hz, power, contrast)
+    return line and _fitted(line.slope, line.origin, t, hz, power, contrast)
 
 
-def _brightest(hz: Array, contrast: Array) -> ChirpLine:
-    """Return the brightest line, its origin from the first spectrum."""
+def _brightest(hz: Array, contrast: Array) -> tuple[float, float]:
+    """Return the slope and the origin, from the first spectrum, of the brightest line."""
     hz, bright = hz[::ROW], np.log1p(contrast[::ROW] / 3.0)
     bright -= bright.mean(axis=1, keepdims=True)
     sums, firsts = [], []
@@ -95,25 +84,30 @@ def _brightest(hz: Array, contrast: Array) -> ChirpLine:
         near = sums[k - TRIPLE][max(at - firsts[k - TRIPLE] - 4, 0) :][:9]
         if near.size and near.max() > 0.25 * score:
             k -= TRIPLE
-    return ChirpLine(float(SLOPES[k]), at * HOP * TS, score / len(hz), NOTHING_SEEN)
+    return float(SLOPES[k]), at * HOP * TS
 
 
-def _fitted(line: ChirpLine, t: Array, hz: Array, power: Array, contrast: Array) -> ChirpLine:
-    """Return the line through the centres of power near it, by robust least squares."""
-    near = NEAR_HZ + line.slope * HOP * TS
-    centre = line.slope * (t - line.origin)
+def _fitted(
+    slope: float, origin: float, t: Array, hz: Array, power: Array, contrast: Array
+) -> ChirpLine | None:
+    """Return the line through the centres of power near it, by robust least squares.
+
+    None if it is seen less than 5 Hz far.
+    """
+    near = NEAR_HZ + slope * HOP * TS
+    centre = slope * (t - origin)
     close = np.abs(hz[:, None] - centre) < near
     share = power * close
     place = hz @ share / np.maximum(share.sum(axis=0), 1e-300)
     clear = (contrast * close).max(axis=0) > CLEAR
     fit = clear & (centre < hz[-1] - near)
     if np.count_nonzero(fit) < 8:
-        return line
+        return None
     slope, offset = robust_fit(np.column_stack([t, np.ones(len(t))])[fit], place[fit]).tolist()
-    if not SLOPES[0] < slope < SLOPES[-1]:
-        return line
-    seen = np.column_stack([t, place])[fit]
-    return ChirpLine(slope, -offset / slope, line.score, seen, *centre[clear][[0, -1]].tolist())
+    first, last = centre[clear][[0, -1]].tolist()
+    if not SLOPES[0] < slope < SLOPES[-1] or last - first < 5.0:
+        return None
+    return ChirpLine(slope, -offset / slope, np.column_stack([t, place])[fit], first, last)
 
 
 def robust_fit(columns: Array, wanted: Array) -> Array:

@@ -59,16 +59,17 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """What a recording shows along the line of a test.
+    """What a recording shows along the line of a test, on the command's clock.
 
-    a (n, 3): every 1 ms of the sensor's clock; drift: of that. hz, level (k,): frequencies, and
-    the response to the pulses there, mm/s² per Hz. base: that at 0 Hz. low_hz: up to which the
-    printer follows its motors.
+    a (n, 3): every 1 ms. origin: s from the first sample to 0 Hz. last: Hz up to which the line is
+    seen. hz, level (k,): frequencies, and the response to the pulses there, mm/s² per Hz. base:
+    that at 0 Hz. low_hz: up to which the printer follows its motors.
     """
 
     a: Array
-    line: ChirpLine
-    drift: float
+    rate: float
+    origin: float
+    last: float
     hz: Array
     level: Array
     base: float
@@ -95,48 +96,48 @@ def find(recording: Recording, expected: ResonanceTest) -> Found:
     Raises IdentificationError if there is none, if a part is missing, or if the recording does not
     show its motion.
     """
-    a = uniform(recording.t, recording.a)
-    line = find_line(a)
-    if not line.clear:
-        raise IdentificationError(
-            "the recording shows no resonance test, whose frequency grows steadily. If it is of "
-            "a sweep, put the CSV file that 'hframe-post measure' wrote next to it"
-        )
+    line = find_line(uniform(recording.t, recording.a))
+    if line is None:
+        line = _as_expected(expected)
     rate, drift = _rate(line.slope, expected.hz_per_sec)
-    seen = _seen(a, line, drift)
+    a = uniform(recording.t / (1.0 + drift), recording.a)
+    ends = rate * (len(a) * TS - line.origin / (1.0 + drift))
+    if ends < line.first + 5.0:
+        raise _cut(ends, expected.max_freq)
+    seen = _seen(a, line, rate, drift)
     low, axis = _low_part(seen)
     known = replace(expected, hz_per_sec=rate, max_freq=seen.low_hz + 2.0)
     fit = _best_match(low, known, seen)
-    whole = fit.test.min_freq == expected.min_freq or _rests_before(a, fit.start * (1.0 + drift))
-    last = _last_hz(seen, expected)
-    for refusal in _refusals(seen, fit, expected, whole, last):
+    for refusal in _refusals(seen, fit, expected, drift):
         raise refusal
-    test = _with_levels(fit, seen.base / (1.0 + drift), expected)
-    clock = Clock(float(recording.t[0] + fit.start * (1.0 + drift)), drift)
-    return Found(replace(test, max_freq=last), clock, axis)
+    test = replace(_with_levels(fit, seen.base, expected), max_freq=_last_hz(seen, expected))
+    clock = Clock(float(recording.t[0]) + fit.start * (1.0 + drift), drift)
+    return Found(test, clock, axis)
+
+
+def _as_expected(test: ResonanceTest) -> ChirpLine:
+    """Return the line of a test that begins with the first sample."""
+    rate, first = test.hz_per_sec, test.min_freq
+    return ChirpLine(rate, -first / rate, np.zeros((0, 2)), first, test.max_freq)
 
 
 def _rate(slope: float, expected: float) -> tuple[float, float]:
     """Return hz_per_sec and the drift of the clock on which a line has a slope in Hz/s."""
-    for rate in (expected, *USUAL_RATES):
-        drift = float(np.sqrt(rate / slope)) - 1.0
-        if abs(drift) < verdict.CLOCK_DRIFT:
-            return rate, drift
-    raise IdentificationError(
-        f"the recording's frequency grows by {slope:.3g} Hz/s, not by hz_per_sec "
-        f"{expected:g}. Set it in [resonance_tester] as it was in the test; if it was {expected:g},"
-        " the file's time is not in seconds"
-    )
+    drifts = {rate: float(np.sqrt(rate / slope)) - 1.0 for rate in (expected, *USUAL_RATES)}
+    fitting = (rate for rate, drift in drifts.items() if abs(drift) < verdict.CLOCK_DRIFT)
+    rate = next(fitting, expected)
+    return rate, drifts[rate]
 
 
-def _seen(a: Array, line: ChirpLine, drift: float) -> _Seen:
-    since = np.arange(len(a)) * TS - line.origin
-    turned = a * np.exp(-1j * np.pi * line.slope * np.square(since))[:, None]
+def _seen(a: Array, line: ChirpLine, rate: float, drift: float) -> _Seen:
+    origin = line.origin / (1.0 + drift)
+    since = np.arange(len(a)) * TS - origin
+    turned = a * np.exp(-1j * np.pi * rate * np.square(since))[:, None]
     window = hann(1001)[:, None]
     turned = np.pad(turned, ((500, 500), (0, 0)), mode="reflect")
     slow: Complex = oaconvolve(turned, window / window.sum(), "valid", axes=0)
-    hz = np.asarray(line.slope * since, dtype=np.float64)
-    kept = slice(int(np.searchsorted(hz, line.first + 0.5)), None, 50)
+    hz = np.asarray(rate * since, dtype=np.float64)
+    kept = slice(int(np.searchsorted(hz, line.first * (1.0 + drift) + 0.5)), None, 50)
     # a square wave's fundamental is 4/π times as large, half of it at positive frequencies
     level: Array = np.linalg.norm(slow[kept], axis=1) / hz[kept] * np.pi / 2.0
     hz = hz[kept]
@@ -148,7 +149,8 @@ def _seen(a: Array, line: ChirpLine, drift: float) -> _Seen:
     columns = np.column_stack([np.ones(int(low.sum())), -np.square(hz[low])])
     fit = robust_fit(columns, 1.0 / level[low])
     base = 1.0 / float(fit[0]) if fit.min() > 0.0 else base
-    return _Seen(a, line, drift, hz, level, base, min(edge, max(LOW_HZ, hz[0] + 8.0)))
+    last = min(line.last * (1.0 + drift), float(hz[-1]))
+    return _Seen(a, rate, origin, last, hz, level, base, min(edge, max(LOW_HZ, hz[0] + 8.0)))
 
 
 # ---------------------------------------------------------------------- the slow motion
@@ -157,14 +159,12 @@ def _seen(a: Array, line: ChirpLine, drift: float) -> _Seen:
 def _low_part(seen: _Seen) -> tuple[Array, Array]:
     """Return the slow part (n,) of a recording along its strongest direction, and that (3,).
 
-    Every 1 ms of the command's clock. The motion has one direction, noise has three.
+    The motion has one direction, noise has three.
     """
-    seconds = seen.low_hz / seen.line.slope + seen.line.origin
-    slow = _smooth(seen.a[: int(seconds / TS)])
+    slow = _smooth(seen.a[: int((seen.low_hz / seen.rate + seen.origin) / TS)])
     slow = slow - slow.mean(axis=0)
     axis = np.linalg.eigh(slow.T @ slow)[1][:, -1]
-    rows = np.arange(int(len(slow) / (1.0 + seen.drift))) * (1.0 + seen.drift)
-    return np.interp(rows, np.arange(len(slow)), slow @ axis), np.asarray(axis)
+    return slow @ axis, np.asarray(axis)
 
 
 def _smooth(a: Array) -> Array:
@@ -173,9 +173,9 @@ def _smooth(a: Array) -> Array:
 
 def _best_match(low: Array, known: ResonanceTest, seen: _Seen) -> _Match:
     """Return the best comparison among all first frequencies and kinds of pulses."""
-    rate, origin = known.hz_per_sec, seen.line.origin / (1.0 + seen.drift)
+    rate, origin = seen.rate, seen.origin
     earliest = max(-rate * (origin + 0.5), 1.0)
-    latest = max(seen.line.first * (1.0 + seen.drift) + 1.0, earliest + 1.0)
+    latest = max(float(seen.hz[0]) + 0.5, earliest + 1.0)
     usual = {known.min_freq, *np.arange(1.0, 300.0, 0.5).tolist()}
     unit = replace(known, accel_per_hz=1.0, sweeping_accel=1.0)
     kinds = [
@@ -202,7 +202,7 @@ def _sweeping_period(seen: _Seen, expected: float) -> float:
     slow = seen.a[: len(seen.a) // 50 * 50].reshape(-1, 50, 3).mean(axis=1)  # one every 50 ms
     padded = 8 * len(slow)
     size = np.linalg.norm(rfft(slow * hann(len(slow))[:, None], padded, axis=0), axis=1)
-    hz = rfftfreq(padded, 50.0 * TS) * (1.0 + seen.drift)
+    hz = rfftfreq(padded, 50.0 * TS)
     inside = (hz > 0.25) & (hz < 3.3)
     period = 1.0 / float(hz[inside][np.argmax(size[inside])])
     usual = (p for p in (expected, DEFAULTS["sweeping_period"]) if abs(period - p) < 0.02 * period)
@@ -237,18 +237,18 @@ def _rests_before(a: Array, start: float) -> bool:
 
 def _last_hz(seen: _Seen, expected: ResonanceTest) -> float:
     """Return the frequency at which the pulses end."""
-    hz, line = seen.hz, seen.line
-    before = (hz > line.last - 3.0) & (hz < line.last - 1.0)
-    strong = (seen.level > 0.5 * np.median(seen.level[before])) & (np.abs(hz - line.last) < 2.0)
-    last, end = (float(f) * (1.0 + seen.drift) for f in (hz[strong][-1], hz[-1]))
-    ended = end - last > 0.2 * line.slope
+    hz, around = seen.hz, seen.hz - seen.last
+    usually = np.median(seen.level[(around > -3.0) & (around < -1.0)])
+    last = float(hz[(seen.level > 0.5 * usually) & (np.abs(around) < 2.0)][-1])
+    end = float(hz[-1])
+    ended = end - last > 0.2 * seen.rate
     usual = [expected.max_freq, DEFAULTS["max_freq"], FORMER_MAX_FREQ]
     found = min([*usual, 5.0 * round(last / 5.0)] if ended else usual, key=lambda f: abs(f - last))
-    if abs(found - last) < 0.4 * max(1.0, line.slope):
+    if abs(found - last) < 0.4 * max(1.0, seen.rate):
         return found
     # the firmware stops recording soon after the motion, whose end noise may hide
     usual = [*usual, 5.0 * (end // 5.0)] if ended else usual[:1]
-    hidden = (f for f in usual if f <= end < f + SOON * line.slope)
+    hidden = (f for f in usual if f <= end < f + SOON * seen.rate)
     return next(hidden, round(last, 1) if ended else expected.max_freq)
 
 
@@ -274,15 +274,12 @@ def _usual(found: float, usual: tuple[float, ...], step: float) -> float:
 
 
 def _refusals(
-    seen: _Seen, fit: _Match, expected: ResonanceTest, whole: bool, last: float
+    seen: _Seen, fit: _Match, expected: ResonanceTest, drift: float
 ) -> Iterator[IdentificationError]:
-    """Yield why a recording does not show the motion of a test, the likeliest cause first.
-
-    whole: whether it begins before the motion. last: the frequency at which the test ends, Hz.
-    """
-    line, hz, level, base = seen.line, seen.hz, seen.level, seen.base
-    begins, ends = -line.slope * line.origin, float(hz[-1]) * (1.0 + seen.drift)
-    share = base / expected.accel_per_hz
+    """Yield why a recording does not show the motion of a test, the likeliest cause first."""
+    hz, level, base = seen.hz, seen.level, seen.base
+    whole = fit.test.min_freq == expected.min_freq or _rests_before(seen.a, fit.start)
+    begins, ends, share = -seen.rate * seen.origin, float(hz[-1]), base / expected.accel_per_hz
     # a test of weak pulses still has its sweeping in full
     if max(share, 0.5 * fit.sweeping / expected.sweeping_accel) < verdict.TEST_LEVEL:
         cause = ELSEWHERE
@@ -295,37 +292,39 @@ def _refusals(
             f"the recording shows {100.0 * share:.0f} % of the acceleration that the test makes, "
             f"not {100.0 * verdict.TEST_LEVEL:.0f} % or more: {cause}"
         )
-    if whole or begins < expected.min_freq + SOON * line.slope:
+    if whole or begins < expected.min_freq + SOON * seen.rate:
+        if fit.like < verdict.EXPLAINED:
+            yield IdentificationError(
+                f"the recording shows no resonance test: {100.0 * max(fit.like, 0.0):.0f} % of "
+                f"what it shows below {seen.low_hz:.0f} Hz is that motion, not "
+                f"{100.0 * verdict.EXPLAINED:.0f} % or more. Either {ELSEWHERE}, or input "
+                "shaping was on (INPUT_SHAPING=1), or another program made it. If it is of a "
+                "sweep, put the CSV file that 'hframe-post measure' wrote next to it"
+            )
         slow = hz <= seen.low_hz
         growth = float(np.polyfit(np.log(hz[slow]), np.log(level[slow]), 1)[0])
-        grows = (
-            f"the recording's frequency grows by {line.slope:.3g} Hz/s as in a resonance test, but"
-        )
         if growth < verdict.TEST_GROWTH:
             yield IdentificationError(
-                f"{grows} its acceleration does not grow with it (to its power of "
-                f"{1.0 + growth:.2f}; a test to {1.0 + verdict.TEST_GROWTH:g} or more): this is "
-                "another program's sweep"
+                "the recording's frequency grows, but its acceleration does not grow with it (to "
+                f"its power of {1.0 + growth:.2f}; a test to {1.0 + verdict.TEST_GROWTH:g} or "
+                "more): this is another program's sweep"
             )
-        if fit.like < verdict.TEST_EXPLAINED:
-            yield IdentificationError(
-                f"{grows} only {100.0 * max(fit.like, 0.0):.0f} % of what it shows below "
-                f"{seen.low_hz:.0f} Hz is that motion, not {100.0 * verdict.TEST_EXPLAINED:.0f} % "
-                f"or more. Either {ELSEWHERE}, or input shaping was on (INPUT_SHAPING=1), or "
-                "another program made it"
-            )
+    if abs(drift) > verdict.CLOCK_DRIFT:
+        yield IdentificationError(
+            f"the recording's frequency grows by {seen.rate / (1.0 + drift) ** 2:.3g} Hz/s, not by "
+            f"hz_per_sec {seen.rate:g}, and no sensor's clock is {100.0 * abs(drift):.0f} % wrong "
+            f"(at most {100.0 * verdict.CLOCK_DRIFT:g} %). Set hz_per_sec in [resonance_tester] as "
+            "it was in the test; if it was, the file's time is not in seconds"
+        )
+    if (last := _last_hz(seen, expected)) > ends + SOON * seen.rate:
+        yield _cut(ends, last)
     if not whole:
         yield IdentificationError(
             f"the recording begins in the middle of the resonance test, at {begins:.0f} Hz: it was "
             f"cut (use the whole file), or min_freq was not {expected.min_freq:g} as in "
             "[resonance_tester]: set it as it was in the test"
         )
-    if last > ends + SOON * line.slope:
-        yield IdentificationError(
-            f"the recording ends in the middle of the resonance test, at {ends:.0f} Hz of "
-            f"{last:g} Hz: it was cut. Use the whole file"
-        )
-    inside = level[hz < line.last]
+    inside = level[hz < seen.last]
     if inside.max() < verdict.TEST_PEAK * base and inside.min() < 0.5 * base:
         fades = float(hz[np.argmax(inside < 0.5 * base)])
         yield IdentificationError(
@@ -335,3 +334,10 @@ def _refusals(
             "without INPUT_SHAPING=1), or something soft lies between motors and sensor, such as "
             "a slack belt or a sensor that is not screwed on"
         )
+
+
+def _cut(ends: float, last: float) -> IdentificationError:
+    return IdentificationError(
+        f"the recording ends in the middle of the resonance test, at {ends:.0f} Hz of "
+        f"{last:g} Hz: it was cut. Use the whole file"
+    )
