@@ -25,6 +25,7 @@ from hframe_post.printer.model_file import model_path
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from tests.printers import with_plant, with_verification
+from tests.quantities import below
 from tests.random_printers import BEGUN, drawn, judged, printer, recorded
 from tests.recordings import write_klipper
 from tests.simulator import Axis, Chip, Machine, Mode
@@ -122,6 +123,31 @@ def test_a_drifted_printer_is_compensated_as_by_the_exact_model(seed: int) -> No
     )
     assert old > 1.2 * exact
     assert new < 1.15 * exact
+
+
+@pytest.mark.slow
+def test_a_check_is_as_good_whatever_the_noise_and_the_start() -> None:
+    """Eight of twenty recordings of one printer, its belts a tenth looser than the profile says.
+
+    They are those with the largest errors when 14 of the 20 s were fitted: 1.07 to 1.47 times those
+    of the exact model, 1.14 in the median. That model leaves 1.06 if it is expected to drift.
+    """
+
+    def machine(stiffness: float) -> Machine:
+        share = stiffness**0.5
+        x, y = (Axis((Mode(share * hz, zeta),)) for hz, zeta in ((43.0, 0.06), (36.0, 0.08)))
+        return Machine(x, y, kinematics="corexy")
+
+    profile, now = replace(printer(machine(1.0)), plant=machine(1.0).exact()), machine(0.9)
+    as_identified = replace(profile.compensation, effort=(10.0, 10.0))
+    profile = replace(profile, compensation=as_identified)
+    exact = judged(now, replace(profile, plant=now.exact()), "cube").compensated
+    left = []
+    for seed in (3, 8, 10, 11, 13, 14, 16, 18):
+        plant = moved(profile.plant, checked(now, Chip(), profile, seed))
+        left.append(judged(now, replace(profile, plant=plant), "cube").compensated / exact)
+    below(float(np.median(left)), 1.1, "median error of the cube, of the exact model's")
+    below(max(left), 1.15, "largest error of the cube, of the exact model's")
 
 
 @pytest.mark.slow

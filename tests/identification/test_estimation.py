@@ -75,11 +75,12 @@ def test_what_decays_without_modes_needs_none() -> None:
 def test_a_sum_of_modes_is_found_with_gain_and_lag() -> None:
     true = two_modes(1.3e-3, 1.04)
     found = estimated(seen(true, 0.03, 1))
+    assert found.prior is not None
     for hz, zeta in ((31.0, 0.08), (71.0, 0.05)):
-        near = min(found.expected, key=lambda mode: abs(mode.omega / rad(hz) - 1.0))
+        near = min(found.prior.modes, key=lambda mode: abs(mode.omega / rad(hz) - 1.0))
         assert near.omega == pytest.approx(rad(hz), rel=0.005)
         assert near.zeta == pytest.approx(zeta, rel=0.1)
-    assert len(found.expected) <= 3
+    assert len(found.prior.modes) <= 3
     assert found.gain == pytest.approx(1.04, abs=0.005)
     assert found.G.lag == pytest.approx(1.3, abs=0.02)  # ms: these modes have none
     off = np.abs(found.response(HZ) - true)

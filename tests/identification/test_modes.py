@@ -8,7 +8,7 @@ import pytest
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.estimation.fit import Fit, described, shares
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
-from hframe_post.identification.estimation.regression import Mode
+from hframe_post.identification.estimation.regression import FIRST, Mode, Prior
 from hframe_post.identification.recommend import recommend
 from hframe_post.identification.report import uncertain
 from hframe_post.model.impulse_response import ImpulseResponse
@@ -59,7 +59,7 @@ def test_shares_and_delay_are_found(gain: float) -> None:
 def test_modes_are_listed_that_ring_and_count() -> None:
     damped = Mode(2.0 * np.pi * TS * 45.0, 0.5)
     expected = MODES[1], damped, MODES[2], MODES[0]
-    found = Fit(ImpulseResponse(np.zeros(1), 0), 1.0, 0.0, 30.0, expected)
+    found = Fit(ImpulseResponse(np.zeros(1), 0), 1.0, 0.0, 30.0, Prior(FIRST, expected))
     modes = described(found, seen(continuous(TWO.x, HZ)), 0.0).modes
     assert np.array(modes) == pytest.approx(np.array([(30.0, 0.05), (70.0, 0.04)]))
 

@@ -142,6 +142,8 @@ def slow_directions(found: Aligned, band_hz: tuple[float, float] = SLOW_HZ) -> A
 def axes_in_sensor(commanded: Array, seen: Array, up: Array) -> Array:
     """Return what shows the printer's x and y, (3, 2), in what the sensor shows, (n, 3).
 
+    They stand at right angles, turned and mirrored so that they explain most of what was seen
+    (Schönemann, Psychometrika 31, 1966). What lines differ by beyond that is noise, and no gain.
     commanded (k, 2): directions in x and y that moved; seen (k, 3): where the sensor saw them, of
     any length. up: as of ``Recording``, needed if all moved along one line; raises
     IdentificationError without it.
@@ -156,7 +158,5 @@ def axes_in_sensor(commanded: Array, seen: Array, up: Array) -> Array:
         across = np.cross(up, seen[0])
         commanded = np.vstack([commanded, [-commanded[0, Y], commanded[0, X]]])
         seen = np.vstack([seen, across / np.linalg.norm(across)])
-    x, y = np.linalg.lstsq(commanded, seen, rcond=None)[0]
-    z = np.cross(x, y)
-    z *= (np.sign(z @ up) or 1.0) / np.linalg.norm(z)
-    return np.asarray(np.linalg.inv([x, y, z])[:, [X, Y]])
+    U, _, V = np.linalg.svd(seen.T @ commanded, full_matrices=False)
+    return np.asarray(U @ V)

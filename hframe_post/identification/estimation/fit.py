@@ -21,7 +21,7 @@ from hframe_post.identification.estimation.frequency_response import (
     share_left,
     weights,
 )
-from hframe_post.identification.estimation.regression import Mode
+from hframe_post.identification.estimation.regression import Mode, Prior
 from hframe_post.model.impulse_response import ImpulseResponse
 
 LISTED = 0.03  # of the motion at rest: modes that contribute less are not listed
@@ -33,18 +33,20 @@ DELAYS: Array = np.linspace(-2e-3, 2e-3, 401)  # s from the lag to the delay of 
 class Fit:
     """A response G, without the sensor's gain and the delay (s) of the recording.
 
-    resonance_hz: where |G| is greatest. expected: modes that the regression found, those that
-    explain most first. residual: share of the measurement that is left, weighted with input power.
-    modes: Hz and damping ratio of each that rings and counts, lowest first; of racking, none.
+    gain_sd: standard deviation of the gain, or how far half of the frequencies are from it.
+    resonance_hz: where |G| is greatest. prior: hyperparameters that the regression found, if there
+    was one. residual: share of the measurement that is left, weighted with input power. modes: Hz
+    and damping ratio of each that rings and counts, lowest first; of racking, none.
     """
 
     G: ImpulseResponse
     gain: float
     delay: float
     resonance_hz: float
-    expected: tuple[Mode, ...] = ()
+    prior: Prior | None = None
     residual: float = 0.0
     modes: list[tuple[float, float]] = field(default_factory=list)
+    gain_sd: float = 0.0
 
     @property
     def lag(self) -> float:
@@ -53,8 +55,8 @@ class Fit:
 
     @property
     def ringing(self) -> list[Mode]:
-        """Return the expected modes that ring."""
-        return [mode for mode in self.expected if mode.zeta < RINGS]
+        """Return the modes of the regression that ring."""
+        return [mode for mode in self.prior.modes if mode.zeta < RINGS] if self.prior else []
 
     def response(self, hz: Array) -> Complex:
         """Return what the sensor shows at ``hz`` (k,), including gain and delay."""

@@ -113,33 +113,38 @@ def fit_racking(whole: FrequencyResponse, x: Fit, gain: float) -> Fit:
     return replace(found, G=G, gain=gain, delay=x.delay, residual=left)
 
 
-def estimated(measured: FrequencyResponse, expected: Expected = STROKES) -> Fit:
+def estimated(
+    measured: FrequencyResponse, expected: Expected = STROKES, start: Prior | None = None
+) -> Fit:
     """Return the response that was measured, with what is not known of it.
 
-    All delay is the printer's. Raises IdentificationError if there are too few frequencies.
+    All delay is the printer's. start: hyperparameters of a part of the measurement; without them
+    modes are sought. Raises IdentificationError if there are too few frequencies.
     """
-    found, resonance_hz = _regressed(measured, expected)
-    gain, lag = 1.0, 0.0
+    found, resonance_hz = _regressed(measured, expected, start)
+    gain, lag, sd = 1.0, 0.0, 0.0
     if expected.rest:
         gain += float(found.mean[0])
-        lag = float(found.mean[1]) / gain
+        lag, sd = float(found.mean[1]) / gain, float(np.sqrt(found.covariance[0, 0]))
     k = np.arange(DECAYING[0], LONGEST)
     q = found.response(k) / gain
     loud = int(np.flatnonzero(np.abs(q) >= SILENT * np.abs(q).max())[-1]) + 1
     unknown = _unknown(found.known(k[:loud]) / gain**2)
     G = ImpulseResponse(q[:loud], int(-k[0]), expected.rest, lag, unknown=unknown)
-    return Fit(G, gain, 0.0, resonance_hz, found.prior.modes)
+    return Fit(G, gain, 0.0, resonance_hz, found.prior, gain_sd=sd)
 
 
-def _regressed(measured: FrequencyResponse, expected: Expected) -> tuple[Posterior, float]:
+def _regressed(
+    measured: FrequencyResponse, expected: Expected, start: Prior | None
+) -> tuple[Posterior, float]:
     """Return the posterior of (g − ĝ, g·lag, g·q), and where its mean is greatest, Hz."""
     largest_response(measured)
     linear, H, power = _Linear(measured, expected), measured.H, measured.power
     least = power * (np.abs(H) ** 2 + 1.0) / measured.averages
     own = np.maximum(power * (measured.noise * np.abs(H)) ** 2, LEAST_NOISE**2 * least)
-    left, prior = np.zeros(len(H)), None
-    sought = bool((own > NOISE**2 * least).any())
-    for noise in (NOISE**2 * least, own, own):
+    left, prior = np.zeros(len(H)), start
+    sought = start is None and bool((own > NOISE**2 * least).any())
+    for noise in (NOISE**2 * least, own, own)[start is not None :]:
         weight = np.sqrt(2.0 * power / _smoothed(noise + left, measured.hz))
         data = linear.data(weight)
         found = regress(data, prior)
@@ -244,7 +249,7 @@ def fit_unknown_start(axes: Mapping[str, FrequencyResponse]) -> dict[str, Fit]:
 
 def _from_its_damping(whole: FrequencyResponse) -> Fit:
     """Return the response that is as late at low speed as the damping of its modes explains."""
-    gain, late = _gain_and_delay(whole, strongest(whole))
+    gain, late, _ = _gain_and_delay(whole, strongest(whole))
     late += DECAYING[0] * TS  # the rough one may be late
     in_time = whole.corrected(gain, late)
     rough = estimated(in_time, TESTS)
@@ -264,9 +269,9 @@ def with_an_ideal_mode(whole: FrequencyResponse) -> Fit:
     """
     largest_response(whole)
     f0 = strongest(whole)
-    gain, delay = _gain_and_delay(whole, f0)
+    gain, delay, sd = _gain_and_delay(whole, f0)
     h = _estimate(whole.corrected(gain, delay), f0)
-    return described(Fit(_handed_over(h, f0), gain, delay, f0), whole, delay)
+    return described(Fit(_handed_over(h, f0), gain, delay, f0, gain_sd=sd), whole, delay)
 
 
 def strongest(measured: FrequencyResponse) -> float:
@@ -276,8 +281,11 @@ def strongest(measured: FrequencyResponse) -> float:
     return float(hz[np.argmax(np.where(near, np.abs(measured.H), 0.0))])
 
 
-def _gain_and_delay(measured: FrequencyResponse, f0: float) -> tuple[float, float]:
-    """Return the gain and delay (s) with which one ideal mode is seen below the resonance."""
+def _gain_and_delay(measured: FrequencyResponse, f0: float) -> tuple[float, float, float]:
+    """Return the gain and delay (s) with which one ideal mode is seen below the resonance.
+
+    And how far off that gain half of the frequencies there are.
+    """
     hz, ends = measured.hz, (f0 / 5.0, f0 / 2.4)
     low = (hz >= ends[0]) & (hz <= ends[1])
     H, omega = measured.H[low], 2.0 * np.pi * hz[low]
@@ -287,9 +295,10 @@ def _gain_and_delay(measured: FrequencyResponse, f0: float) -> tuple[float, floa
             f"resonance at {f0:.0f} Hz: begin the test at a lower frequency"
         )
     sign = np.sign(H.sum().real) or 1.0
-    gain = float(sign * np.median(np.abs(H / _one_mode(hz[low], f0))))
-    phase = np.unwrap(np.angle(H / gain))
-    return gain, float(-(omega @ phase) / (omega @ omega))
+    first, size, last = np.quantile(np.abs(H / _one_mode(hz[low], f0)), (0.25, 0.5, 0.75)).tolist()
+    phase = np.unwrap(np.angle(H * sign))
+    delay = float(-(omega @ phase) / (omega @ omega))
+    return float(sign * size), delay, max(size - first, last - size)
 
 
 def _estimate(measured: FrequencyResponse, f0: float) -> Array:
