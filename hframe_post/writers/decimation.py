@@ -91,7 +91,8 @@ class Batch(NamedTuple):
     def forced(self) -> Flags:
         """Return the points (n + 1,) at which a line of the file passes."""
         forced = np.zeros(len(self.points), dtype=bool)
-        forced[self.marked] = True
+        if self.marks:
+            forced[self.marked] = True
         return forced
 
 

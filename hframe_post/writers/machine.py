@@ -21,7 +21,6 @@ from hframe_post.stream.types import (
     Samples,
     SlowStraight,
 )
-from hframe_post.writers.carried import NOTHING_BETWEEN, Between
 from hframe_post.writers.decimation import (
     SAMPLES_AT_ONCE,
     Batch,
@@ -33,7 +32,7 @@ from hframe_post.writers.decimation import (
     rows_before,
     segments,
 )
-from hframe_post.writers.page import PlacedMove
+from hframe_post.writers.page import NOTHING_BETWEEN, Between, PlacedMove
 from hframe_post.writers.timing import Motion, Timing
 
 

@@ -8,11 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, E, Flags, Integers, lengths
+from hframe_post.arrays import TS, Array, E, Flags, Integers
 from hframe_post.firmware.motion import MotionRules, NextTo, Stroke, Way
-from hframe_post.writers.carried import Between
 from hframe_post.writers.decimation import Units
-from hframe_post.writers.page import Asked, Page, PlacedMove
+from hframe_post.writers.page import Asked, Between, Page, PlacedMove
 
 CATCH_UP = 0.01  # share of its time by which a segment is sped up or delayed, in a long motion
 REVERSED = -0.999  # cosine between ways from which every firmware stops between them
@@ -69,8 +68,8 @@ class Timing:
         self._before = 0.0  # speed of the last segment, mm/s, or left by a stroke; 0: it rests
         self.lag = self.lost = 0.0
         self._fresh = True  # nothing has moved since the machine was taken over
-        # last segment of a batch: places, speed, whether from rest, speed of the one before it
-        self._ending: tuple[Array, Array, bool, float] | None = None
+        # last segment of a batch, as ``MotionRules.durations`` takes it
+        self._ending: tuple[Array, Array, Flags, float] | None = None
         self._lift: _Lift | None = None
 
     @property
@@ -110,8 +109,7 @@ class Timing:
         """
         if self._lift is not None and self._lift.stroke.fastest < math.inf:
             return math.inf
-        v = float(lengths(at[1:2, :E] - at[:1, :E])[0]) / T
-        return self._rules.entry(at[:2], v, before)
+        return self._rules.entry(at[:2], _first_length(at) / T, before)
 
     def feeds(self, at: Array, T: Array, rest: Flags, after: float) -> Integers:
         """Return F (k,) of segments between places at (k + 1, 4), mm, that are to last T (k,).
@@ -120,18 +118,18 @@ class Timing:
         greatest speed at the last.
         """
         if self._turns_back(at):
-            self._come_to_rest()
+            self._end_batch_at(0.0)
+            self._before = 0.0
         rest[0] |= self._before == 0.0
         planned, T = T, self._possible(at, T)
-        if self._lift is not None:
-            first = float(lengths(at[1:2, :E] - at[:1, :E])[0])
-            T[0] = self._lift.stroke.time_of_next(first, float(T[0]))
+        if self._lift is not None and self._lift.stroke.fastest < math.inf:
+            T[0] = self._lift.stroke.time_of_next(_first_length(at), float(T[0]))
         if self._fresh:
             T = T + self._rules.head_start(at)
         late, passed = abs(self.lag), T.cumsum()
         share = min(CATCH_UP, late / min(float(passed[-1]), 1.0))  # over 1 s, if there is one
         made_up = np.minimum(share * passed, late)
-        made_up[1:] -= made_up[:-1].copy()
+        made_up[1:] -= made_up[:-1]
         wanted = T - made_up if self.lag > 0.0 else T + made_up
         feeds, taken = self._asked(at, wanted, rest, after)
         if self._steady:
@@ -166,31 +164,22 @@ class Timing:
         cosine = sum(a * b for a, b in zip(last, way, strict=True))
         return bool(cosine < REVERSED * math.hypot(*last) * math.hypot(*way))
 
-    def _come_to_rest(self) -> None:
-        """Add what the last segment of a batch takes longer to come to rest at its end."""
+    def _end_batch_at(self, speed: float) -> None:
+        """Add what the last segment of a batch takes longer to end at a speed, mm/s."""
         assert self._ending is not None
-        last, v_last, from_rest, entry = self._ending
-        segment = last, v_last, np.array([from_rest, False]), entry
         seconds, planned = (
-            float(self._rules.durations(*segment, end)[0]) for end in (0.0, self._before)
+            float(self._rules.durations(*self._ending, end)[0]) for end in (speed, self._before)
         )
         self.lag += seconds - planned
-        self._before = 0.0
 
     def _join(self, at: Array, feeds: Integers, rest: Flags) -> None:
-        """Add what the last segment of a batch takes longer to slow down for this batch."""
+        """Let the last segment of a batch slow down for this batch, whose own last one may, too."""
         v = feeds[-2:] / self._per_feed
         if self._ending is not None and not rest[0]:
-            slower = min(self._before, float(feeds[0] / self._per_feed))
-            last, v_last, from_rest, entry = self._ending
-            segment = last, v_last, np.array([from_rest, False]), entry
-            seconds, planned = (
-                float(self._rules.durations(*segment, end)[0]) for end in (slower, self._before)
-            )
-            self.lag += seconds - planned
+            self._end_batch_at(min(self._before, float(feeds[0] / self._per_feed)))
         alone = len(v) == 1
         entry = self._before if alone else float(v[0])
-        self._ending = at[-2:], v[-1:], bool(alone and rest[0]), entry
+        self._ending = at[-2:], v[-1:], np.array([alone and rest[0], False]), entry
 
     def stroke(self, move: PlacedMove) -> None:
         """Write a retraction or a lift."""
@@ -256,6 +245,12 @@ class Timing:
         line, waited = dwell
         self.lag += waited - samples * TS
         return line
+
+
+def _first_length(at: Array) -> float:
+    """Return the length of the first segment, mm, to the bit of ``lengths``."""
+    x, y, z, _ = (at[1] - at[0]).tolist()
+    return math.sqrt(x * x + y * y + z * z)
 
 
 def _begun_early(planned: Array, possible: Array) -> Array:

@@ -27,10 +27,9 @@ from hframe_post.stream.types import (
     Samples,
     frozen,
 )
-from hframe_post.writers.carried import NOTHING_BETWEEN
 from hframe_post.writers.decimation import Units
 from hframe_post.writers.gcode import GcodeWriter
-from hframe_post.writers.page import Page
+from hframe_post.writers.page import NOTHING_BETWEEN, Page
 from hframe_post.writers.print_time import Deferred
 from tests.gcode_tools import follow
 from tests.mark_tools import mark

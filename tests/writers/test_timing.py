@@ -10,8 +10,8 @@ from hframe_post.firmware.registry import firmware
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.marks import Mark, Marks
-from hframe_post.writers.carried import NOTHING_BETWEEN
 from hframe_post.writers.decimation import Batch, Units, check_filament
+from hframe_post.writers.page import NOTHING_BETWEEN
 from hframe_post.writers.timing import Motion, Timing
 from tests.printers import with_marlin
 
