@@ -44,6 +44,7 @@ from hframe_post.planner.sampling import sample
 from hframe_post.planner.sliced import ShortMoves
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import ErrorMeter
+from hframe_post.prediction.predict import COMPENSATING, Played
 from hframe_post.prediction.statistics import Labels
 from hframe_post.prediction.windows import WHOLE
 from hframe_post.printer.settings import Motors, Printer
@@ -51,6 +52,7 @@ from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
 from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import Item, Moves, Passthrough, Planned, Samples
+from hframe_post.writers.gcode import GcodeWriter, rehearsed
 
 if TYPE_CHECKING:
     from hframe_post.prediction.picture import Picture
@@ -173,7 +175,7 @@ class Stages:
 
     strategies, compensator: to compute, and by which; the options' and the chain's by default.
     beginning: of a span that becomes lines; None: commands become samples, whose errors are judged
-    in the same way for all of the print.
+    in the same way for all of the print. played: of strategies whose lines are judged.
     """
 
     def __init__(
@@ -196,9 +198,16 @@ class Stages:
         self._advancing = Advancing(start.advance, rules.extruder)
         picture = _picture(replace(start.printing)) if options.picture else None
         whole = None if not self._lines else 0 if start.place else WHOLE
+        lines = self._lines and bool(options.predict)
+        of = [name for name in self._strategies if name in COMPENSATING] if lines else []
+        self.played = {name: Played(name) for name in of}
+        self._rehearsed = [
+            GcodeWriter(name, rules, own.code(), 0, start.place, start.offset, played=played)
+            for name, played in self.played.items() if name != options.strategy
+        ]  # fmt: skip
         self._errors = ErrorMeter(
             printer.plant, doubts=Doubts.from_plant(printer.plant, printer.uncertainty),
-            picture=picture, whole=whole, rules=rules if self._lines else None,
+            picture=picture, whole=whole, played=[*self.played.values()],
         )  # fmt: skip
         self._notes = SampleNotes()
 
@@ -229,13 +238,13 @@ class Stages:
         """Add advance; measure contour error and print time, on the way to the output."""
         commands = self._advancing.samples(commands)
         if self._chain.options.predict:
-            commands = self._errors.samples(commands)
+            commands = rehearsed(self._errors.samples(commands), self._rehearsed)
         return self._notes.samples(commands)
 
-    @property
     def ledger(self) -> Ledger:
-        """Return what was noted of all samples that were taken so far."""
+        """Return what was noted of all samples, once all were taken."""
         notes, errors = self._notes, self._errors
+        errors.end()
         return Ledger(
             samples=notes.end, judged=errors.judged,
             filament_out=notes.filament, peaks=self._guard.peaks, clamped=self._clamp.clamped,

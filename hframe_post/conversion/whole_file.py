@@ -96,7 +96,7 @@ class WholeFile:
         """Yield safe commands, with the errors that are predicted for them."""
         stages = Stages(self.chain, strategies)
         yield from stages.predicted(stages.whole(self.spans))
-        self.done = stages.ledger
+        self.done = stages.ledger()
 
     def rows(self) -> Iterator[Array]:
         """Yield tables of path, command and predicted motion, one row a millisecond."""

@@ -36,12 +36,12 @@ def streamed(chain: Chain, span: Span) -> WrittenSpan:
     stages = Stages(chain, beginning=start)
     writer = GcodeWriter(
         options.strategy, own.motion(options.tolerance), own.code(), place=start.place,
-        offset=start.offset,
+        offset=start.offset, played=stages.played.get(options.strategy),
     )  # fmt: skip
 
     def output() -> Iterator[Output]:
         yield from writer.write(stages.predicted(stages.commands(span.items)))
-        result.ledger = replace(stages.ledger, written=writer.summary)
+        result.ledger = replace(stages.ledger(), written=writer.summary)
 
     result.output = output()
     return result

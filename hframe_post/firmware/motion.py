@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hframe_post.arrays import TS, Array, Flags, Integers, Z
+from hframe_post.arrays import TS, Array, Flags, Integers
 from hframe_post.firmware.code import Code
 from hframe_post.firmware.dialect import ExtruderLimits
 from hframe_post.stream.types import Position, StopRules
@@ -106,12 +106,6 @@ class MotionRules(ABC):
         forced (n + 1,): points at which another line is to be written; last: motion ends at
         the last point, which must be reached.
         """
-
-    def written(self, points: Array, forced: Flags) -> Array:
-        """Return where segments are (n + 1, 2), mm, at each point. See ``segments``."""
-        ends, places = self.segments(points, forced, last=True)
-        at = np.append(0, ends), np.round(np.concatenate([points[:1], places]), DECIMALS)
-        return np.stack([np.interp(np.arange(len(points)), at[0], each) for each in at[1].T[:Z]], 1)
 
     def possible_times(self, at: Array, T: Array, before: float) -> Array:
         """Return T (k,), or the nearest that segments between positions at (k + 1, 4) can last.

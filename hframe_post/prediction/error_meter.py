@@ -14,7 +14,8 @@ pressure is not predicted.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -22,13 +23,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Integers
-from hframe_post.firmware.motion import MotionRules
 from hframe_post.model.plant import Plant
 from hframe_post.model.pressure_advance import extruding
 from hframe_post.native.judging import line_pieces
 from hframe_post.native.linear import recursion
 from hframe_post.prediction.doubts import Doubts
-from hframe_post.prediction.predict import COMPENSATING, Judge, Judgement, as_written, with_path
+from hframe_post.prediction.predict import COMPENSATING, Judge, Judgement, Played, with_path
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.prediction.windows import Window, Windows
 from hframe_post.stream.types import Samples
@@ -132,32 +132,53 @@ class ErrorMeter:
 
     doubts: what is not known of the plant. whole: samples from the first one on that are all
     judged, and a share of those after them; None: judge all. picture: collects all of the print, if
-    given, also without compensation. rules: of the lines that the commands become, if they do.
-    judged: samples that were.
+    given, also without compensation. played: of commands of which lines are written while the
+    chunks pass; then call ``end`` once they are. judged: samples that were.
     """
 
     def __init__(
         self, plant: Plant, every: int = JUDGED_EVERY, doubts: Doubts | None = None,
-        picture: Picture | None = None, whole: int | None = None, rules: MotionRules | None = None,
+        picture: Picture | None = None, whole: int | None = None, played: Sequence[Played] = (),
     ) -> None:  # fmt: skip
-        self.judge, self._rules, self._whole = Judge(plant, every, doubts), rules, whole
+        self.judge, self._played, self._whole = Judge(plant, every, doubts), played, whole
         self.picture, self._lines, self.judged = picture, Lines(), 0
         self.contour: dict[str, ContourErrors] = {}
         self.width: dict[str, ErrorStatistics] = {}
+        self._windows, self._waiting = self._cut(), deque[Samples]()
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
-        """Yield the chunks unchanged, and add their errors."""
-        shown = self.picture is not None
-        windows = Windows(self.judge.before, self.judge.after, self._whole, shown)
+        """Yield the chunks unchanged, and add their errors: once lines are written of them."""
         for chunk in chunks:
-            for window in windows.take(chunk):
-                self.add(window)
             yield chunk
-        for window in windows.end():
+            self._waiting.append(chunk)
+            while self._waiting and self._is_played(self._waiting[0]):
+                self._take(self._waiting.popleft())
+        if not self._played:
+            self.end()
+
+    def end(self) -> None:
+        """Add the errors of what is left of the stream."""
+        while self._waiting:
+            self._take(self._waiting.popleft())
+        for window in self._windows.end():
+            self.add(window)
+        self._windows = self._cut()
+
+    def _cut(self) -> Windows:
+        shown = self.picture is not None
+        return Windows(self.judge.before, self.judge.after, self._whole, shown)
+
+    def _is_played(self, chunk: Samples) -> bool:
+        return all(chunk.end <= each.until for each in self._played)
+
+    def _take(self, chunk: Samples) -> None:
+        for window in self._windows.take(chunk):
             self.add(window)
 
     def add(self, window: Window) -> None:
-        piece = as_written(window.piece, self._rules)
+        piece = window.piece
+        for each in self._played:
+            piece = each.motion(piece)
         piece = piece if self.picture is None else with_path(piece)
         judgement = self.judge.judged(replace(window, piece=piece))
         if self.picture is not None:

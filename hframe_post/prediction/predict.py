@@ -7,13 +7,13 @@ The contour error is the distance to the path, not to the desired place at that 
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, Integers, Z
-from hframe_post.firmware.motion import MotionRules
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Nozzle, Plant
 from hframe_post.model.strategies import STRATEGIES
@@ -23,7 +23,6 @@ from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.windows import Window, Windows, around
 from hframe_post.printer.settings import Steps
 from hframe_post.stream.chunks import part, stretches, with_neighbours
-from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import Samples, frozen
 
 COMPENSATING = STRATEGIES.keys() - {"none"}
@@ -124,19 +123,34 @@ def with_path(chunk: Samples) -> Samples:
     return replace(chunk, commands={"none": chunk.xyze[:, :Z], **chunk.commands})
 
 
-def as_written(chunk: Samples, rules: MotionRules | None) -> Samples:
-    """Return the chunk with the motion that lines make of its commands. None: no lines are made."""
-    if rules is None or len(chunk) < 2:
-        return chunk
-    forced = np.zeros(len(chunk), bool)
-    for event in chunk.events:
-        at = np.asarray(event.at if isinstance(event, Marks) else [event.index]) - chunk.first
-        forced[at[(at >= 0) & (at < len(chunk))]] = True
-    return replace(chunk, commands={
-        name: frozen(rules.written(np.hstack([command, chunk.xyze[:, Z:]]), forced))
-        if name in COMPENSATING else command
-        for name, command in chunk.commands.items()
-    })  # fmt: skip
+class Played:
+    """The motion of the lines of a strategy's command, noted as they are written.
+
+    until: the sample before which all lines are.
+    """
+
+    def __init__(self, strategy: str) -> None:
+        self.strategy, self.until = strategy, 0
+        self._segments = deque[tuple[Integers, Array]]()  # their beginnings and ends, in turn
+
+    def add(self, begin: Integers, end: Integers, at: Array) -> None:
+        """Add segments, from samples begin to end (k,), between places (k + 1, ≥2), mm."""
+        ends = np.column_stack([begin, end]).ravel()
+        self._segments.append((ends, at.repeat(2, axis=0)[1:-1, :Z]))
+
+    def motion(self, piece: Samples) -> Samples:
+        """Return a piece with this motion as the command. The next one begins no earlier."""
+        while self._segments and self._segments[0][0][-1] < piece.first:
+            self._segments.popleft()
+        if self.strategy not in piece.commands:
+            return piece
+        command = piece.commands[self.strategy].copy()
+        for ends, at in self._segments:
+            first, stop = max(int(ends[0]) + 1, piece.first), min(int(ends[-1]) + 1, piece.end)
+            if first < stop:
+                rows, when = slice(first - piece.first, stop - piece.first), np.arange(first, stop)
+                command[rows] = np.column_stack([np.interp(when, ends, each) for each in at.T])
+        return replace(piece, commands={**piece.commands, self.strategy: frozen(command)})
 
 
 def quantise(chunks: Iterable[Samples], kinematics: Kinematics, steps: Steps) -> Iterator[Samples]:

@@ -30,12 +30,11 @@ from hframe_post.model.strategies import STRATEGIES
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.best_shaper import Paths, ranked
 from hframe_post.prediction.error_meter import ErrorMeter
-from hframe_post.prediction.predict import as_written, quantise
+from hframe_post.prediction.predict import quantise
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
-from hframe_post.prediction.windows import WINDOW
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.chunks import on_a_grid
 from hframe_post.stream.running import one_blas_thread
+from hframe_post.writers.gcode import as_written
 from hframe_post.writers.print_time import duration
 
 
@@ -95,8 +94,8 @@ def compare_shapers(
     if firmware.steps is not None:
         today = quantise(today, printer.kinematics, firmware.steps)
     ours = WholeFile(lines(), printer, options)
-    commands = ours.samples(tuple(STRATEGIES)[1:])
-    written = (as_written(chunk, rules) for chunk in on_a_grid(commands, WINDOW))
+    strategies = tuple(STRATEGIES)[1:]
+    written = as_written(ours.samples(strategies), strategies, rules, firmware.code())
     for _ in chain(meter.samples(today), meter.samples(written)):
         pass
     durations = dict.fromkeys(STRATEGIES, ours.report.time.after) | {"none": sliced.seconds}

@@ -20,7 +20,6 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.print_report import Report
 from hframe_post.conversion.whole_file import WholeFile
-from hframe_post.firmware.motion import MotionRules
 from hframe_post.model.kinematics import Differences
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
@@ -28,12 +27,12 @@ from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import JUDGED_EVERY, ErrorMeter, Lines
 from hframe_post.prediction.picture import Picture
-from hframe_post.prediction.predict import Judge, Judgement, as_written, quantise, with_path
+from hframe_post.prediction.predict import Judge, Judgement, quantise, with_path
 from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
-from hframe_post.prediction.windows import WINDOW, Windows
+from hframe_post.prediction.windows import Windows
 from hframe_post.printer.settings import Printer, Steps
-from hframe_post.stream.chunks import on_a_grid
 from hframe_post.stream.types import Samples
+from hframe_post.writers.gcode import as_written
 from hframe_post.writers.print_time import duration
 
 # ---------------------------------------------------------------------- the report
@@ -268,8 +267,11 @@ def simulate(
     parts, picture = Parts(), Picture(Labels()) if options.picture else None
     if "none" in (options.predict or ()):
         today.run(parts)
-    rules = None if study.exact else chain.firmware.motion(options.tolerance)
-    judged = _Judged(ours.samples(strategies), printer, study, study.steps, rules)
+    commands = ours.samples(strategies)
+    if not study.exact:
+        own = chain.firmware
+        commands = as_written(commands, strategies, own.motion(options.tolerance), own.code())
+    judged = _Judged(commands, printer, study, study.steps)
     judged.run(parts, picture)
     off = {
         share: [{**own, **before} for own, before in zip(judged.off[share], found, strict=True)]
@@ -289,16 +291,15 @@ def simulate(
 class _Judged:
     """A motion of the print, judged on the simulated printer and on those that differ from it.
 
-    steps: of the motors; rules: of the lines that make the motion; None: it is exact. off: by share
+    steps: of the motors; None: the motion is exact. off: by share
     of model error, the contour errors of each of these.
     """
 
     def __init__(
-        self, source: Iterable[Samples], printer: Printer, study: Study, steps: Steps | None,
-        rules: MotionRules | None = None,
+        self, source: Iterable[Samples], printer: Printer, study: Study, steps: Steps | None
     ) -> None:  # fmt: skip
         self._source, self._kinematics, self._study = source, printer.kinematics, study
-        self._steps, self._rules = steps, rules
+        self._steps = steps
         self._names = set[str]()  # strategies of its own
         self._meters = {  # every fourth sample: there are many printers, and their spread is wide
             share: [ErrorMeter(plant, every=4) for plant in plants]
@@ -310,8 +311,7 @@ class _Judged:
 
     def run(self, parts: Parts, picture: Picture | None = None) -> None:
         """Add the errors to parts, and those of this path without compensation to the picture."""
-        study, commands = self._study, on_a_grid(self._rated(parts), WINDOW)
-        commands = (as_written(chunk, self._rules) for chunk in commands)
+        study, commands = self._study, self._rated(parts)
         if picture is not None:
             commands = map(with_path, commands)
         if self._steps is not None:

@@ -15,11 +15,14 @@ Three modules make the text, each of which calls the next:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from hframe_post.firmware.code import Code
 from hframe_post.firmware.motion import MotionRules
+from hframe_post.prediction.predict import Played
 from hframe_post.stream.tally import tallied
 from hframe_post.stream.types import Position, Samples
 from hframe_post.writers.decimation import Units
@@ -46,7 +49,8 @@ class GcodeWriter:
 
     strategy: whose command is written; finer: digits of coordinates and F beyond those that a
     print needs. place, offset: x, y, z, e and the user's G92 where this stream continues another;
-    without a place the machine is under the user's limits. steady: see ``Timing``.
+    without a place the machine is under the user's limits. steady: see ``Timing``. played: is told
+    the motion, if given.
     """
 
     def __init__(
@@ -58,21 +62,30 @@ class GcodeWriter:
         place: Position | None = None,
         offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
         steady: int = 0,
+        played: Played | None = None,
     ) -> None:
         units = Units(finer)
         at = units.place(place) if place is not None else None
         self._timing = Timing(rules, units, steady)
-        self._machine = Machine(strategy, rules, code, units, at, offset, self._timing)
+        self._machine = Machine(strategy, rules, code, units, at, offset, self._timing, played)
 
     def write(self, chunks: Iterable[Samples]) -> Iterator[Output]:
         """Yield the text in order; ``summary`` counts what was yielded so far."""
-        page = self._timing.page
         for chunk in chunks:
-            self._machine.write(chunk)
-            if page.is_long and not self._timing.waits:
-                yield page.text()
+            if text := self.take(chunk):
+                yield text
+        yield self.finish()
+
+    def take(self, chunk: Samples) -> Output:
+        """Return the text that can be written with the next chunk, often none."""
+        page = self._timing.page
+        self._machine.write(chunk)
+        return page.text() if page.is_long and not self._timing.waits else b""
+
+    def finish(self) -> Output:
+        """Return the text that is left."""
         self._machine.finish()
-        yield page.text()
+        return self._timing.page.text()
 
     @property
     def lag(self) -> float:
@@ -85,3 +98,33 @@ class GcodeWriter:
         page, timing = self._timing.page, self._timing
         late = timing.lost + timing.lag
         return GcodeSummary(page.lines, page.busiest, self._machine.filament, late)
+
+
+def rehearsed(chunks: Iterable[Samples], writers: Sequence[GcodeWriter]) -> Iterator[Samples]:
+    """Yield the chunks unchanged, once each was written by writers whose text is dropped."""
+    for chunk in chunks:
+        for writer in writers:
+            writer.take(chunk)
+        yield chunk
+    for writer in writers:
+        writer.finish()
+
+
+def as_written(
+    chunks: Iterable[Samples], strategies: Iterable[str], rules: MotionRules, code: Code
+) -> Iterator[Samples]:
+    """Yield the chunks with the motion that lines would make of the commands of strategies."""
+    played, waiting = [Played(name) for name in strategies], deque[Samples]()
+    writers = [GcodeWriter(each.strategy, rules, code, played=each) for each in played]
+
+    def ready(until: float) -> Iterator[Samples]:
+        while waiting and waiting[0].end <= until:
+            chunk = waiting.popleft()
+            for each in played:
+                chunk = each.motion(chunk)
+            yield chunk
+
+    for chunk in rehearsed(chunks, writers):
+        waiting.append(chunk)
+        yield from ready(min(each.until for each in played))
+    yield from ready(math.inf)

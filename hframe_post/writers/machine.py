@@ -12,6 +12,7 @@ from hframe_post.arrays import TS, Array, E, X, Y, Z
 from hframe_post.firmware.code import Code
 from hframe_post.firmware.motion import MotionRules, Way
 from hframe_post.gcode.commands import Line, name_and_arguments
+from hframe_post.prediction.predict import Played
 from hframe_post.stream.marks import Marks, recent
 from hframe_post.stream.types import (
     Dwell,
@@ -40,12 +41,12 @@ class Machine:
     """The machine's place, and whether the stream's limits and modes hold.
 
     at: where another stream ended; None: only firmware knows. offset: of G92, while the machine is
-    released.
+    released. played: is told the motion in x and y, if given.
     """
 
     def __init__(
         self, strategy: str, rules: MotionRules, code: Code, units: Units, at: Place | None,
-        offset: tuple[float, float, float], timing: Timing,
+        offset: tuple[float, float, float], timing: Timing, played: Played | None = None,
     ) -> None:  # fmt: skip
         self._strategy, self._units = strategy, units
         self._rules, self._code = rules, code
@@ -58,7 +59,7 @@ class Machine:
         self._skip = 0  # samples of a dwell in the next chunks
         self._end = 0  # of the last chunk
         self._still = 0  # samples of dwell since the last segment
-        self._timing, self._page = timing, timing.page
+        self._timing, self._page, self._played = timing, timing.page, played
         self._filament = Filament(at[E] if at is not None else 0)
         if self._inside:
             self._count()
@@ -98,6 +99,8 @@ class Machine:
                 done = max(at, done)
                 self._slow_straight(event)
         self._take(chunk, done, len(chunk))
+        if self._played is not None:
+            self._played.until = chunk.end - len(self._buffer) - self._still
 
     def _slow_straight(self, slow: SlowStraight) -> None:
         """Write a straight whose samples are left out, as one segment."""
@@ -159,6 +162,10 @@ class Machine:
         self._still = made.still
         if len(made.T):
             self._enter()
+            if self._played is not None:
+                end = batch.first - 1 + made.ends
+                begin = end - np.rint(made.T / TS).astype(np.int64)
+                self._played.add(begin, end, made.at / self._units.per_mm)
             between = self._between(batch, made, still) if batch.marks else NOTHING_BETWEEN
             stops = batch.last and not (speed and not self._still)
             x, y, z, e = made.at[-1].tolist()

@@ -136,5 +136,5 @@ def test_samples_do_not_grow_with_the_time_that_slow_lines_take(feed: int) -> No
     planned = plan(chain.read(lines), printer.limits)
     chunks = list(stages.predicted(stages.commands(planned)))
     seconds = (10 * 40 + 9 + 9) * 60 / feed + 1000 / feed
-    assert stages.ledger.duration == pytest.approx(seconds, abs=2.0), "s"
+    assert stages.ledger().duration == pytest.approx(seconds, abs=2.0), "s"
     assert sum(map(len, chunks)) < 60_000

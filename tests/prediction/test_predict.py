@@ -1,5 +1,6 @@
 """Prediction: the exact plant, the distance to the path, and a share that stands for all."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,12 +13,13 @@ from hframe_post.firmware.registry import firmware
 from hframe_post.model.strategies import Compensator
 from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.error_meter import ErrorMeter
-from hframe_post.prediction.predict import as_written, contour_error, judge
+from hframe_post.prediction.predict import Played, contour_error, judge
 from hframe_post.prediction.statistics import SMALLEST, ErrorStatistics
 from hframe_post.prediction.windows import FEW, SOME, WINDOW, Windows
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
-from tests.paths import smaller, walk
+from hframe_post.writers.gcode import GcodeWriter, as_written
+from tests.paths import smaller, strokes, walk
 
 
 def brute_force(path: Array, actual: Array, at: Integers, reach: int) -> Array:
@@ -108,19 +110,39 @@ def test_errors_are_those_of_the_motion_that_lines_make(paper: Printer) -> None:
     """Decimated lines leave an error of their own, wherever the print is cut, in windows alike."""
     whole = moving(2 * WINDOW)
     whole = replace(whole, commands={"racking": whole.xyze[:, :2]})
-    rules, found = firmware(paper).motion(0.1), []
-    for chunks in ([whole], smaller([whole], 777), smaller([whole], 1000)):
-        meter = ErrorMeter(paper.plant, rules=rules)
-        passed = [chunk.commands["racking"] for chunk in meter.samples(chunks)]
-        assert (np.concatenate(passed) == whole.commands["racking"]).all()
+    own, found = firmware(paper), []
+    rules = own.motion(0.1)
+    for cut, share in ((len(whole), None), (777, None), (1000, None), (1000, WHOLE)):
+        played, passed = Played("racking"), list[Samples]()
+        meter = ErrorMeter(paper.plant, whole=share, played=[played])
+        writer = GcodeWriter("racking", rules, own.code(), played=played)
+        for _ in writer.write(kept(meter.samples(smaller([whole], cut)), passed)):
+            pass
+        meter.end()
+        commands = np.concatenate([chunk.commands["racking"] for chunk in passed])
+        assert (commands == whole.commands["racking"]).all()
         found.append(meter.contour["racking"].micrometres())
-    assert found[0] == found[1] == found[2]
-    off = as_written(whole, rules).commands["racking"] - whole.commands["racking"]
-    assert 0.0 < np.linalg.norm(off, axis=1).max() < 0.1  # mm
-    windows = ErrorMeter(paper.plant, whole=WHOLE, rules=rules)
-    for _ in windows.samples([whole]):
+    assert found[0] == found[1] == found[2] == found[3]
+    (decimated,) = as_written([whole], ["racking"], rules, own.code())
+    expected = ErrorMeter(paper.plant)
+    for _ in expected.samples([decimated]):
         pass
-    assert windows.contour["racking"].rms == pytest.approx(1e-3 * found[0]["rms"], rel=0.02)
+    assert found[0] == expected.contour["racking"].micrometres()
+
+
+def test_lines_are_as_near_to_the_command_as_they_may(paper: Printer) -> None:
+    own, path = firmware(paper), strokes()
+    xyze = np.column_stack([path, np.zeros((len(path), 2))])
+    whole = Samples(0, xyze, np.zeros(len(path), np.int64), (), {"racking": path})
+    (made,) = as_written([whole], ["racking"], own.motion(0.1), own.code())
+    off = made.commands["racking"] - path
+    assert 0.0 < np.linalg.norm(off, axis=1).max() < 0.1  # mm
+
+
+def kept(chunks: Iterable[Samples], passed: list[Samples]) -> Iterator[Samples]:
+    for chunk in chunks:
+        passed.append(chunk)
+        yield chunk
 
 
 def test_a_window_is_one_of_so_many() -> None:

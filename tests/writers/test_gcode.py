@@ -15,6 +15,7 @@ from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.firmware.code import Code
 from hframe_post.firmware.motion import MotionRules
 from hframe_post.firmware.registry import firmware as firmware_of
+from hframe_post.prediction.predict import Played
 from hframe_post.printer.profile import load
 from hframe_post.stream.marks import Mark, Marks
 from hframe_post.stream.types import (
@@ -33,6 +34,7 @@ from hframe_post.writers.page import NOTHING_BETWEEN, Page
 from hframe_post.writers.print_time import Deferred
 from tests.gcode_tools import follow
 from tests.mark_tools import mark
+from tests.paths import smaller
 
 STATE = ModalState(True, False, 0.0, 50.0, (0.0, 0.0, 0.0))
 PROFILES = {"klipper": "paper", "marlin": "paper-marlin"}
@@ -128,6 +130,23 @@ def test_filament_and_height_of_samples(name: str, parts: list[tuple[str, int]])
     assert writer.summary.lines == written.count(b"\n")
     if reading.points:
         assert reading.points[-1][2] == pytest.approx(whole.xyze[-1, 2], abs=6e-4)
+
+
+@settings(max_examples=20)
+@given(PARTS, st.sampled_from([50, 1000, 100_000]))
+@pytest.mark.parametrize("name", list(PROFILES))
+def test_what_is_judged_is_the_motion_of_the_lines(
+    name: str, parts: list[tuple[str, int]], size: int
+) -> None:
+    whole, played = stream(parts), Played("none")
+    writer = GcodeWriter("none", *parts_of(PROFILES[name]), played=played)
+    pieces = writer.write(smaller([whole], size))
+    written = b"".join([o.text if isinstance(o, Deferred) else o for o in pieces])
+    motion = played.motion(whole).commands["none"]
+    for x, y, *_ in follow(b"G1 X100 Y100\n" + written).points[1:]:  # where lines end
+        assert np.hypot(*(motion - [x, y]).T).min() < 1e-3
+    off = np.hypot(*(motion - whole.commands["none"]).T)
+    assert off.max(initial=0.0) < {"klipper": 0.005, "marlin": 0.15}[name]  # whole steps
 
 
 def test_filament_of_every_carried_line_is_exact(klipper: Parts) -> None:
