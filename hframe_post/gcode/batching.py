@@ -117,14 +117,11 @@ class PlainLines:
             self._known.learn(text, digest(text))
 
     def _present_rules(self) -> tuple[float, ...]:
-        state, limits, dialect = self._state, self._options.limits, self._options.dialect
-        others = state.others
-        m204, m205, velocity_limit = [
-            (APPLY if limits == "file-all" or name in dialect.obeyed else SKIP)
-            if limits != "printer" else SKIP
-            for name in ("M204", "M205", commands.LIMITS)
-        ]  # fmt: skip
-        if dialect.has_deviation:
+        state, others, options = self._state, self._state.others, self._options
+        m204, m205, velocity_limit = (
+            APPLY if options.obeys(name) else SKIP for name in ("M204", "M205", commands.LIMITS)
+        )
+        if options.dialect.has_deviation:
             m205 = SKIP
         moves = state.absolute and state.e_mode_known and all(state.known)
         return (

@@ -154,6 +154,13 @@ def parameters(line: Line, names: tuple[str, ...]) -> dict[str, float]:
     return _finite(line, found)
 
 
+def limit_words(line: Line, name: str, arguments: bytes) -> dict[str, float]:
+    """Return the numbers of a command that sets limits or the speed factor, by word."""
+    if name == LIMITS:
+        return parameters(line, LIMIT_PARAMETERS)
+    return numbers_among(line, arguments, LIMIT_WORDS[name])
+
+
 def _finite(line: Line, found: dict[str, float]) -> dict[str, float]:
     if not all(map(math.isfinite, found.values())):
         raise line.error("a number is too large")

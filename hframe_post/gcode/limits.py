@@ -14,7 +14,7 @@ import numpy as np
 from hframe_post.arrays import Z
 from hframe_post.errors import GcodeError
 from hframe_post.gcode import commands
-from hframe_post.gcode.commands import Line, command, numbers_among, parameters
+from hframe_post.gcode.commands import Line, command, limit_words
 from hframe_post.gcode.state import LimitSource, ReadOptions, State
 from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.settings import Printer
@@ -40,8 +40,7 @@ def with_motors(
     options = ReadOptions.from_printer(printer, limits)
     usual = printer.limits
     own = usual.velocity, usual.acceleration, usual.square_corner_velocity
-    asked = _asked(head if limits != "printer" else [], options)
-    most = np.max([own, *asked], axis=0).tolist()
+    most = np.max([own, *_asked(head, options)], axis=0).tolist()
     motors = stated.completed(printer.kinematics, *most)
     return chain(head, rest), replace(printer, motors=motors)
 
@@ -59,13 +58,9 @@ def _asked(lines: Iterable[bytes], options: ReadOptions) -> Iterator[tuple[float
         line = Line(0, text)
         with suppress(GcodeError):  # the reader raises it, with its line
             name, arguments = command(line) or (commands.LIMITS, b"")
-            if options.limits == "file" and name not in options.dialect.obeyed:
+            if not options.obeys(name):
                 continue
-            if name == commands.LIMITS:
-                words = parameters(line, commands.LIMIT_PARAMETERS)
-            else:
-                words = numbers_among(line, arguments, commands.LIMIT_WORDS[name])
-            state.set_limits(line, name, words)
+            state.set_limits(line, name, limit_words(line, name, arguments))
             if len(known) >= 4096:  # a file has few of them
                 known.clear()
             after = state.acceleration, state.travel_acceleration, state.corner, state.others

@@ -38,10 +38,10 @@ from hframe_post.gcode.commands import (
     Line,
     Words,
     command,
+    limit_words,
     name_and_arguments,
     numbers,
     numbers_among,
-    parameters,
     uncommented,
 )
 from hframe_post.gcode.curves import MAX_COORDINATE_MM, curve
@@ -70,7 +70,7 @@ def read(lines: Iterable[bytes], options: ReadOptions) -> Iterator[Item]:
         reader.apply(line)
         yield from ready
         ready.clear()
-        while reader.apply_plain_lines():
+        while reader.plain_lines.take(reader.items):
             yield from ready
             ready.clear()
         yield from ready
@@ -88,16 +88,12 @@ class _Reader:
         self._bed = Extent(options.travel)
         self._objects = Objects(options.dialect, source, known_names(options.vocabulary))
         self._retraction = FirmwareRetraction(options.retraction, options.dialect)
-        self._plain_lines = PlainLines(self._state, self._objects, options)
+        self.plain_lines = PlainLines(self._state, self._objects, options)
         self._any_motion = False  # requested so far, even from unknown positions
         self._macro = ""  # the last one that may have set modes
         self._other_tool = False  # prints, of which the profile has no model
         self._cause = START_OF_FILE  # of the unknown position
         self.items = ItemBuilder(self._state)
-
-    def apply_plain_lines(self) -> bool:
-        """Apply many lines at once, as far as they are plain; return whether more may be."""
-        return self._plain_lines.take(self.items)
 
     def apply(self, line: Line) -> None:
         """Apply one line, whatever it is. Raises GcodeError, LimitError."""
@@ -111,11 +107,7 @@ class _Reader:
         elif name in commands.UNSUPPORTED:
             raise line.error(f"{name}: {commands.UNSUPPORTED[name]} are not supported")
         elif name in commands.LIMIT_WORDS:
-            words = numbers_among(line, arguments, commands.LIMIT_WORDS[name])
-            if name == "M220":
-                self._state.set_factor(line, arguments, words)
-            else:
-                self._apply_limit(line, name, words)
+            self._apply_limit(line, name, arguments)
         elif name in commands.MODAL:
             self._state.set_mode(name)
             if name != "G20":  # the output is in mm, and Klipper has no inches
@@ -251,9 +243,11 @@ class _Reader:
 
     # ------------------------------------------------------------------ other commands
 
-    def _apply_limit(self, line: Line, name: str, words: Words) -> None:
-        source = self._options.limits
-        if source == "file-all" or (source == "file" and name in self._dialect.obeyed):
+    def _apply_limit(self, line: Line, name: str, arguments: bytes) -> None:
+        words = limit_words(line, name, arguments)
+        if name == "M220":
+            self._state.set_factor(line, arguments, words)
+        elif self._options.obeys(name):
             before = self._state.others
             self._state.set_limits(line, name, words)
             if self._state.others is not before:
@@ -283,7 +277,7 @@ class _Reader:
             return
         name, _ = name_and_arguments(line)
         if name == commands.LIMITS:
-            self._apply_limit(line, name, parameters(line, commands.LIMIT_PARAMETERS))
+            self._apply_limit(line, name, b"")
         else:
             self._apply_other(line, name)
 

@@ -58,6 +58,10 @@ class ReadOptions:
             own.limits(),
         )  # fmt: skip
 
+    def obeys(self, name: str) -> bool:
+        """Return whether what a command sets replaces the printer's limits."""
+        return self.limits == "file-all" or (self.limits == "file" and name in self.dialect.obeyed)
+
 
 class Extent:
     """Smallest and largest x, y and z of a path, mm; infinite without ``travel``."""
