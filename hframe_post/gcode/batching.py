@@ -13,7 +13,7 @@ from hframe_post.gcode import commands
 from hframe_post.gcode.commands import Vocabulary
 from hframe_post.gcode.curves import MAX_COORDINATE_MM
 from hframe_post.gcode.objects import Objects
-from hframe_post.gcode.state import Extent, ReadOptions, State
+from hframe_post.gcode.state import ReadOptions, State
 from hframe_post.native.plain_lines import (
     APPLY,
     CHANGES,
@@ -63,8 +63,7 @@ class PlainLines:
     def __init__(self, state: State, objects: Objects, options: ReadOptions) -> None:
         self._source, self._known = objects.source, objects.known
         self._state, self._objects, self._options = state, objects, options
-        bed = Extent(options.travel)
-        low, high = (np.array(each) for each in (bed.smallest, bed.largest))
+        low, high = (np.array(each) for each in (state.bed.smallest, state.bed.largest))
         for axis, edge in enumerate(state.endstops):
             low[axis], high[axis] = max(low[axis], edge[0]), min(high[axis], edge[1])
         self._edges = *low.tolist(), *high.tolist()

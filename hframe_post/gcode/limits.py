@@ -47,7 +47,7 @@ def with_motors(
 
 def _asked(lines: Iterable[bytes], options: ReadOptions) -> Iterator[tuple[float, float, float]]:
     """Yield speed, acceleration and speed through a right angle, once for each change."""
-    state = State(options.dialect, start=options.start)
+    state = State(options)
     known = dict[tuple[Any, ...], tuple[Any, ...]]()  # a line and the limits before → those after
     for text in (found[0] for texts in lines for found in LIMITS.finditer(texts)):
         before = state.acceleration, state.travel_acceleration, state.corner, state.others

@@ -48,7 +48,7 @@ from hframe_post.gcode.curves import MAX_COORDINATE_MM, curve
 from hframe_post.gcode.extrusion import FirmwareRetraction, is_absolute
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.objects import Objects
-from hframe_post.gcode.state import Extent, ReadOptions, State
+from hframe_post.gcode.state import ReadOptions, State
 from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.stream.types import Handling, Item, Passthrough, Position
 
@@ -84,8 +84,7 @@ class _Reader:
 
     def __init__(self, source: Lines, options: ReadOptions) -> None:
         self._source, self._options, self._dialect = source, options, options.dialect
-        self._state = State(options.dialect, options.extrusion, options.start)
-        self._bed = Extent(options.travel)
+        self._state = State(options)
         self._objects = Objects(options.dialect, source, known_names(options.vocabulary))
         self._retraction = FirmwareRetraction(options.retraction, options.dialect)
         self.plain_lines = PlainLines(self._state, self._objects, options)
@@ -160,7 +159,7 @@ class _Reader:
             self._travel(line, end)
         elif end != start:  # a lift in turns as well, whose first chord could be far away
             if lifts:
-                self._bed.check(line, 2, end[2])
+                state.bed.check(line, 2, end[2])
             self._stand(line, end)
             state.position = end
 
@@ -187,9 +186,9 @@ class _Reader:
 
     def _travel(self, line: Line, end: Position) -> None:
         """Add a move in which x or y changes, unless it is too short to be one."""
-        for axis in range(3):
-            self._bed.check(line, axis, end[axis])
         state = self._state
+        for axis in range(3):
+            state.bed.check(line, axis, end[axis])
         start = state.position
         path, filament = math.dist(start[:3], end[:3]), abs(end[3] - start[3])
         if filament > MAX_FILAMENT_PER_PATH * path:  # the filament decides how long that takes
@@ -221,7 +220,7 @@ class _Reader:
         if state.absolute and not self._other_tool:
             for axis, letter in enumerate("XYZ"):
                 if letter in words:
-                    self._bed.check(line, axis, end[axis])
+                    state.bed.check(line, axis, end[axis])
         path, filament = math.dist(state.position[:3], end[:3]), end[3] - state.position[3]
         place = end if cause == CHANGE_OF_OBJECT else None
         seconds = self._seconds(end) if path else 0.0

@@ -91,6 +91,7 @@ class Extent:
 class State:
     """The modal state of a file: lengths in mm, times in s, whatever the file's units.
 
+    bed: where the path may go.
     position: x, y, z on the machine, and e, all filament since the start of the file.
     offset: position minus what the file calls it; G92 changes it.
     known: whether x, y and z are certain; homing or a macro may have moved the machine.
@@ -102,14 +103,12 @@ class State:
     the line that set them last, -1 if that is not known. e_named: by G92, since the last macro.
     """
 
-    def __init__(
-        self, dialect: Dialect, extrusion: Extrusion | None = None,
-        start: FirmwareLimits | None = None,
-    ) -> None:  # fmt: skip
-        self._dialect, self.endstops = dialect, dialect.soft_endstops
+    def __init__(self, options: ReadOptions) -> None:
+        self._dialect, self.endstops = options.dialect, options.dialect.soft_endstops
+        self.bed = Extent(options.travel)
         self.absolute = self.xy_plane = True
-        self.absolute_e = extrusion != "relative"
-        self.e_mode_known = extrusion is not None
+        self.absolute_e = options.extrusion != "relative"
+        self.e_mode_known = options.extrusion is not None
         self.scale = 1.0
         self.position: Position = (0.0, 0.0, 0.0, 0.0)
         self.offset: Position = (0.0, 0.0, 0.0, 0.0)
@@ -120,7 +119,7 @@ class State:
         self.factor = self._saved_factor = 1.0
         self.acceleration = self.travel_acceleration = self.corner = math.inf
         self.others = FileLimits()
-        if start is not None:
+        if (start := options.start) is not None:
             self.acceleration, self.travel_acceleration = start.printing, start.travel
             self.corner, self.others = start.corner, start.others
         self.advance: float | None = None
