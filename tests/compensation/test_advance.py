@@ -169,10 +169,3 @@ def test_a_profile_comes_before_what_marlin_has_stored() -> None:
     stored, own = parse(text, "stored"), parse(f"{text}\n[extruder]\nadvance = 0.07\n", "own")
     for printer, seconds in ((stored, 0.03), (own, 0.07), (load("paper-marlin"), 0.0)):
         assert firmware(printer).advance() == Advance(seconds, 0.04, marlin_advance)
-
-
-def test_later_lines_replace_what_they_name() -> None:
-    advance = Advance(0.05, 0.04, klipper_advance)
-    advance = advance.after(b"SET_PRESSURE_ADVANCE SMOOTH_TIME=0.01")
-    assert (advance.seconds, advance.smooth_time) == (0.05, 0.01)
-    assert advance.after(b"G1 X1") is advance

@@ -111,13 +111,6 @@ def test_shaper_is_restored_where_the_user_has_one(x: float, y: float, z: float)
     assert lines[2] == f"SET_INPUT_SHAPER {words}"
 
 
-def test_a_macro_follows_the_restored_limits() -> None:
-    firmware = replace(RESTORE, end_macro="_HFRAME_END A=1")
-    # the user's limits hold where printer.cfg has no such macro
-    ended = KlipperCode(firmware, STREAM).end(STATE, AT)
-    assert ended == ["G4 P0", USERS, "_HFRAME_END A=1", "G1 F6000"]
-
-
 def test_the_stream_averages_pressure_advance_over_a_time_of_its_own() -> None:
     code = KlipperCode(replace(RESTORE, end_macro="HFRAME_END"), STREAM, Extruder(0.05, 0.04, 0.02))
     own = "SET_PRESSURE_ADVANCE SMOOTH_TIME=0.02"

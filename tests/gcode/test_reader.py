@@ -71,17 +71,6 @@ def test_set_velocity_limit() -> None:
     assert (block.limits.path, block.limits.cruise_ratio) == (120, 0.2)
 
 
-@pytest.mark.parametrize("asked", [500, 20_000])
-def test_the_firmwares_own_limits_hold_until_the_file_sets_others(asked: int) -> None:
-    """In both directions."""
-    printer = load("paper")
-    lines = [f"{text}\n".encode() for text in (*HOME, "G1 X1", f"M204 S{asked}", "G1 X2")]
-    found = read(lines, ReadOptions.from_printer(printer))
-    (block,) = (item for item in found if isinstance(item, Moves))
-    assert block.acceleration.tolist() == [10_000, asked]
-    assert (block.corner[0], block.limits.path) == (5.0, 300.0)
-
-
 # ---------------------------------------------------------------------- unknown places
 
 

@@ -16,7 +16,7 @@ from hframe_post.model.plant import Nozzle, Response
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Printer
 from tests.paths import walk
-from tests.plants import Filter, axis_mode, deviation_of_mode, resonant
+from tests.plants import Filter
 
 ALL = pytest.mark.parametrize("G", [*transfer_functions().values()], ids=[*transfer_functions()])
 
@@ -95,17 +95,6 @@ def test_a_piece_of_a_command_moves_the_nozzle_as_all_of_it(
 OMEGA = np.linspace(0.0, 3.0, 100)
 
 
-@pytest.mark.parametrize("factor", [1.05, 0.9, 1.3])
-def test_a_stretched_response_has_lower_frequencies(factor: float) -> None:
-    stretched = ImpulseResponse(deviation_of_mode(40.0, 0.06, 900), 0).stretched(factor)
-    expected = axis_mode(40.0 / factor, 0.06)
-
-    omega = OMEGA[(OMEGA > 0.0) & (OMEGA < 1.0)]  # below 160 Hz
-    off = (stretched.response(omega) - expected.response(omega)) / omega**2
-    assert stretched.ahead == 0
-    assert np.abs(off).max() < 0.05  # µm, after 1000 mm/s² for 1 ms
-
-
 @pytest.mark.parametrize("lead", [0, 7])
 def test_a_lag_is_how_late_the_nozzle_is_at_a_constant_speed(lead: int) -> None:
     G = ImpulseResponse(np.random.default_rng(1).normal(size=20), lead, lag=2.3)
@@ -116,17 +105,6 @@ def test_a_lag_is_how_late_the_nozzle_is_at_a_constant_speed(lead: int) -> None:
     assert h.sum() == pytest.approx(1.0, abs=1e-12)
     assert h @ late == pytest.approx(2.3, abs=1e-10)  # samples
     assert ImpulseResponse(np.zeros(1), 0, lag=2.3).impulse(3) == pytest.approx([-1.3, 2.3, 0.0])
-
-
-def test_a_damper_against_the_frame_is_a_lag() -> None:
-    """A mode of ω and ζ that the frame damps lags by 2ζ/ω."""
-    G = resonant(18.0, 0.13)
-    q = ImpulseResponse.from_transfer_function(G, 1.0)
-
-    omega = 2.0 * np.pi * 18.0 * 1e-3
-    assert q.lag == pytest.approx(2.0 * 0.13 / omega + 1.0, abs=0.01)  # ms, one of them a delay
-    assert np.abs(q.response(OMEGA) - G.response(OMEGA)).max() < 2e-4  # of 1
-    assert np.abs(q.impulse(1900) - G.impulse(1900)).max() < 1e-4  # of 1
 
 
 @pytest.mark.parametrize(

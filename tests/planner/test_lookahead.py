@@ -103,14 +103,6 @@ def test_axis_limits_of_the_file_lower_the_move(
     assert planned.acceleration[0] == pytest.approx(600.0)
 
 
-def test_axis_limits_of_the_file_never_raise() -> None:
-    high = FileLimits((1e4, 1e4, 1e4, 1e4), (1e6, 1e6, 1e6, 1e6))
-    planned = one(moves(line((30, 40, 1, 2)), 300.0, limits=high))
-    free = one(moves(line((30, 40, 1, 2)), 300.0))
-    assert planned.cruise[0] == free.cruise[0]
-    assert planned.acceleration[0] == free.acceleration[0]
-
-
 # ---------------------------------------------------------------------- whole plans
 
 

@@ -3,15 +3,12 @@
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-import hframe_post as hp
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.errors import PrinterError
 from hframe_post.printer.profile import load, parse, shipped
 from tests.command_line import RECTANGLE, run
-from tests.printers import with_plant
 
 PAPER = shipped()["paper"]
 
@@ -170,9 +167,6 @@ def test_what_is_not_toml_is_an_error(text: str) -> None:
     assert "not valid TOML" in error(text).cause
 
 
-STARTS = ("example-voron", "example-ender", "example-hbot")
-
-
 @pytest.mark.parametrize("name", shipped())
 def test_no_shipped_plant_and_no_copy_of_one_is_the_users(name: str) -> None:
     assert load(name).invented
@@ -185,20 +179,6 @@ def test_a_plant_of_unknown_origin_is_not_measured_until_its_profile_says_so() -
     unknown = shipped()["paper"]
     assert parse(unknown, "old copy").invented
     assert not parse(unknown.replace("[plant]", "[plant]\ninvented = false"), "typed").invented
-
-
-@pytest.mark.parametrize("name", STARTS)
-def test_a_start_is_refused_until_it_is_identified(name: str, tmp_path: Path) -> None:
-    out = tmp_path / "out.gcode"
-    printer = load(name)
-    with pytest.raises(PrinterError, match=r"not measured yet.*hframe-post measure"):
-        hp.convert(RECTANGLE, out, printer)
-    assert not out.exists()
-    own = tmp_path / "own.toml"
-    own.write_text(with_plant(name, printer.plant, printer.compensation.windows, ["measured"]))
-    assert not load(str(own)).invented
-    mine = parse(own.read_text() + "\n", "own").plant
-    np.testing.assert_allclose(mine.Gxx.deviation, printer.plant.Gxx.deviation, atol=1e-4)
 
 
 def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Path) -> None:
