@@ -63,7 +63,15 @@ MORE = {
     "a stop with a retraction": (PLAIN._replace(stop=True), 1),
     "another line": (PLAIN._replace(lines=100), 100),
     "a line that names a feature": (PLAIN._replace(lines=100, line=";TYPE:FILL{}"), 100),
-    "a line that sets pressure advance": (
+    "a line that labels an object": (
+        PLAIN._replace(lines=100, line="EXCLUDE_OBJECT_START NAME=cube_{}"),
+        100,
+    ),
+    "a line that repeats a pressure advance": (
+        PLAIN._replace(lines=100, line="SET_PRESSURE_ADVANCE ADVANCE=0.03"),
+        100,
+    ),
+    "a line that changes it": (
         PLAIN._replace(lines=100, line="SET_PRESSURE_ADVANCE ADVANCE=0.0{}"),
         100,
     ),

@@ -122,7 +122,7 @@ def test_lines_that_recur(texts: list[str], times: int, firmware: str) -> None:
 def test_more_objects_than_the_loop_can_know() -> None:
     lines = START + [
         line
-        for k in (*range(300), *range(1000))
+        for k in (*range(300), *range(500))
         for line in (b"; printing object %d\n" % (k % 70 if k < 300 else k), b"G1 X%d\n" % (k % 7))
     ]
     same_either_way(lines, ReadOptions(FIRMWARES["klipper"].dialect))
