@@ -190,10 +190,15 @@ def test_clipping_is_refused(tmp_path: Path, step: float, column: int) -> None:
     assert line >= first + 2  # that line, or the next at which it stays clipped
 
 
-def test_end_of_the_sensor_is_clipping_however_short(tmp_path: Path, rows: Array) -> None:
+def test_the_end_of_a_range_is_clipping_and_a_greater_range_is_not(
+    tmp_path: Path, rows: Array
+) -> None:
+    """A sensor of 32 g shows what one of 16 g would cut off."""
     full = rows.copy()
-    full[1000, 2] = -16.0 * GRAVITY
-    refused(file(tmp_path, klipper_csv(full)), "line 1002: .* y is clipped at -1569")
+    full[1000:1020, 2] = -np.linspace(15.0, 20.0, 20) * GRAVITY
+    assert len(read(file(tmp_path, klipper_csv(full))).t) == len(full)
+    full[:, 2] = np.maximum(full[:, 2], -16.0 * GRAVITY)
+    refused(file(tmp_path, klipper_csv(full)), "line 1006: .* y is clipped at -1569")
 
 
 @pytest.mark.parametrize(

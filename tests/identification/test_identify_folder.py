@@ -157,7 +157,7 @@ def test_a_real_belt_of_2023_is_taken(held: Path, config: Path) -> None:
         "TEST_RESONANCES of Klipper before December 2024 of 1,1 at 175,175: min_freq 5, max_freq "
         "40, accel_per_hz 75"
     )
-    assert used.notes[0].startswith("its time stamps wander by up to 2")
+    assert used.notes[0].startswith("its time stamps wander by up to 30 ms")
     groups = axis_responses(found.runs, MeasurementSettings((3.0, 38.0), racks=False))
     for name, group in groups.items():
         (response,) = (run.response for run in group.runs)

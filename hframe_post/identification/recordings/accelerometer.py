@@ -8,7 +8,8 @@ estimates may wander: those of Klipper by 10 ms around the true times of a LIS2D
 40 ms in the first seconds. At 40 Hz that is a whole turn. Numbers of samples do not wander.
 
 An oscillator changes its rate slowly, by 43 ms in (100 s)² at the most that was seen. So its stamps
-lie on a parabola over a second; stamps that a program guessed do not.
+lie on a parabola over a second; stamps that a program guessed do not. In their place a steady rate
+explains as much of four recordings of a LIS2DW as one that bends every 15 s, or more.
 """
 
 from __future__ import annotations
@@ -18,34 +19,30 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import make_smoothing_spline
 from scipy.signal import savgol_filter
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
+from hframe_post.identification.recordings.chirp import robust_fit
 from hframe_post.identification.recordings.formats import Table
 
 GAP = 2.5  # sample periods between neighbours, from which samples are missing
-BLOCK = 0.1  # s of samples whose stamps are averaged
-STEADY = 15.0  # s over which an oscillator keeps its rate; temperature changes it later
-NEAR = 11  # blocks through which a parabola is laid
-# s by which blocks may be off it, by their median: 2 to 5 µs on 15 recordings of an ADXL345, 18 µs
-# on those of 2 s; 65 to 122 µs on four of a LIS2DW
+# s by which the mean stamps of 0.1 s may be off a parabola over a second, by their median: 2 to
+# 5 µs on 15 recordings of an ADXL345, 18 µs on those of 2 s; 65 to 122 µs on four of a LIS2DW
 WANDER_S = 3e-5
-EVEN = 0.25  # sample periods by which the stamps of one block may deviate from a line
 
 
 def repaired(t: Array, a: Array) -> tuple[Array, Array, tuple[str, ...]]:
     """Return times (n,) in s and accelerations (n, 3) of even samples, and notes of the changes.
 
     t (m,): rising. Short gaps are filled with straight lines. Stamps that wander are replaced by
-    those of an oscillator with a slowly changing rate, unless the samples themselves are uneven.
+    those of a clock with a steady rate, which the motion refines (``clock``), unless the samples
+    themselves are uneven.
     """
-    period = float(np.median(np.diff(t)))
-    number = _numbers(t, period)
-    t, notes = _by_oscillator(t, number)
-    missing = len(t) and int(number[-1]) + 1 - len(t)
+    number = _numbers(t)
+    t, notes = _steady(t, number)
+    missing = int(number[-1]) + 1 - len(t)
     if not missing:
         return t, a, notes
     step = np.diff(t)
@@ -60,43 +57,35 @@ def repaired(t: Array, a: Array) -> tuple[Array, Array, tuple[str, ...]]:
     return filled, a, (note, *notes)
 
 
-def _numbers(t: Array, period: float) -> Integers:
+def _numbers(t: Array) -> Integers:
     """Return the numbers (n,) of the samples, those that are missing counted."""
     step = np.diff(t)
-    wide = step > GAP * period
+    wide = step > GAP * np.median(step)
     even = float(step[~wide].mean())  # a median of rounded stamps is rounded, too
     count = np.where(wide, np.rint(step / even), 1.0).astype(np.int64)
     return np.concatenate([[0], np.cumsum(count)])
 
 
-def _by_oscillator(t: Array, number: Integers) -> tuple[Array, tuple[str, ...]]:
-    """Return the stamps (n,), or those of an oscillator if they wander around even samples."""
-    period, first = np.polyfit(number, t - t[0], 1)
-    late = t - t[0] - (first + period * number)
-    size = max(round(BLOCK / period), 2)
+def _steady(t: Array, number: Integers) -> tuple[Array, tuple[str, ...]]:
+    """Return the stamps (n,), or those of a steady clock if they wander around even samples."""
+    period = float(t[-1] - t[0]) / float(number[-1])
+    size, near = max(round(0.1 / period), 2), 11  # samples of a block; blocks of a parabola
     count = len(t) // size
-    if count < NEAR:
+    # a program that asks a sensor for its value now and then knows best when
+    uneven = np.median(np.abs(np.diff(t) / np.diff(number) - period)) > 0.1 * period
+    if uneven or count < near:
         return t, ()
-    numbers, offsets = (v[: count * size].reshape(count, size) for v in (number, late))
-    centred = numbers - numbers.mean(axis=1, keepdims=True)
-    slope = (centred * offsets).sum(axis=1) / np.square(centred).sum(axis=1)
-    offset = offsets.mean(axis=1)
-    uneven = offsets - offset[:, None] - slope[:, None] * centred
-    if float(np.median(uneven.std(axis=1))) > EVEN * period:
+    blocks = [v[: count * size].reshape(count, size).mean(axis=1) for v in (number, t - t[0])]
+    columns, shown = np.column_stack([blocks[0], np.ones(count)]), blocks[1]
+    late = shown - columns @ [period, 0.0]
+    if np.median(np.abs(late - savgol_filter(late, near, 2))) < WANDER_S:
         return t, ()
-    if float(np.median(np.abs(offset - savgol_filter(offset, NEAR, 2)))) < WANDER_S:
-        return t, ()
-    at, weight = numbers.mean(axis=1) * period, np.ones(count)
-    stiffness = STEADY**4 / BLOCK
-    for _ in range(8):
-        steady = make_smoothing_spline(at, offset, weight, stiffness)
-        miss = np.abs(offset - steady(at))
-        weight = 1.0 / (1.0 + np.square(miss / (2.0 * float(np.median(miss)) + 1e-9)))
+    rate, first = robust_fit(columns, shown).tolist()
+    off = 1e3 * float(np.abs(shown - columns @ [rate, first]).max())
     note = (
-        f"its time stamps wander by up to {1e3 * float(miss.max()):.2g} ms; the evenness of its "
-        "samples is used instead"
+        f"its time stamps wander by up to {off:.2g} ms; the evenness of its samples is used instead"
     )
-    return np.asarray(t[0] + first + period * number + steady(number * period)), (note,)
+    return t[0] + first + rate * number, (note,)
 
 
 GRAVITY = 9806.65  # mm/s²
@@ -104,10 +93,7 @@ UNITS = (1.0, 1000.0, GRAVITY)  # of other programs: mm/s², m/s², g
 # of a sensor set to another range than the program believes: 2, 4, 8, 16 g
 RANGES = (1.0, 1.0 / 8.0, 1.0 / 4.0, 1.0 / 2.0, 2.0, 4.0, 8.0)
 AXES = "xyz"
-FULL_SCALE = 0.999 * 16.0 * GRAVITY  # where common sensors clip
 PLAUSIBLE = (8000.0, 12000.0)  # of gravity, mm/s²
-MANY_LEVELS = 20  # of a signal that is not just noise
-OFTEN, OFTEN_THAN_NEAR = 10, 4  # samples at an extreme value; times as many as near it
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,16 +212,13 @@ def _clipped(values: Array) -> int | None:
 
     A slow sine in coarse steps stays at its peak, too, but as long one to three steps below.
     """
-    beyond = np.flatnonzero(np.abs(values) >= FULL_SCALE)
-    if beyond.size:
-        return int(beyond[0])
     levels = np.unique(values)
-    if len(levels) <= MANY_LEVELS:
+    if len(levels) <= 20:  # just noise
         return None
     found: list[int] = []
     for extreme, end in ((levels[0], values <= levels[3]), (levels[-1], values >= levels[-4])):
         at = np.flatnonzero(values == extreme)
-        if len(at) >= max(OFTEN, OFTEN_THAN_NEAR * (int(np.count_nonzero(end)) - len(at))):
+        if len(at) >= max(10, 4 * (int(np.count_nonzero(end)) - len(at))):
             found.append(int(at[0]))
     return min(found, default=None)
 

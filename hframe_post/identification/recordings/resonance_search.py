@@ -34,10 +34,6 @@ LOW_HZ = 20.0  # to which motions are compared, unless the printer resonates ear
 RISE = 1.4  # of the level, where that is
 SMOOTHING = 9.0  # ms, of motions before they are compared
 REACH = 80  # ms by which the start may be off the line's
-# of the share explained, by which what is expected may fall behind something else
-ALIKE = 0.01
-SAME_LEVEL = 0.2  # by which sensors and printers may differ from the level expected
-SOON = 1.0  # s from the motion's end to that of a recording
 ELSEWHERE = (
     "the sensor did not move with this axis (it sat on the frame, on another head, or on the head "
     "while the bed moves, or the other way round)"
@@ -189,9 +185,7 @@ def _best_match(low: Array, known: ResonanceTest, seen: _Seen) -> _Match:
         if earliest <= f <= latest
         for kind in kinds
     ]
-    most = max(fit.like for fit in fits)
-    good = [fit for fit in fits if fit.like >= most - ALIKE]
-    best = max(good, key=lambda fit: (fit.test.min_freq == known.min_freq, fit.like))
+    best = max(fits, key=lambda fit: fit.like)
     if best.sweeping > verdict.TEST_LEVEL * known.sweeping_accel:
         return best
     return replace(best, test=replace(best.test, sweeping_period=0.0), sweeping=0.0)
@@ -246,9 +240,9 @@ def _last_hz(seen: _Seen, expected: ResonanceTest) -> float:
     found = min([*usual, 5.0 * round(last / 5.0)] if ended else usual, key=lambda f: abs(f - last))
     if abs(found - last) < 0.4 * max(1.0, seen.rate):
         return found
-    # the firmware stops recording soon after the motion, whose end noise may hide
+    # the firmware stops recording within a second after the motion, whose end noise may hide
     usual = [*usual, 5.0 * (end // 5.0)] if ended else usual[:1]
-    hidden = (f for f in usual if f <= end < f + SOON * seen.rate)
+    hidden = (f for f in usual if f <= end < f + seen.rate)
     return next(hidden, round(last, 1) if ended else expected.max_freq)
 
 
@@ -264,7 +258,8 @@ def _with_levels(fit: _Match, level: float, expected: ResonanceTest) -> Resonanc
 
 def _usual(found: float, usual: tuple[float, ...], step: float) -> float:
     """Return the expected, first value if it is near enough, another if nearer, or a round one."""
-    for value, tolerance in zip(usual, (SAME_LEVEL, 0.1, 0.1), strict=True):
+    # sensors and printers may differ by a fifth from the level expected
+    for value, tolerance in zip(usual, (0.2, 0.1, 0.1), strict=True):
         if abs(found / value - 1.0) < tolerance:
             return value
     return max(step, step * round(found / step))
@@ -292,7 +287,7 @@ def _refusals(
             f"the recording shows {100.0 * share:.0f} % of the acceleration that the test makes, "
             f"not {100.0 * verdict.TEST_LEVEL:.0f} % or more: {cause}"
         )
-    if whole or begins < expected.min_freq + SOON * seen.rate:
+    if whole or begins < expected.min_freq + verdict.UNRECORDED_S * seen.rate:
         if fit.like < verdict.EXPLAINED:
             yield IdentificationError(
                 f"the recording shows no resonance test: {100.0 * max(fit.like, 0.0):.0f} % of "
@@ -316,7 +311,7 @@ def _refusals(
             f"(at most {100.0 * verdict.CLOCK_DRIFT:g} %). Set hz_per_sec in [resonance_tester] as "
             "it was in the test; if it was, the file's time is not in seconds"
         )
-    if (last := _last_hz(seen, expected)) > ends + SOON * seen.rate:
+    if (last := _last_hz(seen, expected)) > ends + verdict.UNRECORDED_S * seen.rate:
         yield _cut(ends, last)
     if not whole:
         yield IdentificationError(
