@@ -88,11 +88,6 @@ class GcodeWriter:
         return self._timing.page.text()
 
     @property
-    def lag(self) -> float:
-        """Return the seconds by which the machine is late so far, as far as rounding tells."""
-        return self._timing.lag
-
-    @property
     def summary(self) -> GcodeSummary:
         """Return the numbers of the whole stream, once it has been written."""
         page, timing = self._timing.page, self._timing

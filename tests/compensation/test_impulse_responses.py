@@ -9,7 +9,7 @@ from hframe_post.arrays import Array
 from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.model.lpfbs import Lpfbs, Window
-from hframe_post.model.plant import Plant, nozzle
+from hframe_post.model.plant import Bed, Plant, nozzle
 from hframe_post.model.strategies import STRATEGIES, Compensator
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
@@ -153,3 +153,16 @@ def test_a_two_sided_plant_is_inverted(strategy: str) -> None:
 
 
 # ---------------------------------------------------------------------- other printers
+
+
+def test_a_bed_gets_heavier_with_its_lead(hbot: Printer) -> None:
+    bed = Bed(0.5, 1e-4)
+    plant = replace(early(), bed=bed)
+    compensator = Compensator(plant, (WINDOW, WINDOW))
+    loaded = compensator.at(2000.0)
+    assert loaded.plant.Gyy.ahead > plant.Gyy.ahead
+    state = STRATEGIES["racking"].begin(loaded, ORIGIN)
+    path = np.pad(strokes(), ((300, 300), (0, 0)), mode="edge")
+    command = np.concatenate([state.feed(path), state.finish()])
+    off = nozzle(loaded.plant, ORIGIN, command) - path
+    assert np.sqrt(np.square(off).mean()) < 1e-3  # mm

@@ -1,5 +1,6 @@
 """Re-cutting loses no sample and no event, wherever it cuts."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -7,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hframe_post.stream.chunks import join, part, with_neighbours
+from hframe_post.stream.marks import Mark, Marks
 from hframe_post.stream.types import Samples, frozen
 from tests.mark_tools import mark
 
@@ -35,6 +37,13 @@ def assert_same(one: Samples, other: Samples) -> None:
     assert one.commands.keys() == other.commands.keys()
     for name, command in one.commands.items():
         np.testing.assert_array_equal(command, other.commands[name])
+
+
+def test_a_part_between_two_lines_has_neither() -> None:
+    lines = Marks.from_lines([Mark(7, b";first"), Mark(12, b";last")])
+    whole = replace(stream([10])[0], events=(lines,))
+    assert part(whole, 3, 6).events == ()
+    assert part(whole, 2, 3).events == (lines.rows(0, 1),)
 
 
 @given(st.integers(1, 30), st.lists(st.integers(1, 29), unique=True))
