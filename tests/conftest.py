@@ -107,12 +107,12 @@ def golden(request: pytest.FixtureRequest) -> Callable[[str, bytes], bytes]:
 
 
 @pytest.fixture(scope="session")
-def commands(paper: Printer, compensator: Compensator) -> Callable[[str], Samples]:
+def commands(paper: Printer) -> Callable[[str], Samples]:
     """Return a function that compensates the sample rectangle with a strategy, in one chunk."""
 
     def whole(strategy: str) -> Samples:
         lines = (SAMPLES / "rectangle.gcode").read_bytes().splitlines(keepends=True)
-        commands = WholeFile(iter(lines), paper, Options(strategy)).commands((), compensator)
+        commands = WholeFile(iter(lines), paper, Options(strategy)).samples()
         return join([chunk for chunk in commands if len(chunk)])
 
     return whole

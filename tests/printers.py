@@ -14,7 +14,7 @@ from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.printer import model_file
 from hframe_post.printer.firmware_tables import MarlinTable
-from hframe_post.printer.model_file import model_path, texts, with_windows
+from hframe_post.printer.model_file import model_path, texts
 from hframe_post.printer.new_profile import Known, profile_text
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer, Verified
@@ -81,7 +81,7 @@ def with_plant(
 ) -> str:  # fmt: skip
     printer = load(source) if text is None else parse(text, "mine", source)
     found = model_file.measured(printer, plant, uncertainty, measured)
-    return in_one(with_windows(found, windows), source, notes, text)
+    return in_one(found.with_windows(windows), source, notes, text)
 
 
 def with_verification(source: str, day: str, reduction: float) -> str:

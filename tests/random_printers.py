@@ -70,7 +70,7 @@ def judged(machine: Machine, profile: Printer, path: str = "rectangle") -> Error
     """Return the contour errors of the machine, without and with compensation by the profile."""
     lines = rectangle(profile) if path == "rectangle" else layers("cube.gcode", 2)
     options = Options("racking", clamp=True)
-    computed = WholeFile(lines, profile, options).commands(("racking", "none"))
+    computed = WholeFile(lines, profile, options).samples(("racking", "none"))
     chunks = [chunk for chunk in computed if len(chunk)]
     wanted = np.concatenate([chunk.xyze[:, :Z] for chunk in chunks])
     moving = np.concatenate([in_motion(chunk.xyze)[1] for chunk in chunks])

@@ -16,14 +16,13 @@ import hframe_post as hp
 from examples.paper.commands import WholeTrajectory, windowed
 from hframe_post.arrays import TS, Array, Complex, E, X, Y, Z
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Chain, prepared
+from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.errors import GcodeError
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
-from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.predict import Judgement, judge, with_path
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
@@ -205,12 +204,11 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
     lines = list(lines)
     printer = replace(printer, plant=replace(printer.plant, x_c=_middle(lines, printer)))
     window = "shipped"
-    compensator = prepared(printer)
     if printed_window:
-        window, compensator = "printed", Compensator(printer.plant, PRINTED_WINDOW)
+        window, printer = "printed", printer.with_windows(PRINTED_WINDOW)
     strategies = "none", "fbs", "racking"
     options = Options("racking", strategies, limits="printer")
-    commands = map(with_path, WholeFile(lines, printer, options).commands(compensator=compensator))
+    commands = map(with_path, WholeFile(lines, printer, options).samples())
     error: dict[str, list[Array]] = {name: [] for name in strategies}
     for walls in _outer_walls(judge(commands, printer.plant)).values():
         wanted = _width(walls["path"], walls["path"])

@@ -22,7 +22,7 @@ from hframe_post.cli.parameters import (
     shared,
 )
 from hframe_post.errors import HframeError
-from hframe_post.printer.model_file import measured, with_windows
+from hframe_post.printer.model_file import measured
 from hframe_post.printer.profile import check_identified, load
 from hframe_post.writers.outputs import Outputs
 
@@ -202,7 +202,7 @@ def _publish(
         found = recommend(plant, profile, off)
         if found is None:
             raise HframeError(NO_WINDOW)
-        model = with_windows(measured(profile, plant, round(off, 3), None), found.windows)
+        model = measured(profile, plant, round(off, 3), None).with_windows(found.windows)
         rows = [("read", "; ".join(notes)), ("uncertainty", f"±{100.0 * off:.0f} %")]
         report = Rows([*rows, *found.rows()], found.as_json())
         return Findings(report, model, notes=notes, advice=advice)

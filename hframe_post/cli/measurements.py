@@ -22,7 +22,7 @@ from hframe_post.errors import IdentificationError, PrinterError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import kinematics_in, text_from_klipper, warnings
 from hframe_post.printer.choice import choose
-from hframe_post.printer.model_file import measured, with_windows
+from hframe_post.printer.model_file import measured
 from hframe_post.printer.profile import check_identified, load, parse
 from hframe_post.printer.settings import Verified
 
@@ -120,7 +120,7 @@ def identify(
         updated = measured(profile, report.plant, error, day)
         if updated.kinematics != profile.kinematics and output is not None:
             say("note         it racks, so the profile's kinematics.type is hbot")
-        found.printer = with_windows(updated, report.compensation.windows)
+        found.printer = updated.with_windows(report.compensation.windows)
         found.notes = report.origin()
         return found
 

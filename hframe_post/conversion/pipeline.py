@@ -87,12 +87,12 @@ class Chain:
     @cached_property
     def at_stops(self) -> StopModels:
         """Return what the stops of the options' strategies have in common."""
-        return self.stop_models(self.compensator, self.options.strategies)
+        return self.stop_models(self.options.strategies)
 
-    def stop_models(self, compensator: Compensator, names: tuple[str, ...]) -> StopModels:
+    def stop_models(self, names: tuple[str, ...]) -> StopModels:
         """Return what the stops of these strategies have in common, which takes a while."""
         own = self.printer
-        return StopModels(compensator, names, own.travel, own.motors, own.kinematics)
+        return StopModels(self.compensator, names, own.travel, own.motors, own.kinematics)
 
     def read(
         self, lines: Iterable[bytes], note: Callable[[str, str], None] | None = None
@@ -173,23 +173,19 @@ def read_ahead(items: Iterator[Item]) -> Iterator[Item]:
 class Stages:
     """The stages from planned motion to checked commands, and a ledger of what they did.
 
-    strategies, compensator: to compute, and by which; the options' and the chain's by default.
-    beginning: of a span that becomes lines; None: commands become samples, whose errors are judged
-    in the same way for all of the print. played: of strategies whose lines are judged.
+    strategies: to compute; the options' by default. beginning: of a span that becomes lines; None:
+    commands become samples, whose errors are judged in the same way for all of the print. played:
+    of strategies whose lines are judged.
     """
 
     def __init__(
-        self, chain: Chain, strategies: tuple[str, ...] = (),
-        compensator: Compensator | None = None, beginning: Beginning | None = None,
-    ) -> None:  # fmt: skip
+        self, chain: Chain, strategies: tuple[str, ...] = (), beginning: Beginning | None = None
+    ) -> None:
         printer, options, own = chain.printer, chain.options, chain.firmware
         start = beginning or Beginning(advance=own.advance())
-        self._chain, self._compensator = chain, compensator or chain.compensator
-        self._lines = beginning is not None
+        self._chain, self._lines = chain, beginning is not None
         self._strategies = strategies or options.strategies
-        self._at_stops = chain.at_stops
-        if strategies or compensator is not None:
-            self._at_stops = chain.stop_models(self._compensator, self._strategies)
+        self._at_stops = chain.stop_models(strategies) if strategies else chain.at_stops
         # without compensation a file moves as the firmware plays it today
         motors = printer.motors if options.strategy != "none" else Motors()
         checked = (printer.travel, motors, printer.kinematics)
@@ -231,7 +227,7 @@ class Stages:
         return successive(streams if self._chain.printer.plant.bed is None else map(ended, streams))
 
     def compensated(self, samples: Iterable[Samples]) -> Iterator[Samples]:
-        commands = compensate(samples, self._compensator, self._strategies)
+        commands = compensate(samples, self._chain.compensator, self._strategies)
         return dwell_at_stops(commands, self._at_stops)
 
     def predicted(self, commands: Iterable[Samples]) -> Iterator[Samples]:

@@ -26,7 +26,6 @@ from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.limits import with_motors
 from hframe_post.gcode.lines import BINARY
-from hframe_post.model.strategies import Compensator
 from hframe_post.printer.profile import check_identified
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.running import one_blas_thread
@@ -83,17 +82,8 @@ class WholeFile:
             self.done = joined(self.done, span.ledger)
         self.check_filament(self.done.written.filament)
 
-    def commands(
-        self, strategies: tuple[str, ...] = (), compensator: Compensator | None = None
-    ) -> Iterator[Samples]:
-        """Return safe commands for the motors alone: no prediction, no print time.
-
-        strategies, compensator: the options' and the printer's by default.
-        """
-        return Stages(self.chain, strategies, compensator).whole(self.spans)
-
     def samples(self, strategies: tuple[str, ...] = ()) -> Iterator[Samples]:
-        """Yield safe commands, with the errors that are predicted for them."""
+        """Yield safe commands of these strategies, by default the options'; note their errors."""
         stages = Stages(self.chain, strategies)
         yield from stages.predicted(stages.whole(self.spans))
         self.done = stages.ledger()

@@ -84,11 +84,7 @@ def recommend(plant: Plant, profile: Printer, model_error: float) -> Recommendat
     best = _best(updated, printers)
     if best is None:
         return None
-    x, y = best.windows
-    chosen = replace(
-        updated.compensation, L=x.L, n_C=x.n_C, n_up=x.n_up, effort=(x.effort, y.effort)
-    )
-    updated = replace(updated, compensation=chosen)
+    updated = updated.with_windows(best.windows)
     options = Options("racking", tuple(STRATEGIES), clamp=True)
     doubts = Doubts.from_plant(plant, model_error)
     study = Study(plant, {model_error: printers}, name=updated.name, doubts=doubts, exact=True)

@@ -131,9 +131,7 @@ class MarlinTable(FirmwareTable):
         """Return the lines that arrive and are planned in a second."""
         if not self.baud:
             return self.lines_per_second
-        bits = (
-            10 * 45
-        )  # of a line with number and checksum, and of the ok that its sender waits for
+        bits = 10 * 45  # a line with number and checksum, and the ok that its sender waits for
         return min(self.lines_per_second, 1.0 / (bits / self.baud + self.latency))
 
     @property
@@ -171,22 +169,8 @@ class FirmwareSettings:
         """Return the kind of table that the firmware has."""
         return TABLES[self.dialect]
 
-    @property
-    def klipper(self) -> KlipperTable | None:
-        return self.table(KlipperTable)
-
-    @property
-    def marlin(self) -> MarlinTable | None:
-        return self.table(MarlinTable)
-
 
 TABLES: dict[str, type[FirmwareTable]] = {"klipper": KlipperTable, "marlin": MarlinTable}
-
-
-def named(dialect: str, key: str = "", source: str = "") -> None:
-    """Raise PrinterError if no firmware has that name."""
-    if dialect not in TABLES:
-        raise PrinterError(f"must be one of {', '.join(TABLES)}", key, source)
 
 
 def load_firmware(table: dict[str, Any]) -> FirmwareSettings:
@@ -195,7 +179,6 @@ def load_firmware(table: dict[str, Any]) -> FirmwareSettings:
     known_keys(table, (*keys, *TABLES), "firmware")
     own = {key: value for key, value in table.items() if key in keys}
     settings = checked(FirmwareSettings, own, "firmware")
-    named(settings.dialect, "firmware.dialect")
     tables = (checked(TABLES[k], table[k], f"firmware.{k}") for k in table if k in TABLES)
     return replace(settings, tables=tuple(tables))
 
@@ -203,7 +186,8 @@ def load_firmware(table: dict[str, Any]) -> FirmwareSettings:
 def check_needs(firmware: FirmwareSettings, steps_known: bool, source: str = "") -> None:
     """Raise PrinterError if the firmware needs a table that the profile does not have."""
     key = f"firmware.{firmware.dialect}"
-    named(firmware.dialect, "firmware.dialect", source)
+    if firmware.dialect not in TABLES:
+        raise PrinterError(f"must be one of {', '.join(TABLES)}", "firmware.dialect", source)
     kind = firmware.kind
     if firmware.table(kind) is None:
         raise PrinterError(f"the table is missing: {kind.holds}", key, source)

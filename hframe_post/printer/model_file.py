@@ -20,7 +20,6 @@ from tomlkit.exceptions import TOMLKitError
 from hframe_post.arrays import TS, Array
 from hframe_post.errors import PrinterError
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.printer.profile import MICRORAD, parse, shipped, text_of
 from hframe_post.printer.settings import Printer
@@ -62,14 +61,6 @@ def measured(
         compensation=compensation, invented=False, uncertainty=uncertainty, measured=day,
         verified=None,
     )  # fmt: skip
-
-
-def with_windows(printer: Printer, windows: tuple[Window, Window]) -> Printer:
-    """Return a printer that is compensated with these windows."""
-    x, y = windows
-    effort = float(x.effort), float(y.effort)
-    chosen = replace(printer.compensation, L=x.L, n_C=x.n_C, n_up=x.n_up, effort=effort)
-    return replace(printer, compensation=chosen)
 
 
 def texts(

@@ -90,19 +90,24 @@ def checked_value(hint: Any, value: Any, rules: Rules, key: str) -> Any:
     return value
 
 
+def _list(value: Any, least: int, most: int, words: str, key: str) -> list[Any]:
+    if not isinstance(value, list) or not least <= len(value) <= most:
+        raise PrinterError(f"must be a list of {words}", key)
+    return value
+
+
 def _range(value: Any, rules: Rules, key: str) -> tuple[float, float]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise PrinterError("must be a list of two numbers", key)
-    low, high = (checked_value(float, number, rules, key) for number in value)
+    numbers = _list(value, 2, 2, "two numbers", key)
+    low, high = (checked_value(float, number, rules, key) for number in numbers)
     if rules.get("ascending") and not low < high:
         raise PrinterError(f"least {low:g} is not below greatest {high:g}", key)
     return low, high
 
 
 def _ranges(value: Any, rules: Rules, key: str) -> tuple[tuple[float, float], ...]:
-    if not isinstance(value, list) or len(value) > rules["count"]:
-        raise PrinterError(f"must be a list of at most {rules['count']} pairs of numbers", key)
-    return tuple(_range(pair, rules, key) for pair in value)
+    most = rules["count"]
+    pairs = _list(value, 0, most, f"at most {most} pairs of numbers", key)
+    return tuple(_range(pair, rules, key) for pair in pairs)
 
 
 def _names(value: Any, rules: Rules, key: str) -> tuple[str, ...]:
@@ -115,9 +120,9 @@ def _names(value: Any, rules: Rules, key: str) -> tuple[str, ...]:
 
 
 def _numbers(values: Any, rules: Rules, key: str) -> Array:
-    if not isinstance(values, list) or not 1 <= len(values) <= rules["count"]:
-        raise PrinterError(f"must be a list of 1 to {rules['count']} numbers", key)
-    return np.array([checked_value(float, value, rules, key) for value in values])
+    most = rules["count"]
+    numbers = _list(values, 1, most, f"1 to {most} numbers", key)
+    return np.array([checked_value(float, number, rules, key) for number in numbers])
 
 
 def _roots(pairs: Any, rules: Rules, key: str) -> Complex:

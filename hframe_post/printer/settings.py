@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date
 
 from hframe_post.errors import ArgumentError
@@ -307,6 +307,13 @@ class Printer:
     def outer_walls(self) -> float:
         """Return the share of the file's acceleration with which outer walls are printed."""
         return self.limits.outer_walls or (RACKING_WALLS if self.kinematics.racks else 1.0)
+
+    def with_windows(self, windows: tuple[Window, Window]) -> Printer:
+        """Return the printer, compensated with these windows of x and y, of the same sizes."""
+        x, y = windows
+        effort = float(x.effort), float(y.effort)
+        chosen = replace(self.compensation, L=x.L, n_C=x.n_C, n_up=x.n_up, effort=effort)
+        return replace(self, compensation=chosen)
 
     def uncertainty_on(self, day: date) -> float:
         """Return the uncertainty of the plant on a later day, at least the one it has.

@@ -16,7 +16,6 @@ from hframe_post.conversion.pipeline import Chain, Stages
 from hframe_post.errors import HframeError
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
-from hframe_post.model.strategies import Compensator
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.statistics import ContourErrors
@@ -67,11 +66,11 @@ def tried(
     """
     plant, trial = printer.plant, Trial(windows)
     check_model(plant, printer.limits)
-    chain = Chain(printer, RACKING)
-    path, guard = chain.sampled(chain.planned(lines)), Guard(ANYWHERE, Motors(), printer.kinematics)
+    chain, guard = Chain(printer, RACKING), Guard(ANYWHERE, Motors(), printer.kinematics)
+    path = chain.sampled(chain.planned(lines))  # the same with all windows
     try:
-        compensator = Compensator(plant, windows)
-        commands = Stages(chain, compensator=compensator).compensated(path)
+        stages = Stages(Chain(printer.with_windows(windows), RACKING))
+        commands = stages.compensated(path)
         commands = check_deviation(commands, "racking", plant, printer.limits)
         chunks = list(guard.check(commands, "racking"))
     except HframeError as error:

@@ -10,6 +10,7 @@ from statistics import median
 from tempfile import TemporaryDirectory
 
 import hframe_post as hp
+from hframe_post.printer.firmware_tables import KlipperTable, MarlinTable
 from hframe_post.studies import simulation
 from tests.klipper.host import play
 from tests.marlin.planner import Build, Machine
@@ -43,7 +44,7 @@ def row(sliced: Path, printer: hp.Printer) -> Iterator[str]:
             yield f"{report.contour[name].micrometres()['rms']:.1f}"
         yield from inexact(sliced, printer)
         yield f"{100.0 * report.time.change:+.1f} %"
-        if printer.firmware.marlin is not None and sliced.stat().st_size > LONG_FILE:
+        if printer.firmware.table(MarlinTable) is not None and sliced.stat().st_size > LONG_FILE:
             yield "–"
         else:
             yield f"{100.0 * (played(made, printer) / played(sliced, printer) - 1.0):+.1f} %"
@@ -75,7 +76,7 @@ def played(gcode: Path, printer: hp.Printer) -> float:
 
 def sections(printer: hp.Printer) -> str:
     """Return what was in the printer.cfg that the profile was made from, on a wide bed."""
-    own, limits, (least, most) = printer.firmware.klipper, printer.limits, ROOM
+    own, limits, (least, most) = printer.firmware.table(KlipperTable), printer.limits, ROOM
     assert own is not None
     return f"""
 [gcode_arcs]
@@ -101,7 +102,7 @@ instantaneous_corner_velocity: {limits.extruder_corner_velocity}
 
 
 def on_a_board(gcode: Path, printer: hp.Printer) -> float:
-    own, limits, steps = printer.firmware.marlin, printer.limits, printer.steps
+    own, limits, steps = printer.firmware.table(MarlinTable), printer.limits, printer.steps
     assert own is not None
     assert steps is not None
     build = Build(

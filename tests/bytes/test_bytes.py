@@ -18,6 +18,7 @@ import pytest
 from hframe_post import convert, load_printer
 from hframe_post.conversion.options import Options
 from hframe_post.gcode.commands import STAMP
+from hframe_post.printer.firmware_tables import MarlinTable
 from hframe_post.printer.settings import Printer
 from tests.conftest import ROOT, SAMPLES
 from tests.slices import SLICES
@@ -55,8 +56,9 @@ def printer_for(name: str, output: str) -> Printer:
     own = printer.firmware
     if output in ("klipper", "steps"):
         return replace(printer, firmware=replace(own, dialect="klipper"))
-    assert own.marlin is not None
-    table = replace(own.marlin, planner=output)
+    marlin = own.table(MarlinTable)
+    assert marlin is not None
+    table = replace(marlin, planner=output)
     return replace(printer, firmware=replace(own, dialect="marlin", tables=(table,)))
 
 

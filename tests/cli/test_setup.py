@@ -12,7 +12,7 @@ import pytest
 from hframe_post.hosts.klipper.kernel_file import read
 from hframe_post.printer import model_file
 from hframe_post.printer.firmware_tables import KlipperTable, MarlinTable
-from hframe_post.printer.model_file import measured, with_windows
+from hframe_post.printer.model_file import measured
 from hframe_post.printer.profile import load
 from hframe_post.process import program
 from tests.command_line import RECTANGLE, run
@@ -135,7 +135,7 @@ def test_again_it_keeps_an_identified_plant(config: Path) -> None:
     set_up(config, "--kinematics", "hbot")
     paper = load("paper")
     found = measured(load(str(own)), paper.plant, None, None)
-    texts = model_file.texts(with_windows(found, paper.compensation.windows), str(own), own)
+    texts = model_file.texts(found.with_windows(paper.compensation.windows), str(own), own)
     edited(config, "max_accel: 10000", "max_accel: 8000")
     own.write_text(inside := in_one(texts.printer, str(own)))
     assert "contains what was measured" in set_up(config, "--reset", status=1)

@@ -37,7 +37,7 @@ def chunks() -> list[Samples]:
     ):  # fmt: skip
         lines.insert(at, text)
     source = WholeFile(iter(lines), load("paper"), Options("none", limits="printer"))
-    return list(source.commands())
+    return list(source.samples())
 
 
 def advances(chunks: Iterable[Samples], name: str) -> tuple[Array, Advancing]:

@@ -111,7 +111,7 @@ def test_lags_and_delays_stay() -> None:
 
 def errors(printer: Printer, filament: float) -> tuple[float, float]:
     """Return the RMS contour error, mm, on the bed itself: of the first and of the last quarter."""
-    chunks = [c for c in WholeFile(iter(laps()), printer, FBS).commands() if len(c)]
+    chunks = [c for c in WholeFile(iter(laps()), printer, FBS).samples() if len(c)]
     xyze, command = (
         np.concatenate(parts)
         for parts in ([c.xyze for c in chunks], [c.commands["fbs"] for c in chunks])
@@ -141,7 +141,7 @@ def test_the_last_layers_are_as_good_as_the_first(slinger: Printer, fixed: Print
 
 def test_commands_stand_still_where_the_model_changes(slinger: Printer) -> None:
     last, ended, changes = None, False, 0
-    for chunk in WholeFile(iter(laps()), slinger, FBS).commands():
+    for chunk in WholeFile(iter(laps()), slinger, FBS).samples():
         if len(chunk):
             command = chunk.commands["fbs"]
             if ended and last is not None:

@@ -49,7 +49,7 @@ def lines_played(
     lines: list[bytes], folder: Path, options: Options, printer: Printer | None = None
 ) -> Played:
     printer = printer or profile.load("paper")
-    blocks = list(WholeFile(iter(lines), printer, options).commands())
+    blocks = list(WholeFile(iter(lines), printer, options).samples())
     text, report = converted(lines, printer, options)
     file = folder / "converted.gcode"
     file.write_bytes(text)

@@ -81,7 +81,7 @@ def built(printer: Printer, **how: object) -> Build:
 def intended(lines: list[bytes], printer: Printer) -> Array:
     """Return the command (n, 2) that is to be played."""
     options = Options(printer.compensation.strategy)
-    blocks = WholeFile(iter(lines), printer, options).commands()
+    blocks = WholeFile(iter(lines), printer, options).samples()
     return np.concatenate([b.commands[options.strategy] for b in blocks])
 
 

@@ -144,7 +144,7 @@ def test_whatever_the_log_writes_before_the_answers(answers: Path) -> None:
 )
 def test_the_version_tells_the_planner(answers: Path, version: str, planner: str) -> None:
     settings = changed(answers, "2.1.2.1 (May 15 2023 12:00:00)", version)
-    assert profile(settings).firmware.marlin is not None
+    assert profile(settings).firmware.table(MarlinTable) is not None
     assert (settings.planner.value if settings.planner else "") == planner
     assert any("planner =" in line for line in settings.warnings()) == (not planner)
 

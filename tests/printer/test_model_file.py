@@ -12,7 +12,7 @@ from hframe_post.errors import PrinterError
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
-from hframe_post.printer.model_file import measured, model_path, texts, with_windows
+from hframe_post.printer.model_file import measured, model_path, texts
 from hframe_post.printer.profile import load, parse
 from hframe_post.printer.settings import Printer, Verified
 from tests.plants import deviation_of_mode
@@ -28,7 +28,7 @@ def mine(tmp_path: Path) -> Path:
 
 def identified(source: str, plant_of: str = "paper-strong") -> Printer:
     plant = load(plant_of).plant
-    return with_windows(measured(load(source), plant, 0.03, date(2026, 7, 1)), WINDOWS)
+    return measured(load(source), plant, 0.03, date(2026, 7, 1)).with_windows(WINDOWS)
 
 
 def test_a_profile_names_its_model_and_keeps_its_text(mine: Path) -> None:

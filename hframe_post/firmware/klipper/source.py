@@ -13,7 +13,7 @@ from hframe_post.firmware.base import Finding, Source
 from hframe_post.firmware.klipper.live import check_live
 from hframe_post.firmware.klipper.macros import FILE, check_macros, macros
 from hframe_post.firmware.klipper.printer_cfg import KINEMATICS, KlipperConfig
-from hframe_post.printer.firmware_tables import END_MACRO, MACROS
+from hframe_post.printer.firmware_tables import END_MACRO, MACROS, KlipperTable
 from hframe_post.printer.new_profile import (
     Known,
     Tables,
@@ -278,7 +278,7 @@ def warnings(config: KlipperConfig) -> Iterator[str]:
 
 def check_stream(config: KlipperConfig, printer: Printer) -> Iterator[Finding]:
     """Yield what converted files need and printer.cfg lacks, and what distorts them."""
-    klipper = printer.firmware.klipper
+    klipper = printer.firmware.table(KlipperTable)
     name = klipper.end_macro if klipper is not None else ""
     if name and name != END_MACRO and not config.macros(name):  # see `check_macros`
         yield Finding(True, f"[gcode_macro {name}] is missing; firmware.klipper names it")
