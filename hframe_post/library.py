@@ -35,6 +35,7 @@ from hframe_post.gcode.lines import Input, Source
 from hframe_post.model.plant import nozzle
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
+from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.predict import contour_error as off_path
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Printer
@@ -194,9 +195,12 @@ def simulate(
     if steps and printer.steps is None:
         raise PrinterError("the table is missing: whole steps need it", "steps", printer.name)
     actual = simulated or printer
-    study = simulation.Study.from_printer(
-        actual, model_error, draws, seed, printer.steps if steps else None
-    )
+    study = simulation.Study(
+        actual.plant,
+        {share: actual.plant.drawn(share, draws, seed) for share in dict.fromkeys(model_error)},
+        printer.steps if steps else None, actual.name,
+        Doubts.from_plant(actual.plant, actual.uncertainty),
+    )  # fmt: skip
     options = replace(options, strategy="racking", predict=tuple(STRATEGIES))
     given = Input(source, progress)
     if given.once:

@@ -72,11 +72,7 @@ class Limits:
     @property
     def filament_mass(self) -> float:
         """Return the mass of a mm of filament, kg."""
-        return 1e-6 * self.filament_density * self._filament_area
-
-    @property
-    def _filament_area(self) -> float:
-        return math.pi / 4.0 * self.filament_diameter**2
+        return 1e-6 * self.filament_density * (math.pi / 4.0 * self.filament_diameter**2)
 
     def __post_init__(self) -> None:
         ramps = {

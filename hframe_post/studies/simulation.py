@@ -235,17 +235,6 @@ class Study:
     doubts: Doubts | None = None
     exact: bool = False
 
-    @classmethod
-    def from_printer(
-        cls, printer: Printer, shares: Iterable[float], count: int, seed: int,
-        steps: Steps | None = None,
-    ) -> Study:  # fmt: skip
-        """Return the study of a printer, and of ``count`` random ones for each share."""
-        plant = printer.plant
-        drawn = {share: plant.drawn(share, count, seed) for share in dict.fromkeys(shares)}
-        doubts = Doubts.from_plant(plant, printer.uncertainty)
-        return cls(plant, drawn, steps, printer.name, doubts)
-
 
 def simulate(
     lines: Callable[[], Iterable[bytes]], printer: Printer, options: Options, study: Study

@@ -32,7 +32,6 @@ WRITING = {  # the file of G-code, and the words of the command that writes it
 }
 MEASURING_S = 15.0 * 60.0  # s that such a command may take on a slow host
 ENDS_RECORDING = re.compile(r"^ACCELEROMETER_MEASURE CHIP=\S+ NAME=(\S+)$", re.MULTILINE)
-WRITING_S = 120.0  # s for Klipper to write its recordings, which it does in the background
 AXES = {"Gxx": "x", "Gyy": "y"}
 OTHER_PLACE = {
     "X": "Mount the sensor on the print head, then type HFRAME_CALIBRATE AXIS=X",
@@ -122,7 +121,8 @@ def _recordings(folder: Path, run: str) -> list[Path]:
 def _fetch(settings: Settings, job: Path, began: float) -> None:
     """Copy what Klipper recorded of a job, once it is complete. Raises FailureError, OSError."""
     expected = Counter(ENDS_RECORDING.findall(job.read_text("utf-8")))
-    source, deadline = Path(settings.recordings), time.monotonic() + WRITING_S
+    # Klipper writes its recordings in the background
+    source, deadline = Path(settings.recordings), time.monotonic() + 120.0
     before: dict[Path, int] = {}
     changed = time.monotonic()
     while True:
