@@ -49,7 +49,7 @@ from hframe_post.gcode.extrusion import FirmwareRetraction, is_absolute
 from hframe_post.gcode.lines import Lines
 from hframe_post.gcode.objects import Objects
 from hframe_post.gcode.state import ReadOptions, State
-from hframe_post.model.constant_acceleration import Trapezoid
+from hframe_post.model.kinematics import Trapezoid
 from hframe_post.stream.types import Handling, Item, Passthrough, Position
 
 MAX_DWELL_S = 24 * 3600.0  # s

@@ -31,9 +31,8 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Complex, X, Y
 from hframe_post.errors import ArgumentError
 from hframe_post.hosts.klipper.kernel_file import AHEAD, TAPS
-from hframe_post.model.constant_acceleration import Trapezoid
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.kinematics import Kinematics
+from hframe_post.model.kinematics import Kinematics, Trapezoid
 from hframe_post.model.plant import Plant, Racking, nozzle
 
 OMEGA = np.linspace(0.0, np.pi, 4097)  # rad/sample, of the least squares; 0.12 Hz apart

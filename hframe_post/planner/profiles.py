@@ -16,7 +16,7 @@ from ruckig import InputParameter, Ruckig, RuckigError, Trajectory
 
 from hframe_post.arrays import TS, Array, E, Flags, Integers, Z
 from hframe_post.errors import HframeError
-from hframe_post.model.constant_acceleration import Trapezoid
+from hframe_post.model.kinematics import Trapezoid
 from hframe_post.native.planning import misses, move_at_rest, profiles, samples_until
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.types import MoveAtRest, Plan

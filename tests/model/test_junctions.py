@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import TS
 from hframe_post.firmware.motion import travelled
-from hframe_post.model.constant_acceleration import Trapezoid
+from hframe_post.model.kinematics import Trapezoid
 
 LENGTHS = st.floats(0.01, 100.0)
 SHARES = st.floats(0.0, 1.0)

@@ -14,7 +14,7 @@ from hframe_post.firmware.base import unlimited
 from hframe_post.firmware.code import Code, coordinates, modes, plain
 from hframe_post.firmware.dialect import klipper_advance
 from hframe_post.firmware.motion import USED_LINES_SHARE, MotionRules, NextTo, Stroke, Way
-from hframe_post.model.constant_acceleration import Trapezoid
+from hframe_post.model.kinematics import Trapezoid
 from hframe_post.native.decimate import breakpoints, fitted, thinned
 from hframe_post.native.planning import junction_deviation
 from hframe_post.native.ramps import klipper_durations, klipper_feeds
