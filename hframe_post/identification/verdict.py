@@ -1,6 +1,7 @@
 """Bounds of every verdict: what identify and check refuse, and what they warn of.
 
-A bound is a share unless its name has a unit. Each message shows the number and its bound.
+A bound is a share unless its name has a unit. Each message shows the number and its bound. A
+recording is judged on its command's clock, however that was found; no step on the way refuses it.
 """
 
 from __future__ import annotations
@@ -29,19 +30,29 @@ CLOCK_DRIFT = 0.03  # of a sensor; the worst seen have 0.02
 # recordings of other motions, and of those that are played backwards
 EXPLAINED = 0.4
 TEST_GROWTH = -0.5  # of its level, as a power of the frequency; a sine of equal size has -1
-TEST_LEVEL = 0.2  # of its level, and of its sweeping's, to the test's; settings differ less
+# of a command's slow part, by any axis that the sensor rides; of a test's level, or its sweeping's,
+# at least: settings differ less
+SHOWN = 0.2
 TEST_PEAK = 1.5  # of its resonance; 1.2 with input shaping, 2.9 and more without on 20 printers
-SHOWN = 0.3  # of a command's slow part; of any axis that the sensor rides
 LAG_S = 0.03  # of each part; printers have less
 
 
-def check_follows(share: float, least: float = EXPLAINED) -> None:
+def check_covers(late: float, early: float) -> None:
+    """Raise IdentificationError if a recording begins too late, s, or ends too early."""
+    for off, words in ((late, "begins {:.2f} s after"), (early, "ends {:.2f} s before")):
+        if off > UNRECORDED_S:
+            raise IdentificationError(
+                f"the recording {words.format(off)} its motion does, more than {UNRECORDED_S:g} s"
+            )
+
+
+def check_follows(share: float) -> None:
     """Raise IdentificationError if a motion explains too small a share of its recording."""
-    if share < least:
+    if share < EXPLAINED:
         raise IdentificationError(
             "the recording does not follow the command, which explains "
-            f"{100.0 * max(share, 0.0):.0f} % of it, not {100.0 * least:.0f} % or more. Check that "
-            "it is of this motion, complete, and of a sensor that moves with this axis. With "
+            f"{100.0 * max(share, 0.0):.0f} % of it, not {100.0 * EXPLAINED:.0f} % or more. Check "
+            "that it is of this motion, complete, and of a sensor that moves with this axis. With "
             "Marlin also check firmware.marlin.planner of the profile"
         )
 
@@ -52,4 +63,13 @@ def check_drift(drift: float) -> None:
         raise IdentificationError(
             f"the sensor's clock would have to be {100.0 * abs(drift):.1f} % wrong, more than the "
             f"{100.0 * CLOCK_DRIFT:g} % that sensors are. Is the recording's time in seconds?"
+        )
+
+
+def check_shown(share: float) -> None:
+    """Raise IdentificationError if a sensor shows too small a share of an axis' slow motion."""
+    if share < SHOWN:
+        raise IdentificationError(
+            f"the recording shows {100.0 * share:.0f} % of the command's slow motion, not "
+            f"{100.0 * SHOWN:.0f} % or more. Check that the sensor moves with both axes that move"
         )

@@ -86,7 +86,7 @@ class Run:
         Raises IdentificationError if they are not in it.
         """
         seen = slow_directions(self.aligned())
-        verdict.check_follows(float(np.linalg.norm(seen, axis=1).min()), verdict.SHOWN)
+        verdict.check_shown(float(np.linalg.norm(seen, axis=1).min()))
         return axes_in_sensor(self.directions, seen, self.nozzle.up)
 
     @property

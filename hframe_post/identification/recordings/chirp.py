@@ -20,7 +20,7 @@ from hframe_post.arrays import TS, Array
 FRAME, HOP = 1000, 250  # samples of a spectrum, and between spectra
 LINE_HZ = (5.0, 200.0)  # frequencies in which lines are searched
 SLOPES = np.geomspace(0.08, 8.0, 462)  # Hz/s
-TRIPLE = 110  # slopes from one to its triple
+TRIPLE = 110  # slopes from one to its triple: of a test that was cut, the harmonic is brighter
 ROW = 3  # Hz between the frequencies of the coarse search
 CLEAR = 10.0  # ratio of the line's power to the median power at its frequency
 NEAR_HZ = 3.0  # around the line, in which its power is looked for

@@ -114,16 +114,6 @@ class Resampler:
         """Return whether the recording covers times of its clock."""
         return np.asarray((shown >= self._first) & (shown <= self._last))
 
-    def check_covers(self, ends: tuple[float, float], missing: float) -> None:
-        """Raise IdentificationError if more of a motion is missing, s, than there may be.
-
-        ends: s of the clock at which the motion begins and ends.
-        """
-        early, late = self._first - ends[0], ends[1] - self._last
-        for off, words in ((early, "begins {:.2f} s after"), (late, "ends {:.2f} s before")):
-            if off > missing:
-                raise IdentificationError(f"the recording {words.format(off)} its motion does")
-
 
 # ---------------------------------------------------------------------- one estimation
 
@@ -163,7 +153,7 @@ def aligned(command: Array, recording: Recording, known: Clock | None = None) ->
     resting = recording.t <= (recording.t[0] + begins) / 2.0
     offset = recording.a[resting] if clock.is_exact and resting.any() else recording.a
     sensor = Resampler(recording.t, recording.a - offset.mean(axis=0))
-    sensor.check_covers((begins, ends), verdict.UNRECORDED_S)
+    verdict.check_covers(float(recording.t[0]) - begins, ends - float(recording.t[-1]))
     middle, explained = TS * float(moving.mean()), 1.0
     for within in () if clock.is_exact else WITHIN[1:] if known else WITHIN:
         by, explained = _refined(command[:, 0], sensor.resampled(clock, len(command)), within)

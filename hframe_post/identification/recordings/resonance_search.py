@@ -186,7 +186,7 @@ def _best_match(low: Array, known: ResonanceTest, seen: _Seen) -> _Match:
         for kind in kinds
     ]
     best = max(fits, key=lambda fit: fit.like)
-    if best.sweeping > verdict.TEST_LEVEL * known.sweeping_accel:
+    if best.sweeping > verdict.SHOWN * known.sweeping_accel:
         return best
     return replace(best, test=replace(best.test, sweeping_period=0.0), sweeping=0.0)
 
@@ -276,7 +276,7 @@ def _refusals(
     whole = fit.test.min_freq == expected.min_freq or _rests_before(seen.a, fit.start)
     begins, ends, share = -seen.rate * seen.origin, float(hz[-1]), base / expected.accel_per_hz
     # a test of weak pulses still has its sweeping in full
-    if max(share, 0.5 * fit.sweeping / expected.sweeping_accel) < verdict.TEST_LEVEL:
+    if max(share, 0.5 * fit.sweeping / expected.sweeping_accel) < verdict.SHOWN:
         cause = ELSEWHERE
         if not fit.test.sweeping_period and base > 1.0:
             cause = (
@@ -285,7 +285,7 @@ def _refusals(
             )
         yield IdentificationError(
             f"the recording shows {100.0 * share:.0f} % of the acceleration that the test makes, "
-            f"not {100.0 * verdict.TEST_LEVEL:.0f} % or more: {cause}"
+            f"not {100.0 * verdict.SHOWN:.0f} % or more: {cause}"
         )
     if whole or begins < expected.min_freq + verdict.UNRECORDED_S * seen.rate:
         if fit.like < verdict.EXPLAINED:
