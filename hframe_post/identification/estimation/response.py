@@ -2,16 +2,16 @@
 
     H(f) = g·e^{−2πifτ}·G(f) + e,   G = rest − lag·(1 − 1/z) + (z − 2 + 1/z)·Q(z)
 
-G is linear in lag and q: a regression with the kernel of ``kernel`` for q. What no linear model
+G is linear in lag and q: a regression with the kernel of ``regression`` for q. What no linear model
 explains counts as noise, whose power by frequency is that of what is left (the best linear
 approximation; Pintelon, Schoukens, System Identification, 2012). What is known beforehand differs:
 
 ===================  ==========  ==================  ============================================
 recordings           gain g      start τ             response
 ===================  ==========  ==================  ============================================
-``STROKES``          1 ± 0.03    0                   rest = 1, lag within ± 10 ms
-``RACKING``          as x        as x                rest = 0, lag = 0
-``TESTS``, linear    1 ± 0.05    the rest of it      lag = what the damping of the modes explains
+strokes              1 ± 0.05    0                   rest = 1, lag within ± 10 ms
+racking              as x        as x                rest = 0, lag = 0
+tests, linear        1 ± 0.05    the rest of it      lag = what the damping of the modes explains
 others               from below resonance            one ideal mode there, lag = 0
 ===================  ==========  ==================  ============================================
 
@@ -29,7 +29,7 @@ what acceleration does, so that its gain at rest is exact.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.fft import irfft, rfft
@@ -58,23 +58,9 @@ from hframe_post.identification.estimation.regression import (
 )
 from hframe_post.model.impulse_response import ImpulseResponse
 
-
-@dataclass(frozen=True, slots=True)
-class Expected:
-    """What is known of recordings: the gain at rest of their response, and standard deviations.
-
-    gain_sd: of the sensor's gain. lag_sd: of the lag, samples.
-    """
-
-    rest: float
-    gain_sd: float
-    lag_sd: float
-
-
-STROKES = Expected(1.0, 0.03, 10.0)
-TESTS = Expected(1.0, 0.05, 10.0)  # whose gain is known roughly
-RACKING = Expected(0.0, 1e-6, 1e-6)
-
+# standard deviations of what is known of recordings beforehand: the sensor's gain, and the lag in
+# samples
+KNOWN = (0.05, 10.0)
 # samples of q, which begins before the command, since that is band-limited, and in which it decays;
 # modes may ring for longer
 DECAYING: Array = np.arange(-4.0, 436.0)
@@ -106,40 +92,39 @@ def fit_racking(whole: FrequencyResponse, x: Fit, gain: float) -> Fit:
     """
     scale = largest_response(whole)
     in_step = whole.corrected(scale, x.delay)
-    found = estimated(in_step, RACKING)
+    found = estimated(in_step, rest=0.0)
     left = share_left(found.G.response(2.0 * np.pi * TS * whole.hz), in_step, whole.power)
     q, unknown = (values * (scale / gain) for values in (found.G.deviation, found.G.unknown))
     G = replace(found.G, deviation=q, unknown=unknown)
     return replace(found, G=G, gain=gain, delay=x.delay, residual=left)
 
 
-def estimated(
-    measured: FrequencyResponse, expected: Expected = STROKES, start: Prior | None = None
-) -> Fit:
+def estimated(measured: FrequencyResponse, rest: float = 1.0, start: Prior | None = None) -> Fit:
     """Return the response that was measured, with what is not known of it.
 
-    All delay is the printer's. start: hyperparameters of a part of the measurement; without them
-    modes are sought. Raises IdentificationError if there are too few frequencies.
+    All delay is the printer's. rest: the gain at rest, 1 or 0. start: hyperparameters of a part of
+    the measurement; without them modes are sought. Raises IdentificationError if there are too few
+    frequencies.
     """
-    found, resonance_hz = _regressed(measured, expected, start)
+    found, resonance_hz = _regressed(measured, rest, start)
     gain, lag, sd = 1.0, 0.0, 0.0
-    if expected.rest:
+    if rest:
         gain += float(found.mean[0])
         lag, sd = float(found.mean[1]) / gain, float(np.sqrt(found.covariance[0, 0]))
     k = np.arange(DECAYING[0], LONGEST)
     q = found.response(k) / gain
     loud = int(np.flatnonzero(np.abs(q) >= SILENT * np.abs(q).max())[-1]) + 1
     unknown = _unknown(found.known(k[:loud]) / gain**2)
-    G = ImpulseResponse(q[:loud], int(-k[0]), expected.rest, lag, unknown=unknown)
+    G = ImpulseResponse(q[:loud], int(-k[0]), rest, lag, unknown=unknown)
     return Fit(G, gain, 0.0, resonance_hz, found.prior, gain_sd=sd)
 
 
 def _regressed(
-    measured: FrequencyResponse, expected: Expected, start: Prior | None
+    measured: FrequencyResponse, rest: float, start: Prior | None
 ) -> tuple[Posterior, float]:
     """Return the posterior of (g − ĝ, g·lag, g·q), and where its mean is greatest, Hz."""
     largest_response(measured)
-    linear, H, power = _Linear(measured, expected), measured.H, measured.power
+    linear, H, power = _Linear(measured, rest), measured.H, measured.power
     least = power * (np.abs(H) ** 2 + 1.0) / measured.averages
     own = np.maximum(power * (measured.noise * np.abs(H)) ** 2, LEAST_NOISE**2 * least)
     left, prior = np.zeros(len(H)), start
@@ -160,13 +145,14 @@ def _regressed(
 class _Linear:
     """A measured response as a linear function of (g − ĝ, g·lag, g·q) and of what modes add."""
 
-    def __init__(self, measured: FrequencyResponse, expected: Expected) -> None:
+    def __init__(self, measured: FrequencyResponse, rest: float) -> None:
         self._z: Complex = np.exp(2j * np.pi * TS * measured.hz)
-        self._H, self._rest = measured.H, expected.rest
-        self._precision = np.array([expected.gain_sd, expected.lag_sd]) ** -2.0
+        self._H, self._rest = measured.H, rest
         self._acceleration = self._z - 2.0 + 1.0 / self._z
         q = self._acceleration[:, None] * _turn(measured.hz, DECAYING)
-        self._columns = np.column_stack([np.ones(len(self._z)), 1.0 / self._z - 1.0, q])
+        scalars = [np.ones(len(self._z)), 1.0 / self._z - 1.0] if rest else []
+        self._columns = np.column_stack([*scalars, q])
+        self._precision = np.array(KNOWN[: len(scalars)]) ** -2.0
 
     def data(self, weight: Array) -> Data:
         """Return the data of a regression, for 1 / noise (k,)."""
@@ -252,13 +238,13 @@ def _from_its_damping(whole: FrequencyResponse) -> Fit:
     gain, late, _ = _gain_and_delay(whole, strongest(whole))
     late += DECAYING[0] * TS  # the rough one may be late
     in_time = whole.corrected(gain, late)
-    rough = estimated(in_time, TESTS)
+    rough = estimated(in_time)
     if modes := rough.ringing:
         seen = in_time.where(whole.hz >= rough.resonance_hz * MIDDLE)
         late += shares(seen, modes, rough.lag, speed=False)[1]
     else:  # too stiff to ring, so in time with it
         late += rough.lag
-    found = estimated(whole.corrected(gain, late), TESTS)
+    found = estimated(whole.corrected(gain, late))
     return described(replace(found, gain=gain * found.gain, delay=late), whole, late)
 
 
