@@ -112,7 +112,6 @@ def transfer(z: Complex, modes: Sequence[Mode], onset: int) -> Complex:
 
 AMPLITUDE = 30.0  # a, samples²: more than the q of any printer
 FIRST = Decay(0.02, 0.04, 0.1)  # so little that modes are sought first
-MUCH = Decay(1.0, 0.04, 0.1)  # so much that it needs no modes
 ENOUGH, MOST_ROUNDS = 0.5, 3  # gain of log evidence, up to which a search goes on
 LEAST_GAIN = 8.0  # of log evidence, for a mode: four numbers
 MOST_MODES = 4
@@ -200,10 +199,6 @@ def regress(data: Data, start: Prior | None = None) -> Posterior:
     if start is None:
         search.add_modes()
     search.improve()
-    if start is None:
-        plain = _Search(data, Prior(MUCH))
-        plain.improve()
-        search = min(search, plain, key=lambda one: one.cost())
     search.drop_modes()
     return posterior(data, search.prior)
 
