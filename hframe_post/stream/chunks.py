@@ -67,12 +67,6 @@ def batches(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
         yield join(waiting)
 
 
-def on_a_grid(chunks: Iterable[Samples], n: int) -> Iterator[Samples]:
-    """Yield chunks of n samples, and what is left of each stretch, wherever the stream was cut."""
-    for stretch in stretches(chunks):
-        yield from batches(stretch, n)
-
-
 def with_neighbours(
     chunks: Iterable[Samples], before: int, after: int
 ) -> Iterator[tuple[Samples, Samples, slice]]:
