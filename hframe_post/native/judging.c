@@ -213,6 +213,27 @@ LOOP(deviation, FLOATS(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2)
      WITHIN(6, COUNT(10) > 0, MOST_ITEMS), WHOLE(7), WITHIN(8, 1, MOST_FEW),
      INDICES(9, COUNT(10), 0, COUNT(2)), COUNT(10), FEW(11), (struct vector *)OUT_FLOATS(12, 2 * COUNT(10)))
 
+/* ends (k), ascending, and places at (k) there: write where the segments between them are at those of
+ * samples first … first + n − 1 that are in them, but at the first end. */
+static int64_t play(const int64_t *ends, const struct vector *at, int64_t k, int64_t first, int64_t n,
+                    struct vector *command)
+{
+    for (int64_t i = 1; i < k; i++) {
+        int64_t begin = ends[i - 1], end = ends[i];
+        struct vector from = at[i - 1], to = at[i];
+        int64_t low = begin < first ? first : begin + 1, high = end < first + n ? end : first + n - 1;
+        for (int64_t s = low; s <= high; s++) {
+            double share = (double)(s - begin) / (double)(end - begin);
+            command[s - first].x = from.x + share * (to.x - from.x);
+            command[s - first].y = from.y + share * (to.y - from.y);
+        }
+    }
+    return n;
+}
+
+LOOP(play, INTEGERS(0, COUNT(2)), (const struct vector *)FLOATS(1, 2 * COUNT(2)), COUNT(2), WHOLE(3),
+     COUNT(4), (struct vector *)OUT_FLOATS(5, 2 * COUNT(4)))
+
 /* xyze (n, 4). Note at which samples the path moves, of every n-th from ``first`` on, and whether it
  * extrudes there; return their number. at, extruding (n): room. */
 static int64_t moving(const double *xyze, int64_t n, int64_t first, int64_t every, int64_t *at,

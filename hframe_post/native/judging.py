@@ -82,6 +82,15 @@ def moving(xyze: Array, first: int, every: int) -> tuple[Integers, Flags]:
     return at[:count], extruding[:count]
 
 
+def play(ends: Integers, at: Array, first: int, command: Array) -> None:
+    """Write where segments are into a command (n, 2), whose first sample is ``first``.
+
+    ends (k,), ascending: samples at which they end; at (k, 2): the places there. Samples up to the
+    first end and after the last stay as they are.
+    """
+    kernels.play(ends, at, len(ends), first, len(command), command)
+
+
 # ----------------------------------------------------------------------
 # How far a printed line's width is off, piece by piece.
 

@@ -45,6 +45,7 @@
     EACH(path_lengths)                                                                        \
     EACH(phases)                                                                              \
     EACH(plain_lines)                                                                         \
+    EACH(play)                                                                                \
     EACH(products)                                                                            \
     EACH(profiles)                                                                            \
     EACH(progress_lines)                                                                      \

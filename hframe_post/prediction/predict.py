@@ -17,7 +17,7 @@ from hframe_post.arrays import TS, Array, Flags, Integers, Z
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.model.plant import Nozzle, Plant
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.native.judging import count_turns, deviation, moving, square
+from hframe_post.native.judging import count_turns, deviation, moving, play, square
 from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.windows import Window, Windows, around
@@ -136,7 +136,8 @@ class Played:
     def add(self, begin: Integers, end: Integers, at: Array) -> None:
         """Add segments, from samples begin to end (k,), between places (k + 1, ≥2), mm."""
         ends = np.column_stack([begin, end]).ravel()
-        self._segments.append((ends, at.repeat(2, axis=0)[1:-1, :Z]))
+        places = at[:, :Z].repeat(2, axis=0)[1:-1]
+        self._segments.append((ends, np.ascontiguousarray(places)))
 
     def motion(self, piece: Samples) -> Samples:
         """Return a piece with this motion as the command. The next one begins no earlier."""
@@ -146,10 +147,7 @@ class Played:
             return piece
         command = piece.commands[self.strategy].copy()
         for ends, at in self._segments:
-            first, stop = max(int(ends[0]) + 1, piece.first), min(int(ends[-1]) + 1, piece.end)
-            if first < stop:
-                rows, when = slice(first - piece.first, stop - piece.first), np.arange(first, stop)
-                command[rows] = np.column_stack([np.interp(when, ends, each) for each in at.T])
+            play(ends, at, piece.first, command)
         return replace(piece, commands={**piece.commands, self.strategy: frozen(command)})
 
 

@@ -18,7 +18,7 @@ from hframe_post.stream.chunks import join, part
 from hframe_post.stream.types import Event, Samples
 
 WINDOW = 4096  # samples; before each, about 1000 more lead the filters into their state
-ALIKE = 4  # windows that follow each other and count alike are taken together
+ALIKE = 8  # windows that follow each other and count alike are taken together: 5 % of a page's CPU
 SOME, FEW = 8, 32  # windows of which the one in the middle is judged
 WHOLE = 16 * WINDOW  # samples of a print's beginning, 66 s, that are all judged
 BEGINNING = 4  # times as many samples, of which SOME windows are
@@ -114,4 +114,6 @@ class Windows:
 
 def around(rows: Array, low: int, high: int) -> Array:
     """Return rows low … high − 1; before the first and after the last row are those themselves."""
+    if low >= 0 and high <= len(rows):
+        return rows[low:high]
     return np.take(rows, np.arange(low, high), axis=0, mode="clip")
