@@ -10,18 +10,14 @@ while the machine dwells, so that the command dwells, too.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from hframe_post.arrays import TS, Array, Z
-from hframe_post.compensation.guard import SLACK
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.native.judging import is_safe
 from hframe_post.printer.settings import Motors, Travel
-from hframe_post.stream.chunks import join, neighbours, stretches
 from hframe_post.stream.tally import joined, tallied
 from hframe_post.stream.types import Dwell, Samples, frozen
 
@@ -31,6 +27,8 @@ ALL_REMOVED = 2  # of REACHES, from which on nothing is left where a limit is st
 # change their speed in as many milliseconds; in 2 of them, a plan for stated motors lets them
 ROUNDED = 8
 AROUND = 2 * sum(REACHES) + 4 * ROUNDED
+SLACK = 1e-9  # mm, or mm/s and mm/s², by which a limit that is met exactly passes
+BELOW = 1.0 - 1e-9  # of belts' limits: what is safe must be safe by sums in another order too
 MARGIN = 0.9  # share of the admissible compensation that a clamp keeps
 
 
@@ -47,41 +45,27 @@ class Clamp:
     """Reduces commands that ask too much. ``clamped``: what was changed so far."""
 
     def __init__(self, travel: Travel, motors: Motors, kinematics: Kinematics) -> None:
-        self._travel, self._motors, self._kinematics = travel, motors, kinematics
-        # a little lower, since what is safe here must be safe by sums in another order too
-        belts = ((1.0 - 1e-9) * v for v in (motors.belt_velocity, motors.belt_acceleration))
-        self._limits = np.array([-np.inf, np.inf, *travel.x, *travel.y, *belts])
+        self._travel, self._kinematics = travel, kinematics
+        self._motors = BELOW * motors.belt_velocity, BELOW * motors.belt_acceleration
         self.clamped = Clamped()
 
-    def limit(self, chunks: Iterable[Samples], strategy: str) -> Iterator[Samples]:
-        """Yield the chunks with the command of ``strategy`` reduced where it asks too much."""
-        for stretch in stretches(chunks):
-            for before, chunk, after in neighbours(stretch, AROUND, AROUND):
-                around = [*before, chunk, *after]
-                if not len(chunk) or self._all_safe(around, strategy):
-                    yield chunk
-                    continue
-                wide, start = join(around), sum(map(len, before))
-                command, where = wide.commands[strategy], slice(start, start + len(chunk))
-                safe = self._reduced(wide.xyze[:, :Z], command, _dwells(wide))
-                changed = np.abs(safe - command)[where].max(axis=1, initial=0.0) > SLACK
-                safe = np.where(changed[:, None], safe[where], chunk.commands[strategy])
-                if changed.any():
-                    line = int(chunk.line[np.argmax(changed)])
-                    most = float(np.hypot(*(safe - chunk.commands[strategy]).T).max())
-                    self.clamped = joined(self.clamped, Clamped(int(changed.sum()), line, most))
-                yield replace(chunk, commands={**chunk.commands, strategy: frozen(safe)})
+    def limited(self, chunk: Samples, wide: Samples, strategy: str) -> Samples:
+        """Return a chunk with its command reduced where it asks too much, or itself.
 
-    def _all_safe(self, chunks: list[Samples], strategy: str) -> bool:
-        """Return whether there is nothing to reduce in successive chunks."""
-        belts, peaks, before = self._kinematics.matrix, np.zeros(4), None
-        for chunk in filter(len, chunks):
-            command = chunk.commands[strategy]
-            if before is None:  # no change of speed at the first samples
-                before = command[:1] - np.outer([2.0, 1.0], command[:2][-1] - command[0])
-            if not is_safe(chunk.xyze, command, before, self._limits, belts, peaks):
-                return False
-        return True
+        wide: AROUND samples before it, the chunk, and AROUND samples after it, as far as the
+        stretch has them.
+        """
+        start = chunk.first - wide.first
+        own, command = slice(start, start + len(chunk)), wide.commands[strategy]
+        safe = self._reduced(wide.xyze[:, :Z], command, _dwells(wide))
+        changed = np.abs(safe - command)[own].max(axis=1, initial=0.0) > SLACK
+        if not changed.any():
+            return chunk
+        safe = np.where(changed[:, None], safe[own], command[own])
+        line = int(chunk.line[np.argmax(changed)])
+        most = float(np.hypot(*(safe - command[own]).T).max())
+        self.clamped = joined(self.clamped, Clamped(int(changed.sum()), line, most))
+        return replace(chunk, commands={**chunk.commands, strategy: frozen(safe)})
 
     def _reduced(self, path: Array, command: Array, dwells: list[slice]) -> Array:
         """Return the command (n, 2) with less compensation where a limit is exceeded."""
@@ -104,7 +88,7 @@ class Clamp:
         for axis, (low, high) in enumerate((self._travel.x, self._travel.y)):
             bed = _share_within(path[:, axis], command[:, axis], low, high, 1.0)
             share = np.minimum(share, bed)
-        for order, limit in enumerate(self._limits[-2:].tolist(), 1):
+        for order, limit in enumerate(self._motors, 1):
             of_path, of_command = (
                 np.diff(belts(*xy.T), n=order) / TS**order for xy in (path, command)
             )

@@ -6,24 +6,26 @@ an error. ``clamp`` may instead reduce the compensation.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, E, Z
+from hframe_post.compensation.clamp import AROUND, BELOW, SLACK, Clamp, Clamped
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.model.kinematics import Differences, Kinematics, Rates
 from hframe_post.model.plant import Plant
-from hframe_post.native.judging import farthest, is_safe
+from hframe_post.native.judging import is_near, peaks_if_safe
 from hframe_post.printer.settings import Limits, Motors, Travel
-from hframe_post.stream.chunks import stretches
+from hframe_post.stream.chunks import join, part, stretches
 from hframe_post.stream.marks import Marks
 from hframe_post.stream.tally import tallied
 from hframe_post.stream.types import Samples
 
-LEEWAY, SLACK = 1.0 + 1e-9, 1e-9  # factor and mm by which a limit that is met exactly passes
+LEEWAY = 1.0 + 1e-9  # factor by which a limit of belts that is met exactly passes
 SLOW_HZ = 3.0  # frequency at which lag and stiffness are read off a model
 ADVICE = (
     "the [plant] of this profile does not describe this printer: measure it again, and run "
@@ -74,12 +76,12 @@ def check_deviation(
             if load != (now := plant.load(float(chunk.xyze[0, E]))):
                 load, most = now, max_deviation(plant.loaded(now), limits)
             command = chunk.commands[strategy]
-            k = farthest(chunk.xyze, command)
-            off = float(np.hypot(*(command[k] - chunk.xyze[k, :Z])))
-            if not off <= most:
+            if not is_near(chunk.xyze, command, most):
+                off = np.hypot(*(command - chunk.xyze[:, :Z]).T)
+                k = int(off.argmax())
                 raise HframeError(
                     f"line {int(chunk.line[k])}: the compensation would move the nozzle "
-                    f"{off:.1f} mm off its path; the lag of the model explains at "
+                    f"{off[k]:.1f} mm off its path; the lag of the model explains at "
                     f"most {most:.1f} mm. Probably {ADVICE}"
                 )
         yield chunk
@@ -96,6 +98,8 @@ def check_prediction(rms: float) -> None:
 
 # ---------------------------------------------------------------------- the guard
 
+_Judged = tuple[Samples, Array | None]  # the greatest rates (4,) of its command, if it is safe
+
 
 @dataclass(frozen=True, slots=True)
 class Peaks:
@@ -109,16 +113,18 @@ class Peaks:
 class Guard:
     """Passes commands that are safe. ``peaks``: rates of what has passed so far.
 
-    clamped: whether a clamp has already reduced the compensation, which error messages mention.
+    clamp: whether to reduce the compensation where a command asks too much; ``clamped``: what was
+    changed.
     """
 
     def __init__(
-        self, travel: Travel, motors: Motors, kinematics: Kinematics, clamped: bool = False
+        self, travel: Travel, motors: Motors, kinematics: Kinematics, clamp: bool = False
     ) -> None:
         self._travel, self._motors, self._kinematics = travel, motors, kinematics
-        self._clamped = clamped
+        self._clamp = Clamp(travel, motors, kinematics) if clamp else None
         axes = ((low - SLACK, high + SLACK) for low, high in (travel.z, travel.x, travel.y))
-        belts = motors.belt_velocity * LEEWAY, motors.belt_acceleration * LEEWAY
+        leeway = BELOW if clamp else LEEWAY
+        belts = motors.belt_velocity * leeway, motors.belt_acceleration * leeway
         self._limits = np.array([*chain(*axes), *belts])
         self._peaks = np.zeros(4)
 
@@ -128,29 +134,73 @@ class Guard:
         velocity, acceleration, x, y = self._peaks.tolist()
         return Peaks(velocity, acceleration, (x, y))
 
+    @property
+    def clamped(self) -> Clamped:
+        """Return what was changed so far."""
+        return self._clamp.clamped if self._clamp else Clamped()
+
     def check(self, chunks: Iterable[Samples], strategy: str) -> Iterator[Samples]:
         """Yield the chunks. Raise LimitError for an unsafe command, HframeError for a bug."""
-        end: int | None = None  # of the last chunk of the stretch
-        for stretch in stretches(chunks):
+        for stretch in stretches(_in_order(chunks)):
             differences = Differences(self._kinematics)
-            for chunk in stretch:
+            judged = self._judged(stretch, strategy)
+            for chunk, peaks in self._limited(judged, strategy) if self._clamp else judged:
                 command = chunk.commands[strategy]
-                _check_order(chunk, end)
-                # samples of slow motion and of dwells may be left out after a stretch
-                end = None if chunk.ends_stretch else chunk.end
-                if len(chunk) and not self._safe(chunk, command, differences):
-                    _check_finite(chunk, command)
-                    _check_travel(chunk, command, self._travel)
-                    rates = differences.rates(command)
-                    _check_motors(chunk, rates, self._motors, self._clamped)
-                    here = rates.belt_velocity, rates.belt_acceleration, *rates.axis_acceleration
-                    self._peaks = np.maximum(self._peaks, [_greatest(rate) for rate in here])
+                if peaks is None:
+                    peaks = self._look(chunk, command, differences)
+                differences.pass_by(command)
+                self._peaks = np.maximum(self._peaks, peaks)
                 yield chunk
 
-    def _safe(self, chunk: Samples, command: Array, differences: Differences) -> bool:
-        """Return whether the command is safe; then note its rates."""
-        before, belts = differences.before(command), self._kinematics.matrix
-        return is_safe(chunk.xyze, command, before, self._limits, belts, self._peaks)
+    def _judged(self, stretch: Iterable[Samples], strategy: str) -> Iterator[_Judged]:
+        """Yield the chunks at a glance."""
+        differences, belts = Differences(self._kinematics), self._kinematics.matrix
+        for chunk in stretch:
+            command, peaks = chunk.commands[strategy], None
+            if len(chunk):
+                before = differences.before(command)
+                peaks = peaks_if_safe(chunk.xyze, command, before, self._limits, belts)
+                differences.pass_by(command)
+            yield chunk, peaks if len(chunk) else np.zeros(4)
+
+    def _limited(self, judged: Iterable[_Judged], strategy: str) -> Iterator[_Judged]:
+        """Yield the chunks of a stretch with less compensation near what is not safe."""
+        assert self._clamp
+        past, waiting, changed = deque[_Judged](), deque[_Judged](), False
+        for each in chain(judged, [None]):
+            if each is not None:
+                waiting.append(each)
+            while waiting and (each is None or waiting[-1][0].end - waiting[0][0].end >= AROUND):
+                chunk, peaks = waiting[0]
+                new = chunk
+                if any(found is None for _, found in (*past, *waiting)):
+                    new = self._clamp.limited(chunk, _around(past, waiting), strategy)
+                if len(chunk):
+                    follows, changed = changed, new is not chunk
+                    peaks = None if follows or changed else peaks
+                yield new, peaks
+                past.append(waiting.popleft())
+                while past and past[0][0].end <= chunk.end - AROUND:
+                    past.popleft()
+
+    def _look(self, chunk: Samples, command: Array, differences: Differences) -> Array:
+        """Return the greatest rates of a command. Raise an error that says why it is not safe."""
+        _check_finite(chunk, command)
+        _check_travel(chunk, command, self._travel)
+        rates = differences.rates(command)
+        _check_motors(chunk, rates, self._motors, self._clamp is not None)
+        return np.array([
+            _greatest(rates.belt_velocity), _greatest(rates.belt_acceleration),
+            *map(_greatest, rates.axis_acceleration),
+        ])  # fmt: skip
+
+
+def _around(past: Iterable[_Judged], waiting: Sequence[_Judged]) -> Samples:
+    """Return the first of the chunks that wait, and AROUND samples on either side of it."""
+    wide, own = join([chunk for chunk, _ in (*past, *waiting)]), waiting[0][0]
+    start = own.first - wide.first
+    end = start + len(own) + AROUND
+    return part(wide, max(start - AROUND, 0), min(end, len(wide)))
 
 
 def _greatest(values: Array) -> float:
@@ -160,13 +210,19 @@ def _greatest(values: Array) -> float:
 FAULT = "line {}: the command computed here {}; nothing was written. Please report this bug"
 
 
-def _check_order(chunk: Samples, first: int | None) -> None:
-    places = [chunk.first, chunk.end]
-    for event in chunk.events:
-        places[-1:-1] = event.at.tolist() if isinstance(event, Marks) else [event.index]
-    if (first is not None and chunk.first != first) or places != sorted(places):
-        line = int(chunk.line[0]) if len(chunk) else 0
-        raise HframeError(FAULT.format(line, "goes back in time"))
+def _in_order(chunks: Iterable[Samples]) -> Iterator[Samples]:
+    """Yield the chunks. Raise HframeError if samples or events are repeated or left out."""
+    end: int | None = None  # of the last chunk of the stretch
+    for chunk in chunks:
+        places = [chunk.first, chunk.end]
+        for event in chunk.events:
+            places[-1:-1] = event.at.tolist() if isinstance(event, Marks) else [event.index]
+        if (end is not None and chunk.first != end) or places != sorted(places):
+            line = int(chunk.line[0]) if len(chunk) else 0
+            raise HframeError(FAULT.format(line, "goes back in time"))
+        # samples of slow motion and of dwells may be left out after a stretch
+        end = None if chunk.ends_stretch else chunk.end
+        yield chunk
 
 
 def _check_finite(chunk: Samples, command: Array) -> None:

@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hframe_post.compensation.advance import Advancing
-from hframe_post.compensation.clamp import Clamp
 from hframe_post.compensation.compensate import compensate, hardest
 from hframe_post.compensation.guard import Guard, check_deviation, check_model
 from hframe_post.compensation.stops import StopModels, dwell_at_stops, stop_rules
@@ -189,7 +188,7 @@ class Stages:
         # without compensation a file moves as the firmware plays it today
         motors = printer.motors if options.strategy != "none" else Motors()
         checked = (printer.travel, motors, printer.kinematics)
-        self._clamp, self._guard = Clamp(*checked), Guard(*checked, options.clamp)
+        self._guard = Guard(*checked, options.clamp)
         rules = own.motion(options.tolerance)
         self._advancing = Advancing(start.advance, rules.extruder)
         picture = _picture(replace(start.printing)) if options.picture else None
@@ -217,8 +216,6 @@ class Stages:
         commands = self.compensated(chain.sampled(items, skip_slow))
         own = chain.printer
         commands = check_deviation(commands, options.strategy, own.plant, own.limits)
-        if options.clamp:
-            commands = self._clamp.limit(commands, options.strategy)
         return self._guard.check(commands, options.strategy)
 
     def whole(self, spans: Spans) -> Iterator[Samples]:
@@ -243,7 +240,7 @@ class Stages:
         errors.end()
         return Ledger(
             samples=notes.end, judged=errors.judged,
-            filament_out=notes.filament, peaks=self._guard.peaks, clamped=self._clamp.clamped,
+            filament_out=notes.filament, peaks=self._guard.peaks, clamped=self._guard.clamped,
             advancing=self._advancing.summary, contour=errors.contour,
             width=errors.width, picture=errors.picture,
         )  # fmt: skip

@@ -178,14 +178,16 @@ class Differences:
             self._before = command[:1].repeat(2, axis=0)
         return self._before
 
+    def pass_by(self, command: Array) -> None:
+        """Take the next samples of the command (n, 2), mm."""
+        if len(command):
+            self._before = np.concatenate([self.before(command), command[-2:]])[-2:]
+
     def rates(self, command: Array) -> Rates:
-        """Return the rates at the next samples of the command (n, 2), mm."""
+        """Return the rates at the next samples of the command (n, 2), mm, before they pass by."""
         if not len(command):
             nothing = np.zeros((2, 0))
             return Rates(nothing, nothing, nothing)
         known = np.concatenate([self.before(command), command])
-        self._before = known[-2:]
-        velocity = np.diff(known.T)[:, 1:] / TS
-        acceleration = np.diff(known.T, n=2) / TS**2
-        belts = self._kinematics.belts
-        return Rates(belts(*velocity), belts(*acceleration), acceleration)
+        belts, step, change = self._kinematics.belts, np.diff(known.T)[:, 1:], np.diff(known.T, n=2)
+        return Rates(belts(*step) / TS, belts(*change) / TS**2, change / TS**2)

@@ -392,9 +392,9 @@ struct extremes { /* by lane: of z and of the command; rates of belts, then of x
     double low[3][LANES], high[3][LANES], most[4][LANES], zero[LANES];
 };
 
-/* Take count samples of a path and of a command, which begins two samples before. */
+/* Take count samples of a path and of a command, which begins two samples before; rates are by sample. */
 INSIDE void take(struct extremes *of, const double *xyze, const double *command, const double *belts,
-                 double interval, int count)
+                 int count)
 {
     double x[LANES + 2], y[LANES + 2];
     for (int i = 0; i < count + 2; i++)
@@ -409,7 +409,6 @@ INSIDE void take(struct extremes *of, const double *xyze, const double *command,
             of->low[k][i] = lesser(of->low[k][i], places[k]);
             of->high[k][i] = greater(of->high[k][i], places[k]);
         }
-        vx /= interval, vy /= interval, ax /= interval * interval, ay /= interval * interval;
         double rates[] = {
             greater(fabs(belts[0] * vx + belts[1] * vy), fabs(belts[2] * vx + belts[3] * vy)),
             greater(fabs(belts[0] * ax + belts[1] * ay), fabs(belts[2] * ax + belts[3] * ay)),
@@ -422,9 +421,9 @@ INSIDE void take(struct extremes *of, const double *xyze, const double *command,
 
 /* xyze (n, 4), command (n, 2) after the two samples before (2, 2). limits: lower and upper bounds of z,
  * x, y, then belt velocity and acceleration; belts (2, 2). Return whether all is finite and within the
- * limits; only then before and peaks are updated: of both belts' velocity and acceleration, and of the
- * acceleration in x and in y. */
-WIDE static int64_t safe(const double *xyze, const double *command, int64_t n, double *before,
+ * limits; only then peaks are filled: of both belts' velocity and acceleration, and of the acceleration in
+ * x and in y. */
+WIDE static int64_t safe(const double *xyze, const double *command, int64_t n, const double *before,
                          const double *limits, const double *belts, double interval, double *peaks)
 {
     struct extremes of = {{{0.0}}, {{0.0}}, {{0.0}}, {0.0}};
@@ -435,11 +434,11 @@ WIDE static int64_t safe(const double *xyze, const double *command, int64_t n, d
             of.low[k][i] = of.high[k][i] = k == 0 ? xyze[Z] : command[k - 1];
     memcpy(begin, before, 4 * sizeof(double));
     memcpy(begin + 4, command, 2 * sizeof(double) * (size_t)at);
-    take(&of, xyze, begin, belts, interval, (int)at);
+    take(&of, xyze, begin, belts, (int)at);
     for (; at + LANES <= n; at += LANES)
-        take(&of, xyze + COLUMNS * at, command + 2 * (at - 2), belts, interval, LANES);
+        take(&of, xyze + COLUMNS * at, command + 2 * (at - 2), belts, LANES);
     if (at < n)
-        take(&of, xyze + COLUMNS * at, command + 2 * (at - 2), belts, interval, (int)(n - at));
+        take(&of, xyze + COLUMNS * at, command + 2 * (at - 2), belts, (int)(n - at));
     for (int i = 1; i < LANES; i++) {
         for (int k = 0; k < 3; k++) {
             of.low[k][0] = lesser(of.low[k][0], of.low[k][i]);
@@ -449,36 +448,31 @@ WIDE static int64_t safe(const double *xyze, const double *command, int64_t n, d
             of.most[k][0] = greater(of.most[k][0], of.most[k][i]);
         of.zero[0] += of.zero[i];
     }
+    for (int k = 0; k < 4; k++)
+        of.most[k][0] /= k == 0 ? interval : interval * interval;
     for (int k = 0; k < 3; k++)
         if (of.low[k][0] < limits[2 * k] || of.high[k][0] > limits[2 * k + 1])
             return 0;
     if (of.zero[0] != 0.0 || of.most[0][0] > limits[6] || of.most[1][0] > limits[7])
         return 0;
     for (int k = 0; k < 4; k++)
-        peaks[k] = greater(peaks[k], of.most[k][0]);
-    const double *last = n > 1 ? command + 2 * (n - 2) : begin + 2;
-    memcpy(before, last, 4 * sizeof(double));
+        peaks[k] = of.most[k][0];
     return 1;
 }
 
 LOOP(safe, FLOATS(0, COLUMNS * COUNT(2)), FLOATS(1, 2 * COUNT(2)), WITHIN(2, 1, MOST_ITEMS),
-     OUT_FLOATS(3, 4), FLOATS(4, 8), FLOATS(5, 4),
+     FLOATS(3, 4), FLOATS(4, 8), FLOATS(5, 4),
      REAL(6), OUT_FLOATS(7, 4))
 
-/* Return the sample whose command (n) is farthest from the path xyze (n, 4), or one without a number. */
-static int64_t farthest(const double *xyze, const struct vector *command, int64_t n)
+/* Return how many samples of a command (n) are not within a distance of the path xyze (n, 4). */
+WIDE static int64_t far_off(const double *xyze, const struct vector *command, int64_t n, double most)
 {
-    double most = -1.0;
-    int64_t found = 0;
+    int64_t count = 0;
     for (int64_t i = 0; i < n; i++) {
         double dx = command[i].x - xyze[COLUMNS * i + X], dy = command[i].y - xyze[COLUMNS * i + Y];
-        double off2 = dx * dx + dy * dy;
-        if (off2 != off2)
-            return i;
-        if (off2 > most)
-            most = off2, found = i;
+        count += !(dx * dx + dy * dy <= most * most);
     }
-    return found;
+    return count;
 }
 
-LOOP(farthest, FLOATS(0, COLUMNS * COUNT(2)), (const struct vector *)FLOATS(1, 2 * COUNT(2)), COUNT(2))
+LOOP(far_off, FLOATS(0, COLUMNS * COUNT(2)), (const struct vector *)FLOATS(1, 2 * COUNT(2)), COUNT(2), REAL(3))

@@ -140,20 +140,22 @@ def joined_pieces(
 # Checks of every sample of a command.
 
 
-def is_safe(
-    xyze: Array, command: Array, before: Array, limits: Array, belts: Array, peaks: Array
-) -> bool:
-    """Return whether a command (n, 2) for a path xyze (n, 4) is finite and within limits.
+def peaks_if_safe(
+    xyze: Array, command: Array, before: Array, limits: Array, belts: Array
+) -> Array | None:
+    """Return the greatest rates of a command (n, 2) for a path xyze (n, 4), if it is safe.
 
-    before (2, 2): the two samples of the command before it; limits (8,): least and greatest z of
-    the path, x and y of the command, then velocity and acceleration of the belts; belts (2, 2):
-    from x, y to the belts. Only if it is safe, ``before`` becomes the last two samples, and peaks
-    (4,), the greatest velocity and acceleration of the belts and acceleration in x and in y, rise.
+    It is if all is finite and within limits (8,): least and greatest z of the path, x and y of the
+    command, then velocity and acceleration of the belts. before (2, 2): the two samples of the
+    command before it; belts (2, 2): from x, y to the belts. The result (4,): velocity and
+    acceleration of the belts, acceleration in x and in y.
     """
-    command = np.ascontiguousarray(command)
-    return bool(kernels.safe(xyze, command, len(command), before, limits, belts, TS, peaks))
+    command, peaks = np.ascontiguousarray(command), np.zeros(4)
+    if kernels.safe(xyze, command, len(command), before, limits, belts, TS, peaks):
+        return peaks
+    return None
 
 
-def farthest(xyze: Array, command: Array) -> int:
-    """Return the sample whose command is farthest from the path, or one without a number."""
-    return int(kernels.farthest(xyze, np.ascontiguousarray(command), len(command)))
+def is_near(xyze: Array, command: Array, most: float) -> bool:
+    """Return whether a command (n, 2) is nowhere over ``most`` mm off its path xyze (n, 4)."""
+    return not kernels.far_off(xyze, np.ascontiguousarray(command), len(command), most)

@@ -18,7 +18,7 @@
     EACH(coarse_filter)                                                                       \
     EACH(count_turns)                                                                         \
     EACH(deviation)                                                                           \
-    EACH(farthest)                                                                            \
+    EACH(far_off)                                                                             \
     EACH(find_runs)                                                                           \
     EACH(finite_filter)                                                                       \
     EACH(fitted)                                                                              \

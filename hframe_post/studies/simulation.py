@@ -333,6 +333,7 @@ class _Judged:
                 if len(command):
                     rates = differences.setdefault(name, Differences(self._kinematics))
                     found = rates.rates(command)
+                    rates.pass_by(command)
                     velocity = np.abs(found.belt_velocity).max(axis=0)
                     acceleration = np.abs(found.belt_acceleration).max(axis=0)
                     for group, which in _groups(layer, feature, labels, parts):

@@ -9,7 +9,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array
-from hframe_post.compensation import clamp as clamp_module
 from hframe_post.compensation import guard as guard_module
 from hframe_post.compensation.clamp import AROUND, REACHES, Clamp, Clamped
 from hframe_post.compensation.guard import (
@@ -24,7 +23,7 @@ from hframe_post.library import convert
 from hframe_post.model.kinematics import Kinematics
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Motors, Printer, Travel
-from hframe_post.stream.chunks import batches, join
+from hframe_post.stream.chunks import batches, join, part
 from hframe_post.stream.types import Dwell, Handling, ModalState, Passthrough, Samples
 from tests.conftest import ROOT
 from tests.paths import walk
@@ -168,7 +167,7 @@ def test_a_glance_is_as_good_as_a_look(paper: Printer, seed: int, odd: float, in
 
     at_a_glance = outcome()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(guard_module, "is_safe", lambda *_: False)
+        patch.setattr(guard_module, "peaks_if_safe", lambda *_: None)
         assert outcome() == at_a_glance
 
 
@@ -185,19 +184,19 @@ def test_what_needs_no_reduction_passes_as_it_is(paper: Printer, seed: int, powe
     whole = chunk(path, path + off)
 
     def limited() -> tuple[bytes, Clamped]:
-        clamp = Clamp(paper.travel, paper.motors, paper.kinematics)
-        chunks = [*clamp.limit(batches([whole], 777), "racking")]
-        return join(chunks).commands["racking"].tobytes(), clamp.clamped
+        guard = Guard(paper.travel, paper.motors, paper.kinematics, clamp=True)
+        chunks = [*guard.check(batches([whole], 777), "racking")]
+        return join(chunks).commands["racking"].tobytes(), guard.clamped
 
     at_a_glance = limited()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(clamp_module, "is_safe", lambda *_: False)
+        patch.setattr(guard_module, "peaks_if_safe", lambda *_: None)
         assert limited() == at_a_glance
 
 
 def clamped(whole: Samples, limits: tuple[Travel, Motors, Kinematics]) -> tuple[Array, Clamp]:
     clamp = Clamp(*limits)
-    return join(list(clamp.limit([whole], "racking"))).commands["racking"], clamp
+    return clamp.limited(whole, whole, "racking").commands["racking"], clamp
 
 
 @pytest.mark.parametrize("height", [0.2, 1.0, 5.0])
@@ -307,6 +306,26 @@ def test_a_command_that_dwells_next_to_its_path_dwells_after_a_clamp(away: int) 
         np.testing.assert_allclose(result[a:b], np.tile(result[a], (b - a, 1)), atol=1e-12)
     hardest, asked = (np.abs(np.diff(each, n=2, axis=0)).max() for each in (result, command))
     below(hardest, asked + 1e-4, "change of speed in a ms, mm/ms")
+
+
+@pytest.mark.parametrize("cut", [pytest.param(1, marks=pytest.mark.slow), 7, 100, 399])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_neither_depends_on_how_the_stream_was_cut(cut: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    path = standing(600, x=0.5)
+    command = path.copy()
+    for _ in range(3):
+        at, width = int(rng.integers(50, 550)), int(rng.integers(10, 120))
+        command[:, int(rng.integers(2))] += bump(600, at, rng.normal(), width)
+    one = chunk(path, command)
+    whole, clamp = clamped(one, LIMITS)
+    pieces = Guard(*LIMITS, clamp=True)
+    chunks = [each for piece in batches([one], cut) for each in (part(piece, 0, 0), piece)]
+    cut_up = join(list(pieces.check(chunks, "racking"))).commands["racking"]
+    assert cut_up.tobytes() == whole.tobytes()
+    assert pieces.clamped == clamp.clamped
+    wide = (Travel((-9.0, 200.0), (0.0, 150.0)), *FAR[1:])
+    assert checked(batches([one], cut), wide).peaks == checked([one], wide).peaks
 
 
 def test_motors_of_which_nobody_stated_a_limit_cancel_racking_in_short_strokes() -> None:
