@@ -25,7 +25,8 @@ import numpy as np
 from hframe_post.arrays import TS, Array
 
 
-@dataclass(frozen=True, slots=True)
+# not frozen: a print has tens of thousands, which take a third of the time to make so
+@dataclass(slots=True)
 class Trapezoid:
     """A motion: length (mm), limits of speed and acceleration; v_s, v_e: speeds at its ends.
 
@@ -45,8 +46,7 @@ class Trapezoid:
         reached = math.sqrt(self.length * a + (v_s * v_s + v_e * v_e) / 2.0)
         peak = reached if reached < self.cruise else self.cruise
         ramped = ((peak - v_s) ** 2 + (peak - v_e) ** 2) / (2.0 * a)
-        object.__setattr__(self, "peak", peak)
-        object.__setattr__(self, "seconds", (self.length + ramped) / peak)
+        self.peak, self.seconds = peak, (self.length + ramped) / peak
 
     @property
     def ramps(self) -> tuple[float, float]:

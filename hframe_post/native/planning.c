@@ -582,10 +582,10 @@ static int64_t path_lengths(const double *phases, int64_t p, int64_t first, int6
 
 LOOP(path_lengths, FLOATS(0, 6), ITEMS(0) / 6, WHOLE(1), COUNT(2), REAL(3), NEW_FLOATS(0, COUNT(2)))
 
-/* lengths (m + 1): path length at the vertices, points (m + 1, 4). Places xyze (n, 4) at s (n) and
- * the move (n) that each lies on. */
-static int64_t follow(const double *lengths, const double *points, int64_t m, const double *s,
-                        int64_t n, double *xyze, int64_t *move)
+/* lengths (m + 1): path length at the vertices, points (m + 1, 4), line (m) of the moves. Fill in the
+ * places xyze (n, 4) at s (n) and the line (n) of the move that each lies on. */
+static int64_t follow(const double *lengths, const double *points, const int64_t *line, int64_t m,
+                      const double *s, int64_t n, double *xyze, int64_t *line_at)
 {
     int64_t k = 0;
     for (int64_t i = 0; i < n; i++) {
@@ -597,19 +597,19 @@ static int64_t follow(const double *lengths, const double *points, int64_t m, co
         const double *from = points + COLUMNS * k, *to = from + COLUMNS;
         for (int c = 0; c < COLUMNS; c++)
             xyze[COLUMNS * i + c] = from[c] + share * (to[c] - from[c]);
-        move[i] = k;
+        line_at[i] = line[k];
     }
     return n;
 }
 
-LOOP(follow, FLOATS(0, 2), FLOATS(1, COLUMNS * ITEMS(0)), ITEMS(0) - 1, FLOATS(2, 0), ITEMS(2),
-     NEW_ROWS(0, ITEMS(2), COLUMNS), NEW_INTEGERS(1, ITEMS(2)))
+LOOP(follow, FLOATS(0, 2), FLOATS(1, COLUMNS * ITEMS(0)), INTEGERS(2, ITEMS(0) - 1), ITEMS(0) - 1, FLOATS(3, 0),
+     ITEMS(3), OUT_FLOATS(4, COLUMNS * ITEMS(3)), OUT_INTEGERS(5, ITEMS(3)))
 
 /* way: length, speed at the start, acceleration, peak speed, how long it speeds up and slows down, and
- * seconds in all. Places xyze (n, 4) after ``first``, first + 1, … samples of a move between the ends
- * (2, 4), which is done after ``samples``. */
-static int64_t move_at_rest(const double *way, const double *ends, int64_t first, int64_t n, int64_t samples,
-                            double *xyze)
+ * seconds in all. Fill in the places xyze (n, 4) after ``first``, first + 1, … samples of a move between the
+ * ends (2, 4), which is done after ``samples``. */
+static int64_t move_at_rest(const double *way, const double *ends, int64_t first, int64_t samples, double *xyze,
+                            int64_t n)
 {
     double length = way[0], v_s = way[1], a = way[2], peak = way[3], up = way[4], down = way[5],
            seconds = way[6];
@@ -624,5 +624,5 @@ static int64_t move_at_rest(const double *way, const double *ends, int64_t first
     return n;
 }
 
-LOOP(move_at_rest, FLOATS(0, 7), FLOATS(1, 2 * COLUMNS), WHOLE(2), COUNT(3), WHOLE(4),
-     NEW_ROWS(0, COUNT(3), COLUMNS))
+LOOP(move_at_rest, FLOATS(0, 7), FLOATS(1, 2 * COLUMNS), WHOLE(2), WHOLE(3), OUT_FLOATS(4, 0),
+     ITEMS(4) / COLUMNS)

@@ -168,16 +168,18 @@ def path_lengths(table: Array, first: int, n: int, end: float, /) -> Array:
 
 
 @compiled
-def follow(lengths: Array, points: Array, s: Array, /) -> tuple[Array, Integers]:
-    """Return x, y, z, e at path lengths ``s`` (n,), and the move that each lies on.
+def follow(
+    lengths: Array, points: Array, line: Integers, s: Array, xyze: Array, line_at: Integers, /
+) -> int:
+    """Fill in x, y, z, e (n, 4) at path lengths ``s`` (n,), and the line of the move there (n,).
 
-    lengths (m + 1,): path length at the vertices points (m + 1, 4) of m moves.
+    lengths (m + 1,): path length at the vertices points (m + 1, 4) of m moves; line (m,): theirs.
     """
 
 
 @compiled
-def move_at_rest(way: Array, ends: Array, first: int, n: int, samples: int, /) -> Array:
-    """Return x, y, z, e (n, 4) after ``first``, first + 1, … samples of a move in z and e.
+def move_at_rest(way: Array, ends: Array, first: int, samples: int, xyze: Array, /) -> int:
+    """Fill in x, y, z, e (n, 4) after ``first``, first + 1, … samples of a move in z and e.
 
     way: see ``Trapezoid.row``; ends (2, 4): where it begins and ends; samples: when it is done.
     """

@@ -20,18 +20,29 @@ class Output:
         self.line = 0  # source line of samples at rest
         self.last: Array | None = None  # x, y, z, e at the last sample; None if unknown
         self.events: list[Event] = []
-        self._pieces: list[tuple[Array, Integers]] = []
-        self._first = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin a chunk, with room for what comes when it is almost full."""
+        self._first = self.index
+        self._xyze, self._line = np.empty((2 * self.size, 4)), np.empty(2 * self.size, np.int64)
 
     @property
     def count(self) -> int:
         return self.index - self._first
 
-    def add(self, xyze: Array, line: Integers) -> None:
-        if len(xyze):
-            self._pieces.append((xyze, line))
-            self.index += len(xyze)
+    def room(self, samples: int) -> tuple[Array, Integers]:
+        """Add samples; return their places and lines, to be filled in."""
+        rows = slice(self.count, self.count + samples)
+        if rows.stop > len(self._line):  # many rests in a small chunk
+            more = max(len(self._line), samples)
+            self._xyze = np.pad(self._xyze, ((0, more), (0, 0)))
+            self._line = np.pad(self._line, (0, more))
+        self.index += samples
+        xyze, line = self._xyze[rows], self._line[rows]
+        if samples:
             self.last = xyze[-1]
+        return xyze, line
 
     def mark(self, lines: Marks) -> None:
         """Add lines that pass before the next sample."""
@@ -41,9 +52,8 @@ class Output:
         """Add samples at rest; yield the chunks that are full."""
         for first in range(0, samples, self.size):
             n = min(samples - first, self.size)
-            xyze = np.empty((n, 4))
-            xyze[:] = where
-            self.add(xyze, np.full(n, self.line))
+            xyze, line = self.room(n)
+            xyze[:], line[:] = where, self.line
             if first + n < samples:
                 yield from self.flush()
 
@@ -52,13 +62,14 @@ class Output:
         yield from self.flush(ends_stretch=True)
         self.index += samples - 1
         self._first = self.index
-        self.add(np.array([where]), np.array([self.line]))
+        xyze, line = self.room(1)
+        xyze[:], line[:] = where, self.line
 
     def flush(self, ends_stretch: bool = False) -> Iterator[Samples]:
-        if not self._pieces and not self.events:
+        if not self.count and not self.events:
             return
-        nothing = np.zeros((0, 4)), np.zeros(0, dtype=np.int64)
-        xyze, line = (np.concatenate(each) for each in zip(*self._pieces or [nothing], strict=True))
-        first, events = self._first, tuple(self.events)
-        self._pieces, self.events, self._first = [], [], self.index
-        yield Samples(first, frozen(xyze), line, events, ends_stretch=ends_stretch)
+        first, n, events = self._first, self.count, tuple(self.events)
+        xyze, line = frozen(self._xyze[:n]), self._line[:n]
+        self.events = []
+        self._begin()
+        yield Samples(first, xyze, line, events, ends_stretch=ends_stretch)

@@ -175,7 +175,7 @@ class ProfileAtRest:
             trapezoid = trapezoid.slowed_to(samples * TS)
         return cls(trapezoid, samples)
 
-    def places(self, move: MoveAtRest, first: int, n: int) -> Array:
-        """Return x, y, z, e after ``first``, first + 1, … samples of the move, (n, 4)."""
+    def fill(self, move: MoveAtRest, first: int, xyze: Array) -> None:
+        """Fill in x, y, z, e (n, 4) after ``first``, first + 1, … samples of the move."""
         ends = np.array([move.start, move.end])
-        return move_at_rest(self.trapezoid.row, ends, first, n, self.samples)
+        move_at_rest(self.trapezoid.row, ends, first, self.samples, xyze)

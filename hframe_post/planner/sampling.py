@@ -166,13 +166,14 @@ class _Sampler:
         s = path_lengths(motion, self.output.index - self._section, n, float(plan.s[-1]))
         if arrives:
             s[-1] = plan.s[-1]
-        xyze, move = follow(plan.s, plan.points, s)
+        index = self.output.index
+        xyze, line = self.output.room(n)
+        follow(plan.s, plan.points, plan.line, s, xyze, line)
         if self._filament_at_mark is not None:
             xyze[0, E], self._filament_at_mark = self._filament_at_mark, None
-        marks = self._pin(plan, marks, s, xyze)
+        marks = self._pin(plan, marks, s, xyze, index)
         if arrives:
             xyze[-1] = plan.points[-1]
-        self.output.add(xyze, plan.line[move])
         return marks
 
     def _slow_parts(self, plan: Plan, motion: Array, last: int) -> deque[tuple[int, int]]:
@@ -197,16 +198,18 @@ class _Sampler:
     def _straight(self, plan: Plan, motion: Array, first: int, last: int) -> Iterator[Samples]:
         """Leave out samples first … last, which go straight; end the stretch before them."""
         path = path_lengths(motion, last - self._section, 2, float(plan.s[-1]))
-        (before, after), (_, move) = follow(plan.s, plan.points, path)
-        x, y, z, e = before.tolist()
-        self.output.line = int(plan.line[move])
+        places, lines = np.empty((2, 4)), np.empty(2, np.int64)
+        follow(plan.s, plan.points, plan.line, path, places, lines)
+        x, y, z, e = places[0].tolist()
+        self.output.line = int(lines[1])
         self.output.events.append(SlowStraight(first, last - first + 1, (x, y, z, e)))
-        yield from self.output.skip(after, last - first + 2)
+        yield from self.output.skip(places[1], last - first + 2)
 
-    def _pin(self, plan: Plan, marks: Marks, s: Array, xyze: Array) -> Marks:
+    def _pin(self, plan: Plan, marks: Marks, s: Array, xyze: Array, index: int) -> Marks:
         """Put marks on the first sample at or after their vertex; return those that lie beyond.
 
-        They get the vertex's filament, so that what is extruded between two marks is exact.
+        They get the vertex's filament, so that what is extruded between two marks is exact. index:
+        of the first of the samples xyze (n, 4), at path lengths s (n,).
         """
         if not marks:
             return marks
@@ -215,7 +218,7 @@ class _Sampler:
         if here:
             passed, rows = marks.rows(0, here), rows[:here]
             xyze[rows, E] = plan.points[passed.at, E]
-            self.output.events.append(passed.moved_to(self.output.index + rows))
+            self.output.events.append(passed.moved_to(index + rows))
         return marks.rows(here)
 
     # ------------------------------------------------------------------ at rest
@@ -263,12 +266,16 @@ class _Sampler:
         out.line = move.line
         out.events.append(Dwell(out.index, n, move, way.seconds, way.v_s, way.v_e))
         if self._skip_slow and n >= FEWEST and not (way.v_s or way.v_e):
-            yield from out.skip(profile.places(move, n, 1)[0], n)
+            end = np.empty((1, 4))
+            profile.fill(move, n, end)
+            yield from out.skip(end[0], n)
             yield from self._change(Change.PART)
             return
         for first in range(0, n, out.size):
             count = min(n - first, out.size)
-            out.add(profile.places(move, first + 1, count), np.full(count, move.line))
+            xyze, line = out.room(count)
+            profile.fill(move, first + 1, xyze)
+            line[:] = move.line
             if first + count < n:
                 yield from out.flush()
         if way.v_e and not any(planned):

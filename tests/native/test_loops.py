@@ -15,7 +15,7 @@ from hframe_post import native
 from hframe_post.native import kernels
 from hframe_post.native.block_times import Stepper, block_times, step_times
 from hframe_post.native.linear import product, pseudo_inverse, recursion
-from hframe_post.native.planning import follow, profiles
+from hframe_post.native.planning import follow, path_lengths, profiles
 from hframe_post.native.whole_steps import Blocks
 from tests.marlin.planner import Block, Build, development, released
 
@@ -132,16 +132,18 @@ def test_an_argument_of_another_kind_layout_or_length_is_an_error() -> None:
 def test_new_arrays_are_as_long_as_the_arguments_and_the_result_ask() -> None:
     """Arrays with gaps are read, too."""
     s, points = np.array([0.0, 1.0, 2.0]), np.arange(24.0).reshape(3, 8)[:, ::2]
-    xyze, move = follow(s, points, np.array([0.5, 0.0, 1.5, 2.0]))
-    np.testing.assert_array_equal(move, [0, 0, 1, 1])
+    xyze, line = np.empty((4, 4)), np.empty(4, np.int64)
+    follow(s, points, np.array([7, 0, 9])[::2], np.array([0.5, 0.0, 1.5, 2.0]), xyze, line)
+    np.testing.assert_array_equal(line, [7, 7, 9, 9])
     np.testing.assert_allclose(xyze, points[0] + np.outer([4.0, 0.0, 12.0, 16.0], np.ones(4)))
-    assert [each.shape for each in follow(s, points, s[:0])] == [(0, 4), (0,)]
+    assert follow(s, points, line, s[:0], xyze[:0], line[:0]) == 0
+    assert [path_lengths(np.ones((6, 1)), 0, n, 1.0).shape for n in (5, 0)] == [(5,), (0,)]
     v, length, cruise, most = np.array([[5.0, 5.0], [9.0, 0.02], [5.0, 100.0], [1e3, 1e5]])
     t, j, others = profiles(v, v, length, cruise, most, 1e7)
     assert t.shape == j.shape == (2, 7)
     assert others.tolist() == [1]
     with pytest.raises(ValueError, match="argument 0 of follow must have 2 items or more"):
-        follow(s[:1], points, s)
+        follow(s[:1], points, line, s, xyze, line)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="gcc's warnings")
