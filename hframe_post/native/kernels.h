@@ -52,14 +52,4 @@ INSIDE double klipper_corner(double x, double y, double z, double turn, double f
     return lesser_number(on_arc(cosine, turn), fit * sqrt(0.5 * (1.0 - cosine)) / sqrt(0.5 * (1.0 + cosine)));
 }
 
-/* Add to sum the columns from low to before high of four rows, each times its factor. */
-INSIDE void add_rows(const double *factor, const double *rows, int64_t width, int64_t low,
-                     int64_t high, double *restrict sum)
-{
-    const double *a = rows, *b = a + width, *c = b + width, *d = c + width;
-    double by_a = factor[0], by_b = factor[1], by_c = factor[2], by_d = factor[3];
-    for (int64_t j = low; j < high; j++)
-        sum[j] = (((sum[j] + by_a * a[j]) + by_b * b[j]) + by_c * c[j]) + by_d * d[j];
-}
-
 #endif

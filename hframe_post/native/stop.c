@@ -162,13 +162,17 @@ static void weigh_rows(const struct stop *stop, const struct layout *layout, str
             q->weight[q->dwell[1] - 1] = ARRIVING;
 }
 
-INSIDE double product(const double *a, const double *b, int64_t n)
+/* The product of n numbers with others, of which those from one to before another are 0. */
+INSIDE double product(const double *a, const double *b, int64_t n, int64_t zero, int64_t end)
 {
     double lanes[LANES] = {0.0}, sum = 0.0;
     int64_t i = 0;
-    for (; i + LANES <= n; i += LANES)
+    for (; i + LANES <= n; i += LANES) {
+        if (i >= zero && i + LANES <= end)
+            continue;
         for (int lane = 0; lane < LANES; lane++)
             lanes[lane] += a[i + lane] * b[i + lane];
+    }
     for (; i < n; i++)
         lanes[i % LANES] += a[i] * b[i];
     for (int lane = 0; lane < LANES; lane++)
@@ -176,15 +180,17 @@ INSIDE double product(const double *a, const double *b, int64_t n)
     return sum;
 }
 
-/* The nozzle under the command as it is known, held in the dwell, at the judged samples. held: room for
- * four numbers a sample. */
+/* The nozzle under the command as it is known, held in the dwell, at the judged samples. room: of four
+ * numbers a sample. */
 WIDE static void place_nozzle(const struct printer *of, const struct stop *stop, const vector *command,
-                              double *held, struct problem *q)
+                              double *room, struct problem *q)
 {
     int64_t memory = 1 + (of->taps > of->ahead ? of->taps : of->ahead);
     int64_t begin = stop->a - SIDE + of->ahead - memory;
     int64_t span = stop->b + SIDE + RINGING + of->ahead - begin;
-    double *u[2] = {held, held + span}, *rates[2] = {held + 2 * span, held + 3 * span};
+    /* rates are 0 while the command is held */
+    int64_t held = stop->a - begin, moved = stop->b - 2 - begin;
+    double *u[2] = {room, room + span}, *rates[2] = {room + 2 * span, room + 3 * span};
     for (int axis = 0; axis < 2; axis++) {
         for (int64_t i = 0; i < span; i++) {
             int64_t at = begin + i;
@@ -195,10 +201,10 @@ WIDE static void place_nozzle(const struct printer *of, const struct stop *stop,
     }
     for (int64_t row = 0; row < q->r; row++) {
         double places[3] = {0.0};
-        int64_t at = q->index[row] - begin;
+        int64_t at = q->index[row] - begin, first = at + of->ahead - of->taps - 1;
         for (int64_t f = 0; f < of->count; f++) {
             const double *filter = of->filters + f * (2 + of->taps), *now = u[f % 2] + at;
-            places[f] = product(filter + 2, rates[f % 2] + at + of->ahead - of->taps - 1, of->taps);
+            places[f] = product(filter + 2, rates[f % 2] + first, of->taps, held - first, moved - first);
             places[f] += filter[0] * now[0] - filter[1] * (now[0] - now[-1]);
         }
         q->known[row][X] = places[0];

@@ -7,7 +7,7 @@
 
 #include "stop.h"
 
-enum { TOGETHER = 4, AT_ONCE = 8 }; /* rows of add_rows; rows in time whose squares are added at once */
+enum { TOGETHER = 8 }; /* rows that are added to one at once */
 
 /* Iterations of the steps of model/stop_solver.py, at most: 1, 3 and 2; then more of step 2 while a belt
  * exceeds HARDEST, where rows are raised by their shares, as Lawson does. */
@@ -49,8 +49,8 @@ struct weight {
 /* Rows in time whose squares are added at once: outputs of x and y, of x times racking's lever, and
  * what these are weighted to be multiplied with. */
 struct rows {
-    double x[AT_ONCE][SPLINES], y[AT_ONCE][SPLINES], racked[AT_ONCE][SPLINES];
-    double by_x[AT_ONCE][SPLINES], by_racked[AT_ONCE][SPLINES], by_y[AT_ONCE][SPLINES];
+    double x[TOGETHER][SPLINES], y[TOGETHER][SPLINES], racked[TOGETHER][SPLINES];
+    double by_x[TOGETHER][SPLINES], by_racked[TOGETHER][SPLINES], by_y[TOGETHER][SPLINES];
 };
 
 struct search {
@@ -166,20 +166,31 @@ INSIDE void take_row(const struct problem *q, int64_t row, struct weight w, stru
     }
 }
 
-/* Add to sum the products of column i of some rows with the columns from low to before high of others. */
-INSIDE void add_products(const double left[][SPLINES], const double right[][SPLINES], int64_t i,
-                         int64_t low, int64_t high, double *restrict sum)
+/* Add to sum some rows, each times its factor, in the columns from low to before high. */
+INSIDE void add_rows(const double *factor, const double *rows, int64_t width, int64_t low, int64_t high,
+                     double *restrict sum)
 {
     for (int64_t j = low; j < high; j++) {
         double so_far = sum[j];
-        for (int r = 0; r < AT_ONCE; r++)
-            so_far += left[r][i] * right[r][j];
+        for (int r = 0; r < TOGETHER; r++)
+            so_far += factor[r] * rows[r * width + j];
         sum[j] = so_far;
     }
 }
 
-/* Add the squares of rows, of which ``begun`` columns are not zero, to the upper triangle of H. */
-INSIDE void add_squares(const struct rows *rows, int64_t begun, int64_t k, int racks,
+/* Add to sum the products of column i of some rows with the columns from low to before high of others. */
+INSIDE void add_products(const double left[][SPLINES], const double right[][SPLINES], int64_t i,
+                         int64_t low, int64_t high, double *restrict sum)
+{
+    double factor[TOGETHER];
+    for (int r = 0; r < TOGETHER; r++)
+        factor[r] = left[r][i];
+    add_rows(factor, right[0], SPLINES, low, high, sum);
+}
+
+/* Add the squares of rows, of which ``begun`` columns are not zero, to the upper triangle of H. mixed:
+ * whether a product of x with y counts. */
+INSIDE void add_squares(const struct rows *rows, int64_t begun, int64_t k, int racks, int mixed,
                         double H[][WIDTH])
 {
     int64_t high = (begun + LINE - 1) / LINE * LINE;
@@ -188,7 +199,8 @@ INSIDE void add_squares(const struct rows *rows, int64_t begun, int64_t k, int r
         add_products(rows->x, rows->by_x, i, low, high, H[i]);
         if (racks)
             add_products(rows->racked, rows->by_racked, i, low, high, H[i]);
-        add_products(rows->by_racked, rows->y, i, 0, high, H[i] + k);
+        if (mixed)
+            add_products(rows->by_racked, rows->y, i, 0, high, H[i] + k);
         add_products(rows->by_y, rows->y, i, low, high, H[k + i] + k);
     }
 }
@@ -197,7 +209,7 @@ INSIDE void add_squares(const struct rows *rows, int64_t begun, int64_t k, int r
 INSIDE void sum_squares(const struct problem *q, struct search *room)
 {
     int64_t k = q->k, begun = 0;
-    int count = 0;
+    int count = 0, mixed = q->racks;
     double by_x[SPLINES] = {0.0}, by_y[SPLINES] = {0.0};
     for (int64_t row = 0; row < q->r; row++) {
         vector slope;
@@ -212,14 +224,14 @@ INSIDE void sum_squares(const struct problem *q, struct search *room)
             by_x[c] += racked * q->by_p[2][row][c];
         if (fabs(more.xx) + fabs(more.xy) + fabs(more.yy) > SAME * (w.xx + w.yy)) {
             take_row(q, row, more, &room->rows, count++);
-            *old = w, begun = q->begun[row];
+            *old = w, begun = q->begun[row], mixed |= more.xy != 0.0;
         }
-        if (count < AT_ONCE && !(count && row == q->r - 1))
+        if (count < TOGETHER && !(count && row == q->r - 1))
             continue;
-        for (; count < AT_ONCE; count++)
+        for (; count < TOGETHER; count++)
             take_row(q, 0, (struct weight){0.0, 0.0, 0.0}, &room->rows, count);
-        add_squares(&room->rows, begun, k, q->racks, room->squares);
-        count = 0;
+        add_squares(&room->rows, begun, k, q->racks, mixed, room->squares);
+        count = 0, mixed = q->racks;
     }
     memcpy(room->gradient, by_x, sizeof(double) * (size_t)k);
     memcpy(room->gradient + k, by_y, sizeof(double) * (size_t)k);
@@ -386,7 +398,9 @@ INSIDE double bounded(const struct problem *q, struct search *room, double *p)
         solve(2 * q->k, room, tried);
         struct excess most = measure_bounds(q, room, tried);
         double over = greater(most.share, 1.0) - 1.0 + most.outside;
-        double cost = cost_of(2 * q->k, room, tried) + EXCESS_COST * over + HARD_COST * most.hard;
+        double cost = 0.0;
+        if (over > 0.0 || trial > 0) /* else there is nothing to compare it with */
+            cost = cost_of(2 * q->k, room, tried) + EXCESS_COST * over + HARD_COST * most.hard;
         if (most.outside < least_outside || (most.outside == least_outside && cost < least_cost)) {
             memcpy(p, tried, sizeof tried);
             room->kept = room->weights;
