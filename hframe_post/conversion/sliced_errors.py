@@ -28,7 +28,7 @@ from hframe_post.prediction.predict import quantise
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import ended, successive
-from hframe_post.stream.marks import NO_MARKS, Marks
+from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import Handling, Item, Passthrough, Plan, Samples, frozen
 
 PIECE_S = 3.0  # of motion in a piece; more only if a single run lasts longer, 4 times at most
@@ -148,7 +148,7 @@ class SlicedFile:
             first, last = plan.ends[[low, high]].tolist()
             k, end = (bisect_left(plan.standing, at, key=itemgetter(0)) for at in (first, last))
             standing = tuple((index - first, item) for index, item in plan.standing[k:end])
-            own = replace(part(plan, first, last), marks=NO_MARKS, standing=standing)
+            own = replace(part(plan, first, last), standing=standing)
             self._piece.append(own)
 
     def _end(self) -> None:

@@ -26,7 +26,7 @@ from itertools import chain
 
 import numpy as np
 
-from hframe_post.arrays import Array, E, Integers, Z
+from hframe_post.arrays import Array, Integers, Z
 from hframe_post.native.planning import (
     Column,
     Runs,
@@ -161,29 +161,31 @@ class Lookahead:
 
     def _as_moves(self, items: list[Moves | MoveAtRest]) -> tuple[Moves, list[int]]:
         """Return items as one, and the numbers of the moves at which the machine rests."""
-        tables, rests, n = list[Array](), list[int](), 0
-        for item in items:
-            if isinstance(item, Moves):
-                self._like = float(item.acceleration[-1]), float(item.corner[-1])
-                asked = item.speed, item.acceleration, item.corner, item.line
-                tables.append(np.column_stack([item.points[1:], *asked]))
-            else:
-                own = item.acceleration, math.inf
-                if self._rests(item):
-                    rests.append(n)
-                elif not self.joins:
-                    own = self._like
-                tables.append(np.array([[*item.end, item.speed, *own, item.line]]))
-            n += len(tables[-1])
-        first = items[0]
+        first, rests, end = items[0], list[int](), 0
         if len(items) == 1 and isinstance(first, Moves):
+            self._like = first.acceleration[-1], first.corner[-1]
             return first, []
-        table = np.concatenate(tables)
-        begin = first.points[:1] if isinstance(first, Moves) else np.array([first.start])
-        points = np.concatenate([begin, table[:, : E + 1]])
-        speed, acceleration, corner, line = table[:, E + 1 :].T.copy()
-        numbers = line.astype(np.int64)
-        return Moves(numbers, points, speed, acceleration, corner, self._file_limits), rests
+        n = sum(len(item.line) if isinstance(item, Moves) else 1 for item in items)
+        points, line = np.empty((n + 1, 4)), np.empty(n, np.int64)
+        speed, acceleration, corner = np.empty((3, n))
+        points[0] = first.points[0] if isinstance(first, Moves) else first.start
+        for item in items:
+            k = end
+            if isinstance(item, Moves):
+                end += len(item.line)
+                points[k + 1 : end + 1] = item.points[1:]
+                speed[k:end], acceleration[k:end] = item.speed, item.acceleration
+                corner[k:end], line[k:end] = item.corner, item.line
+                self._like = item.acceleration[-1], item.corner[-1]
+                continue
+            end += 1
+            points[end], speed[k], line[k] = item.end, item.speed, item.line
+            acceleration[k], corner[k] = item.acceleration, math.inf
+            if self._rests(item):
+                rests.append(k)
+            elif not self.joins:
+                acceleration[k], corner[k] = self._like
+        return Moves(line, points, speed, acceleration, corner, self._file_limits), rests
 
     def _rules_with(self, own: FileLimits) -> Array:
         """Return the limits of the profile and of the file, as ``limit_moves`` takes them."""

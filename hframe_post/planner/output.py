@@ -48,22 +48,17 @@ class Output:
         """Add lines that pass before the next sample."""
         self.events.append(lines.moved_to(self.index))
 
-    def rest(self, where: Array, samples: int) -> Iterator[Samples]:
-        """Add samples at rest; yield the chunks that are full."""
-        for first in range(0, samples, self.size):
-            n = min(samples - first, self.size)
-            xyze, line = self.room(n)
-            xyze[:], line[:] = where, self.line
-            if first + n < samples:
-                yield from self.flush()
+    def rest(self, where: Array, samples: int) -> None:
+        """Add samples at rest."""
+        xyze, line = self.room(samples)
+        xyze[:], line[:] = where, self.line
 
     def skip(self, where: Array, samples: int) -> Iterator[Samples]:
         """End the stretch; leave out all of these samples but the last, which is ``where``."""
         yield from self.flush(ends_stretch=True)
         self.index += samples - 1
         self._first = self.index
-        xyze, line = self.room(1)
-        xyze[:], line[:] = where, self.line
+        self.rest(where, 1)
 
     def flush(self, ends_stretch: bool = False) -> Iterator[Samples]:
         if not self.count and not self.events:

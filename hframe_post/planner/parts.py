@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hframe_post.arrays import Array, Integers
-from hframe_post.stream.marks import Marks
+from hframe_post.stream.marks import NO_MARKS, Marks
 from hframe_post.stream.types import MoveAtRest, Plan
 
 
@@ -50,31 +50,35 @@ def parts(plan: Plan) -> Iterator[Plan | MoveAtRest | Marks]:
 
     x and y come to rest between them. A step by which motion brakes late is none of theirs.
     """
-    at, n = 0, len(plan.line)
+    n = len(plan.line)
+    cuts, at = list[tuple[int, int]](), 0  # from one move to before another
     for index, item in plan.standing:
-        if index > at:
-            yield part(plan, at, index)
+        cuts.append((at, index))
         at = index + isinstance(item, MoveAtRest)
-        yield item
-    if not at:
+    if not at:  # not cut by anything
+        yield from (item for _, item in plan.standing)
         yield plan
-    elif at < n:
-        yield part(plan, at, n)
+        return
+    cuts.append((at, n))
+    bounds = np.array(cuts)
+    rows = plan.marks.at.searchsorted(bounds + (bounds > 0)).tolist()
+    items = (item for _, item in plan.standing)
+    for (first, last), own in zip(cuts, rows, strict=True):
+        if first < last:
+            yield part(plan, first, last, plan.marks.rows(*own))
+        if (between := next(items, None)) is not None:
+            yield between
 
 
-def part(plan: Plan, first: int, last: int) -> Plan:
+def part(plan: Plan, first: int, last: int, marks: Marks = NO_MARKS) -> Plan:
     """Return moves ``first`` … ``last`` − 1 of a plan, which end where a run does, or rest.
 
-    Lifts and retractions among them are left out.
+    Lifts and retractions among them are left out. marks: theirs, with the plan's indices.
     """
     a, b = plan.ends.searchsorted((first, last)).tolist()
-    marks = plan.marks
-    if marks:
-        begin = marks.count_before(first + 1) if first else 0
-        marks = marks.rows(begin, marks.count_before(last + 1)).shifted(-first)
     return Plan(
         plan.line[first:last], plan.points[first : last + 1],
         plan.s[first : last + 1] - plan.s[first], plan.ends[a : b + 1] - first,
-        plan.speed[a : b + 1], plan.cruise[a:b], plan.acceleration[a:b], marks,
+        plan.speed[a : b + 1], plan.cruise[a:b], plan.acceleration[a:b], marks.shifted(-first),
         rests=last < len(plan.line),
     )  # fmt: skip

@@ -60,7 +60,7 @@ def sample(
         elif isinstance(item, MoveAtRest):
             yield from sampler.move_at_rest(item, motion)
         elif isinstance(item, SpanEnd):
-            yield from sampler.come_to_rest(apart=True)
+            sampler.come_to_rest(apart=True)
         elif isinstance(item, Marks):
             sampler.mark(item)
         else:
@@ -122,7 +122,7 @@ class _Sampler:
             yield from items
 
     def run(self, plan: Plan) -> Iterator[Samples]:
-        yield from self._set_out(plan)
+        self._set_out(plan)
         profile, at_ends = self._profiles.popleft(), plan.s[plan.ends]
         motion, end = phases(*profile, plan.speed, at_ends, self._clock)
         self._clock = float(end[0])
@@ -149,14 +149,14 @@ class _Sampler:
         if stops:
             self._stopping.change(Change.STOP)
 
-    def _set_out(self, plan: Plan) -> Iterator[Samples]:
+    def _set_out(self, plan: Plan) -> None:
         out, stopping = self.output, self._stopping
         out.line = int(plan.line[0])
         self.pass_waiting_lines()
         if out.last is None:
-            yield from out.rest(plan.points[0], 1)  # from where the motion starts
+            out.rest(plan.points[0], 1)  # from where the motion starts
         moved = stopping.state is State.MOVING
-        yield from self._rest(plan.points[0], stopping.change(Change.MOVE))
+        self._rest(plan.points[0], stopping.change(Change.MOVE))
         if not moved:
             self._section, self._clock = out.index - 1, 0.0
         self._acceleration = float(plan.acceleration[-1])
@@ -234,7 +234,7 @@ class _Sampler:
         released = action.handling is Handling.RELEASE
         n, out = samples_until(action.seconds), self.output
         apart = (released and action.end is None) or n >= self._rules.long_from
-        yield from self.come_to_rest(apart)
+        self.come_to_rest(apart)
         out.line = action.line
         if out.last is None:  # nothing to sample where the position is unknown
             out.events.append(Dwell(out.index, 0, action))
@@ -242,8 +242,11 @@ class _Sampler:
             out.events.append(Dwell(out.index, n, action, action.seconds))
             if self._skip_slow and n >= FEWEST:
                 yield from out.skip(out.last, n)
-            else:
-                yield from out.rest(out.last, n)
+                n = 0
+            for left in range(n, 0, -out.size):
+                out.rest(out.last, min(left, out.size))
+                if left > out.size:
+                    yield from out.flush()
         if released:
             yield from out.flush(ends_stretch=True)
             out.last = None
@@ -252,7 +255,7 @@ class _Sampler:
         """Add a retraction or a lift. motion: what it may pass into without rest."""
         out = self.output
         if out.last is None:
-            yield from out.rest(np.array(move.start), 1)
+            out.rest(np.array(move.start), 1)
         planned = move.entry, move.leaving
         at_ends = planned if any(planned) else self._corner_speeds(motion)
         profile = ProfileAtRest.from_move(move, self._limits, *at_ends)
@@ -260,16 +263,16 @@ class _Sampler:
             profile = ProfileAtRest.from_move(move, self._limits, *planned)
         n, way = profile.samples, profile.trapezoid
         if way.v_s and not any(planned):
-            yield from self._change(Change.ENTER)
+            self._change(Change.ENTER)
         else:
-            yield from self.come_to_rest(long)
+            self.come_to_rest(long)
         out.line = move.line
         out.events.append(Dwell(out.index, n, move, way.seconds, way.v_s, way.v_e))
         if self._skip_slow and n >= FEWEST and not (way.v_s or way.v_e):
             end = np.empty((1, 4))
             profile.fill(move, n, end)
             yield from out.skip(end[0], n)
-            yield from self._change(Change.PART)
+            self._change(Change.PART)
             return
         for first in range(0, n, out.size):
             count = min(n - first, out.size)
@@ -279,7 +282,7 @@ class _Sampler:
             if first + count < n:
                 yield from out.flush()
         if way.v_e and not any(planned):
-            yield from self._change(Change.LEAVE)
+            self._change(Change.LEAVE)
 
     def _corner_speeds(self, motion: Plan | None) -> tuple[float, float]:
         """Return z's greatest speeds, mm/s, next to the motion before and after a lift."""
@@ -295,21 +298,20 @@ class _Sampler:
         # the motion's first segment is some 10 µm long and limits it to 0.05·√(mm/s²)
         return min(SPARED * self._rules.lift_speed, 0.05 * math.sqrt(acceleration))
 
-    def come_to_rest(self, apart: bool) -> Iterator[Samples]:
+    def come_to_rest(self, apart: bool) -> None:
         """Give the command time to settle if it has had none."""
-        yield from self._change(Change.PART if apart else Change.DWELL)
+        self._change(Change.PART if apart else Change.DWELL)
 
-    def _change(self, change: Change) -> Iterator[Samples]:
-        samples = self._stopping.change(change)
-        if samples:
+    def _change(self, change: Change) -> None:
+        if samples := self._stopping.change(change):
             assert self.output.last is not None
-            yield from self._rest(self.output.last, samples)
+            self._rest(self.output.last, samples)
         self.pass_waiting_lines()
 
-    def _rest(self, where: Array, samples: int) -> Iterator[Samples]:
+    def _rest(self, where: Array, samples: int) -> None:
         if samples:
             self.output.events.append(Rest(self.output.index, samples))
-            yield from self.output.rest(where, samples)
+            self.output.rest(where, samples)
 
     def pass_waiting_lines(self) -> None:
         """Add the lines that waited for the command to come to rest."""
