@@ -20,7 +20,7 @@ from hframe_post.arrays import TS, Array, E
 from hframe_post.native.planning import follow, path_lengths, phases, samples_until
 from hframe_post.planner.output import Output
 from hframe_post.planner.profiles import Profile, ProfileAtRest, Profiler
-from hframe_post.planner.stopping import Change, State, Stopping
+from hframe_post.planner.stopping import State, Stopping
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.marks import Marks
 from hframe_post.stream.types import (
@@ -147,7 +147,7 @@ class _Sampler:
             self.output.mark(marks)
             self._filament_at_mark = float(plan.points[marks.last, E])
         if stops:
-            self._stopping.change(Change.STOP)
+            self._stopping.stop()
 
     def _set_out(self, plan: Plan) -> None:
         out, stopping = self.output, self._stopping
@@ -156,7 +156,7 @@ class _Sampler:
         if out.last is None:
             out.rest(plan.points[0], 1)  # from where the motion starts
         moved = stopping.state is State.MOVING
-        self._rest(plan.points[0], stopping.change(Change.MOVE))
+        self._rest(plan.points[0], stopping.move())
         if not moved:
             self._section, self._clock = out.index - 1, 0.0
         self._acceleration = float(plan.acceleration[-1])
@@ -263,7 +263,8 @@ class _Sampler:
             profile = ProfileAtRest.from_move(move, self._limits, *planned)
         n, way = profile.samples, profile.trapezoid
         if way.v_s and not any(planned):
-            self._change(Change.ENTER)
+            self._stopping.enter()
+            self.pass_waiting_lines()
         else:
             self.come_to_rest(long)
         out.line = move.line
@@ -272,7 +273,7 @@ class _Sampler:
             end = np.empty((1, 4))
             profile.fill(move, n, end)
             yield from out.skip(end[0], n)
-            self._change(Change.PART)
+            self.come_to_rest(apart=True)
             return
         for first in range(0, n, out.size):
             count = min(n - first, out.size)
@@ -282,7 +283,7 @@ class _Sampler:
             if first + count < n:
                 yield from out.flush()
         if way.v_e and not any(planned):
-            self._change(Change.LEAVE)
+            self._stopping.leave()
 
     def _corner_speeds(self, motion: Plan | None) -> tuple[float, float]:
         """Return z's greatest speeds, mm/s, next to the motion before and after a lift."""
@@ -300,10 +301,7 @@ class _Sampler:
 
     def come_to_rest(self, apart: bool) -> None:
         """Give the command time to settle if it has had none."""
-        self._change(Change.PART if apart else Change.DWELL)
-
-    def _change(self, change: Change) -> None:
-        if samples := self._stopping.change(change):
+        if samples := self._stopping.dwell(apart):
             assert self.output.last is not None
             self._rest(self.output.last, samples)
         self.pass_waiting_lines()
