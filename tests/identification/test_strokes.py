@@ -163,7 +163,7 @@ def test_one_sensor_of_a_bed_slinger_is_moved_between_two_files(tmp_path: Path) 
     ("arguments", "status", "message"),
     [
         (["--position", "80"], 2, b"is not X,Y"),
-        (["--chip", "adxl345 hotend"], 2, b"type hotend"),
+        (["--chip", "adxl345 hotend"], 2, b"write hotend"),
         (["--position", "500,100"], 1, b"x (mm) would be 500"),
         (["--position", "80,100", "--position", "80,100"], 1, b"twice"),
     ],
