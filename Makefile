@@ -2,7 +2,7 @@ PYTHON ?= python3
 # Without bytecode, each process that a test starts would compile the package again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: check lint test bytes slow hosts programs debian docs results fuzz guided audit
+.PHONY: check lint test bytes slow hosts programs debian docs results bounds fuzz guided audit
 
 # both at once: mypy needs one core for as long as a sixth of the tests take on two
 check:
@@ -70,6 +70,10 @@ docs:
 # docs/results.md: what the sample prints take and leave here
 results:
 	$(PYTHON) -m tools.results
+
+# docs/bounds.md: what each number of an identification changes, half an hour
+bounds:
+	$(PYTHON) -m tools.bounds
 
 # EXAMPLES of each test; memory is limited, in KB
 EXAMPLES ?= 2000
