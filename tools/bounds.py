@@ -1,11 +1,18 @@
-"""Write docs/bounds.md: what each bound of an identification is, and what halving it changes.
+"""Write docs/bounds.csv: what each bound of an identification is, and what halving it changes.
 
 make bounds
+
+rectangle: RMS contour error that the response of a published CoreXY leaves 18 days later, and the
+later one on the first day, where they change: 120 × 20 mm at 10 000 mm/s². response: change of a
+response at most, as a print weighs it (a share of G − 1): of a published test of resonances, of
+strokes on a simulated printer with friction, and of its check. refused: a recording is not taken.
+other words: the report says something else, or a figure in it.
 """
 
 from __future__ import annotations
 
 import ast
+import csv
 import importlib
 import inspect
 import lzma
@@ -42,19 +49,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "hframe_post.identification"
 SV08 = ROOT / "tests/identification/data/raw_data_y_20250601_120000.csv.xz"
 HZ = np.arange(5.0, 100.0, 0.25)
-HEAD = """\
-# Bounds of an identification
-
-`make bounds` computes this page from recordings that are among the tests: what each number of
-the identification is, and what changes where it is halved or doubled.
-
-- *rectangle*: RMS contour error, µm, that the response of a published CoreXY leaves 18 days later,
-  and the later one on the first day, where they change: 120 × 20 mm at 10 000 mm/s².
-- *response*: change of a response at most, as a print weighs it (a share of G − 1): of a published
-  test of resonances, of strokes on a simulated printer with friction, and of its check. *Refused*:
-  a recording is not taken. *Other words*: the report says something else, or a figure in it.
-
-"""
+HEAD = ("module", "bound", "value", "unit and source", "halved: rectangle, µm", "halved: response",
+        "doubled: rectangle, µm", "doubled: response")  # fmt: skip
 # value of the one of 15 published recordings that is nearest to the bound
 NEAREST = {
     "UNEXPLAINED": "0.30", "CLOCK_DRIFT": "0.016", "GAIN_ERROR_TEST": "0.15",
@@ -226,7 +222,7 @@ def _comment(lines: list[str], first: int, end: int) -> str:
     while first > 0 and lines[first - 1].startswith("# ") and "---" not in lines[first - 1]:
         first -= 1
         above.insert(0, lines[first][2:])
-    return " ".join([*above, beside]).strip().replace("|", "\\|")
+    return " ".join([*above, beside]).strip()
 
 
 def _parts(value: Any) -> Iterator[tuple[str | int | None, float]]:
@@ -292,19 +288,15 @@ def main() -> None:
     jobs = [(bound, factor) for bound in rows for factor in (0.5, 2.0)]
     with multiprocessing.get_context("fork").Pool(maxtasksperchild=1) as pool:
         found = pool.map(figures, jobs, chunksize=1)
-    text = [HEAD, f"As the bounds are, the rectangle's errors are {left} µm.\n"]
-    for room in rooms:
-        text += [f"## {room}\n", "| bound | value | unit and source | halved: µm | response | "
-                 "doubled: µm | response |", "|---|---|---|---|---|---|---|"]  # fmt: skip
+    with (ROOT / "docs/bounds.csv").open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(HEAD)
+        table.writerow(["", "all as they are", "", "", left, "", left, ""])
         for k, bound in enumerate(rows):
-            if bound.room == room:
-                nearest = NEAREST.get(bound.name, "") if room == "verdict" else ""
-                source = bound.source + (f"; nearest {nearest}" if nearest else "")
-                cells = [*found[2 * k], *found[2 * k + 1]]
-                value = f"{bound.value:g}".replace("-", "−")
-                text.append(f"| `{bound.label}` | {value} | {source} | {' | '.join(cells)} |")
-        text.append("")
-    (ROOT / "docs/bounds.md").write_text("\n".join(text))
+            nearest = NEAREST.get(bound.name, "") if bound.room == "verdict" else ""
+            source = bound.source + (f"; nearest {nearest}" if nearest else "")
+            changes = (*found[2 * k], *found[2 * k + 1])
+            table.writerow([bound.room, bound.label, f"{bound.value:g}", source, *changes])
 
 
 if __name__ == "__main__":
