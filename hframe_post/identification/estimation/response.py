@@ -206,6 +206,7 @@ def _unknown(covariance: Array) -> Array:
 # share of the measurement that a response without an assumed mode may leave: of drawn linear
 # printers 0.005 to 0.035, of real ones 0.06 to 0.3
 LINEAR = 0.05
+CUT_OFF = 0.01  # of a mode that still rings at the end: such a printer leaves 0.06 to 0.23
 STRONGEST_HZ = (18.0, 95.0)  # in which f₀ is sought
 ASSUMED = (0.25, 0.42)  # of f₀: one ideal mode below, the measurement above
 MIDDLE = sum(ASSUMED) / 2.0
@@ -226,11 +227,17 @@ def fit_unknown_start(axes: Mapping[str, FrequencyResponse]) -> dict[str, Fit]:
     Raises IdentificationError.
     """
     ideal = {name: with_an_ideal_mode(whole) for name, whole in axes.items()}
-    if any(one.residual > LINEAR for one in ideal.values()):
+    if any(one.residual > LINEAR and not _is_cut_off(one) for one in ideal.values()):
         return ideal
     damped = {name: _from_its_damping(whole) for name, whole in axes.items()}
     linear = all(one.residual <= LINEAR for one in damped.values())
     return damped if linear else ideal
+
+
+def _is_cut_off(ideal: Fit) -> bool:
+    """Return whether a mode rings for longer than the response with an ideal mode lasts."""
+    seconds = TS * Q_AT[-1]
+    return any(np.exp(-2.0 * np.pi * hz * zeta * seconds) > CUT_OFF for hz, zeta in ideal.modes)
 
 
 def _from_its_damping(whole: FrequencyResponse) -> Fit:
