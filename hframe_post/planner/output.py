@@ -20,12 +20,9 @@ class Output:
         self.line = 0  # source line of samples at rest
         self.last: Array | None = None  # x, y, z, e at the last sample; None if unknown
         self.events: list[Event] = []
-        self._begin()
-
-    def _begin(self) -> None:
-        """Begin a chunk, with room for what comes when it is almost full."""
-        self._first = self.index
-        self._xyze, self._line = np.empty((2 * self.size, 4)), np.empty(2 * self.size, np.int64)
+        # of one chunk after the other, with room for what comes when one is almost full
+        self._first = 0
+        self._xyze, self._line = np.empty((2 * size, 4)), np.empty(2 * size, np.int64)
 
     @property
     def count(self) -> int:
@@ -64,7 +61,8 @@ class Output:
         if not self.count and not self.events:
             return
         first, n, events = self._first, self.count, tuple(self.events)
-        xyze, line = frozen(self._xyze[:n]), self._line[:n]
-        self.events = []
-        self._begin()
+        xyze, line = frozen(self._xyze[:n].copy()), self._line[:n].copy()
+        self.events, self._first = [], self.index
+        if n:
+            self.last = xyze[-1]  # the buffer is written over
         yield Samples(first, xyze, line, events, ends_stretch=ends_stretch)
