@@ -150,7 +150,7 @@ class IdentificationReport:
             doubt = max(found.fits[name].gain_sd, repeats, CORRECT)
             how = f"{100 * abs(off):.1f} % too {'high' if off > 0.0 else 'low'}"
             if abs(off) <= doubt:
-                how = f"correctly within {100 * doubt:.1f} %"
+                how = f"correctly as far as known (±{100 * doubt:.1f} %)"
             errors.append(f"{how} in {AXIS[name]}")
         return f"reads {', '.join(errors)} (allowed for)"
 

@@ -111,7 +111,7 @@ class Marks:
     def of(self, kind: int) -> Iterator[Mark]:
         """Yield the lines that may be of a kind."""
         table = self.table
-        if len(table) > 16:  # up to so many Python finds faster than numpy
+        if len(table) > 16:  # Python finds shorter tables faster than numpy
             kinds = table[:, KIND]
             table = table[(kinds == kind) | (kinds == OTHERS)]
         for index, start, end, own in table.tolist():

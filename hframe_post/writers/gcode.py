@@ -49,8 +49,8 @@ class GcodeWriter:
 
     strategy: whose command is written; finer: digits of coordinates and F beyond those that a
     print needs. place, offset: x, y, z, e and the user's G92 where this stream continues another;
-    without a place the machine is under the user's limits. steady: see ``Timing``. played: is told
-    the motion, if given.
+    without a place the machine is under the user's limits. steady: see ``Timing``. played: notes
+    the motion.
     """
 
     def __init__(

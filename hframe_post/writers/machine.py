@@ -41,7 +41,7 @@ class Machine:
     """The machine's place, and whether the stream's limits and modes hold.
 
     at: where another stream ended; None: only firmware knows. offset: of G92, while the machine is
-    released. played: is told the motion in x and y, if given.
+    released. played: notes the motion in x and y.
     """
 
     def __init__(

@@ -24,7 +24,7 @@ from tests.simulator import Axis, Chip, Machine, Mode
 STEP = 0.0206  # mm of belt
 MOVING = 199  # its modes move far as the gantry does
 # seeds, s recorded at a place, and the share of the error of the rectangle that is left at most;
-# longer where friction and play, and the figures of linear ones, are told the better for it
+# longer where friction, play and the figures of linear ones show better in it
 DRAWN = [
     (2, 60.0, 0.05), (6, 60.0, 0.1), (1, 60.0, 0.13), (3, 60.0, 0.12), (5, 20.0, 0.03),
     (7, 20.0, 0.04), (19, 20.0, 0.1), (MOVING, 20.0, 0.15),
