@@ -35,11 +35,12 @@ from hframe_post.gcode.lines import Input, Source
 from hframe_post.model.plant import nozzle
 from hframe_post.model.strategies import STRATEGIES
 from hframe_post.model.strategies import strategy as strategy_of
+from hframe_post.native.linear import one_blas_thread
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.predict import contour_error as off_path
 from hframe_post.printer import profile
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.running import one_blas_thread, release_memory
+from hframe_post.process import release_memory
 from hframe_post.writers.outputs import Outputs
 
 if TYPE_CHECKING:

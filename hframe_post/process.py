@@ -1,8 +1,10 @@
-"""Processes: children that end with their parent, signals, and standard streams."""
+"""Processes: children that end with their parent, signals, standard streams, and memory."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import gc
 import io
 import os
 import signal
@@ -19,6 +21,7 @@ from hframe_post.writers.temporary import give_up
 
 CHILD = "HFRAME_POST_CHILD"  # set in the environment of a ChildProcess
 FATAL_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU")
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
 SHOW_CURSOR = b"\x1b[?25h\n"  # progress bars hide it
 
 
@@ -202,3 +205,30 @@ def flush_streams() -> OSError | ValueError | None:
                 null = os.open(os.devnull, os.O_WRONLY)
                 os.dup2(null, stream.fileno())
     return failure
+
+
+def keep_memory() -> None:
+    """Let the allocator keep what this process frees, up to 64 MB, for the next chunk.
+
+    Otherwise it returns each chunk to the system and gets it back page by page. Garbage is
+    collected less often: few of the many objects of a conversion refer to each other in a circle.
+    """
+    gc.freeze()
+    gc.set_threshold(50_000)  # new objects; 700 by default
+    allocate = _c_function("mallopt")
+    if allocate is not None:
+        allocate(M_MMAP_THRESHOLD, 1 << 25)
+        allocate(M_TRIM_THRESHOLD, 1 << 26)
+
+
+def release_memory() -> None:
+    """Return freed memory to the system, which the allocator keeps for this process."""
+    gc.collect()
+    trim = _c_function("malloc_trim")
+    if trim is not None:
+        trim(0)
+
+
+def _c_function(name: str) -> Callable[..., int] | None:
+    """Return a function of glibc; other C libraries do not have it."""
+    return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None

@@ -19,10 +19,10 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import prepared
 from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.model.strategies import Compensator
+from hframe_post.native.linear import one_blas_thread
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.chunks import join
-from hframe_post.stream.running import one_blas_thread
 from hframe_post.stream.types import Samples
 from tests.budgets import (  # noqa: F401
     pytest_runtest_logreport,

@@ -20,8 +20,8 @@ import hframe_post as hp
 from examples.paper import results
 from examples.paper.results import Approximation, Preview, TimeResponse, Widths
 from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.native.linear import one_blas_thread
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.running import one_blas_thread
 
 Row = tuple[str, ...]
 COMPARED = ("", "paper", "ours", "calibrated")  # columns

@@ -29,7 +29,7 @@ from hframe_post.errors import LeftAloneError, one_line
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.lines import Input, lines_of
 from hframe_post.printer.choice import verification_as_text
-from hframe_post.stream.running import keep_memory
+from hframe_post.process import keep_memory
 from hframe_post.writers.outputs import Outputs
 
 # in PrusaSlicer and OrcaSlicer: the slicer's name for the file, which is a temporary one by now

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -30,8 +30,8 @@ from hframe_post.compensation.guard import Guard, check_deviation, check_model
 from hframe_post.compensation.stops import StopModels, dwell_at_stops, stop_rules
 from hframe_post.conversion.ledger import Ledger, SampleNotes
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.spans import Beginning, Spans
 from hframe_post.errors import PrinterError
+from hframe_post.firmware.dialect import NO_ADVANCE, Advance
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
@@ -50,7 +50,7 @@ from hframe_post.printer.settings import Motors, Printer
 from hframe_post.stream.chunks import ended, successive
 from hframe_post.stream.features import Place
 from hframe_post.stream.marks import Marks
-from hframe_post.stream.types import Item, Moves, Passthrough, Planned, Samples
+from hframe_post.stream.types import Item, Moves, Passthrough, Planned, Position, Samples
 from hframe_post.writers.gcode import GcodeWriter, rehearsed
 
 if TYPE_CHECKING:
@@ -169,6 +169,20 @@ def read_ahead(items: Iterator[Item]) -> Iterator[Item]:
     yield from items
 
 
+@dataclass(frozen=True, slots=True)
+class Beginning:
+    """The state of the machine at the beginning of a span.
+
+    place: x, y, z, e in mm; None if the output does not control the machine, as at the start.
+    offset: the user's G92, mm. printing: layer and feature. advance: in force.
+    """
+
+    place: Position | None = None
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    printing: Place = field(default_factory=Place)
+    advance: Advance = NO_ADVANCE
+
+
 class Stages:
     """The stages from planned motion to checked commands, and a ledger of what they did.
 
@@ -218,9 +232,9 @@ class Stages:
         commands = check_deviation(commands, options.strategy, own.plant, own.limits)
         return self._guard.check(commands, options.strategy)
 
-    def whole(self, spans: Spans) -> Iterator[Samples]:
+    def whole(self, spans: Iterable[Iterable[Planned]]) -> Iterator[Samples]:
         """Yield checked commands for a print; the spans continue each other. Raises HframeError."""
-        streams = (self.commands(span.items) for span in spans)
+        streams = map(self.commands, spans)
         return successive(streams if self._chain.printer.plant.bed is None else map(ended, streams))
 
     def compensated(self, samples: Iterable[Samples]) -> Iterator[Samples]:

@@ -19,16 +19,15 @@ from hframe_post.conversion.options import TOLERANCE, Kind, Options, first_line,
 from hframe_post.conversion.pipeline import Chain, Stages, read_ahead
 from hframe_post.conversion.print_report import Report
 from hframe_post.conversion.sliced_errors import SlicedFile
-from hframe_post.conversion.spans import Spans
-from hframe_post.conversion.workers import written
+from hframe_post.conversion.spans import Spans, written
 from hframe_post.errors import HframeError, OptionError, PrinterError
 from hframe_post.firmware.base import Firmware
 from hframe_post.firmware.registry import firmware
 from hframe_post.gcode.limits import with_motors
 from hframe_post.gcode.lines import BINARY
+from hframe_post.native.linear import one_blas_thread
 from hframe_post.printer.profile import check_identified
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.running import one_blas_thread
 from hframe_post.stream.tally import joined
 from hframe_post.stream.types import Samples
 from hframe_post.version import __version__
@@ -85,7 +84,7 @@ class WholeFile:
     def samples(self, strategies: tuple[str, ...] = ()) -> Iterator[Samples]:
         """Yield safe commands of these strategies, by default the options'; note their errors."""
         stages = Stages(self.chain, strategies)
-        yield from stages.predicted(stages.whole(self.spans))
+        yield from stages.predicted(stages.whole(span.items for span in self.spans))
         self.done = stages.ledger()
 
     def rows(self) -> Iterator[Array]:

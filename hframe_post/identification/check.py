@@ -36,8 +36,8 @@ from hframe_post.identification.recordings.folder import CHECK
 from hframe_post.identification.recordings.runs import PlannedRun
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
+from hframe_post.native.linear import one_blas_thread
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.running import one_blas_thread
 from hframe_post.studies.simulation import Study, simulate
 from hframe_post.studies.tuning import rectangle
 

@@ -38,7 +38,7 @@ from hframe_post.identification.places import (
 )
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
-from hframe_post.stream.running import one_blas_thread
+from hframe_post.native.linear import one_blas_thread
 
 KNOWN_START = 1e-3  # s, standard deviation from which a start is not known
 LEAST_CHANGE = 0.02  # relative, that is assumed of a printer that repeats itself

@@ -11,9 +11,9 @@ from hframe_post.conversion.options import Options
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
+from hframe_post.native.linear import one_blas_thread
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.printer.settings import Motors, Printer
-from hframe_post.stream.running import one_blas_thread
 from hframe_post.studies.simulation import SimulationReport, Study, simulate
 from hframe_post.studies.tuning import Trial, recommended, rectangle, tried
 

@@ -19,9 +19,9 @@ import numpy as np
 from hframe_post.arrays import TS, Array, E, Flags, X, Y, Z
 from hframe_post.model.plant import Plant, nozzle
 from hframe_post.model.shapers import AxisShaping, Shaper, Shaping, most_damping
+from hframe_post.native.linear import one_blas_thread
 from hframe_post.prediction.predict import contour_error
 from hframe_post.stream.chunks import stretches
-from hframe_post.stream.running import one_blas_thread
 from hframe_post.stream.types import Samples
 
 Paths = list[tuple[Array, Flags]]  # each (n, 2), mm, and which samples extrude, (n,)

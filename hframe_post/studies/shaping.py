@@ -27,13 +27,13 @@ from hframe_post.model.shapers import (
     compared,
 )
 from hframe_post.model.strategies import STRATEGIES
+from hframe_post.native.linear import one_blas_thread
 from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.best_shaper import Paths, ranked
 from hframe_post.prediction.error_meter import ErrorMeter
 from hframe_post.prediction.predict import quantise
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.running import one_blas_thread
 from hframe_post.writers.gcode import as_written
 from hframe_post.writers.print_time import duration
 

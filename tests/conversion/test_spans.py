@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hframe_post import library
-from hframe_post.conversion import spans, workers
+from hframe_post.conversion import spans
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.spans import Span, Spans
@@ -128,7 +128,7 @@ def test_a_killed_worker_is_an_error(paper: Printer, monkeypatch: pytest.MonkeyP
     def killed(chain: Chain, span: Span) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
-    monkeypatch.setattr(workers, "streamed", killed)
+    monkeypatch.setattr(spans, "streamed", killed)
     with pytest.raises(HframeError, match="jobs 1"):
         converted(layers("cube.gcode", 3), paper, 2)
 

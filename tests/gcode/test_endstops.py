@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from hframe_post.errors import LimitError
-from hframe_post.firmware.marlin.marlin_firmware import Marlin
+from hframe_post.firmware.registry import Marlin
 from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.printer.settings import Travel

@@ -12,8 +12,7 @@ import pytest
 from hframe_post.errors import GcodeError
 from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.firmware.dialect import Dialect
-from hframe_post.firmware.klipper.klipper_firmware import Klipper
-from hframe_post.firmware.marlin.marlin_firmware import Marlin
+from hframe_post.firmware.registry import Klipper, Marlin
 from hframe_post.gcode.commands import uncommented
 from hframe_post.gcode.limits import with_motors
 from hframe_post.gcode.reader import read

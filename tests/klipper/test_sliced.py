@@ -7,9 +7,8 @@ import pytest
 
 from hframe_post.arrays import TS, Array
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Chain, Stages
+from hframe_post.conversion.pipeline import Beginning, Chain, Stages
 from hframe_post.conversion.sliced_errors import SlicedFile
-from hframe_post.conversion.spans import Beginning
 from hframe_post.firmware.registry import firmware
 from hframe_post.planner import sampling
 from hframe_post.planner.lookahead import plan

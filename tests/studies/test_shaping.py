@@ -13,8 +13,7 @@ from hframe_post.compensation.shape import shape
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SHAPED_PIECES, SlicedFile
-from hframe_post.firmware.klipper.klipper_firmware import SHAPERS as KLIPPER
-from hframe_post.firmware.registry import FIRMWARES
+from hframe_post.firmware.registry import FIRMWARES, Klipper
 from hframe_post.model.shapers import AxisShaping, Shaping, most_damping, shaper
 from hframe_post.prediction.best_shaper import Paths, error, guess, quadratic_form, ranked
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
@@ -117,7 +116,7 @@ def test_simulate_compares_input_shapers(tmp_path: Path) -> None:
         assert rms[name] == predicted["rms"]
     assert list(rms.values()) == sorted(rms.values())
     assert set(list(rms)[:2]) == {"racking", "live"}  # the same model in both
-    for name in KLIPPER:  # searched on this very path
+    for name in Klipper.shapers:  # searched on this very path
         assert rms[name] < rms["none"]
     times = {each["name"]: each["print_time_s"] for each in compared}
     assert times["none"] <= min(times.values())

@@ -5,8 +5,7 @@ import pytest
 
 from hframe_post.arrays import TS, Array, Integers
 from hframe_post.errors import HframeError
-from hframe_post.firmware.klipper.klipper_firmware import Klipper
-from hframe_post.firmware.registry import firmware
+from hframe_post.firmware.registry import Klipper, firmware
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.marks import Mark, Marks

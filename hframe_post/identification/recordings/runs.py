@@ -35,9 +35,8 @@ import numpy as np
 from hframe_post.arrays import TS, Array, Integers, X, Y, Z
 from hframe_post.errors import HframeError, LimitError, PrinterError
 from hframe_post.firmware.code import plain
-from hframe_post.firmware.klipper.klipper_firmware import Klipper
 from hframe_post.firmware.klipper.klipper_stream import KlipperCode, KlipperMotion, stream_limits
-from hframe_post.firmware.registry import firmware
+from hframe_post.firmware.registry import Klipper, firmware
 from hframe_post.gcode.commands import STAMP
 from hframe_post.printer.firmware_tables import RECORDED, USUAL_CHIP
 from hframe_post.printer.settings import VELOCITY_HEADROOM, Printer
