@@ -77,8 +77,8 @@ class Limits:
     def __post_init__(self) -> None:
         if not self.jerk:
             # a ramp takes 1 ms at 10 000 mm/s², and less above: the moves of fast printers are
-            # short. With 1e7, slices for 20 000 mm/s² took up to 5.0 % longer, now up to 3.0 %
-            object.__setattr__(self, "jerk", max(1e7, self.acceleration**2 / 10.0))
+            # short. With 1e7, slices for 20 000 mm/s² took up to 5.0 % longer
+            object.__setattr__(self, "jerk", 1e7 * max(1.0, self.acceleration / 1e4) ** 3)
         ramps = {
             "acceleration": self.velocity / self.acceleration + self.acceleration / self.jerk,
             "z_acceleration": self.z_velocity / self.z_acceleration,
