@@ -1,6 +1,6 @@
 """What has drifted since a profile was identified, by 20 s of strokes.
 
-The first part of a run is regressed as `identify` does it. The rest is not fitted, but judges: the
+The first half of a run is regressed as `identify` does it. The rest is not fitted, but judges: the
 profile changes only if the new response foresees it better. It changes to the response of the whole
 run, which halves the error of the lag. Both axes change together, since their recordings tell a
 delay of motors and drivers that the old ones may not.
@@ -42,10 +42,7 @@ from hframe_post.studies.simulation import Study, simulate
 from hframe_post.studies.tuning import rectangle
 
 SECONDS = 20.0
-FITTED = 0.7  # of the motion; the rest judges
-RESTS = 300  # samples between figures, at least
 BAND_HZ = (3.0, 100.0)
-JUDGED_HZ = (6.0, 100.0)
 PEAK_HZ = np.arange(15.0, 120.0, 0.05)  # in which the main resonance is
 SAME_DELAY = 0.3  # samples: damping of a mode that drifts makes up to 0.2
 CHANGED = 0.02  # share of the response, from which it has changed: motor steps make up to 0.01
@@ -149,10 +146,10 @@ def _split(
     found = run.aligned()
     u, a = found.command, found.acceleration @ run.own_axes()
     moving = np.flatnonzero((np.diff(run.command, axis=0) != 0.0).any(axis=1))
-    again = moving[1:][np.diff(moving) > RESTS]
+    again = moving[1:][np.diff(moving) >= strokes.RESTS[0]]
     if not len(again):
         raise IdentificationError("not a run of 'hframe-post measure --for check'")
-    end = int(again[np.argmin(np.abs(again - FITTED * len(u)))])
+    end = int(again[np.argmin(np.abs(again - len(u) // 2))])
     whole, part = (Spectra.of(u[:n], a[:n]).responses(BAND_HZ) for n in (len(u), end))
     return {
         axis: (whole[k][axis], part[k][axis], (u[end:, k], a[end:, axis]))
@@ -184,7 +181,7 @@ def _foreseen(G: ImpulseResponse, unseen: tuple[Array, Array]) -> FrequencyRespo
 def _whole_record(u: Array, y: Array) -> FrequencyResponse:
     """Return the response of y (n,) to u (n,) at 1 kHz, from the spectra of the whole record."""
     hz = rfftfreq(len(u), TS)
-    judged = (hz >= JUDGED_HZ[0]) & (hz <= JUDGED_HZ[1])
+    judged = (hz >= BAND_HZ[0]) & (hz <= BAND_HZ[1])
     U, Y = (rfft(values)[judged] for values in (u, y))
     return FrequencyResponse(hz[judged], Y / U, np.ones(len(U)), np.abs(U) ** 2)
 

@@ -30,7 +30,6 @@ from hframe_post.identification.estimation.measured import (
 from hframe_post.identification.estimation.response import fit_known_start, fit_unknown_start
 from hframe_post.identification.places import (
     DAY_TO_DAY,
-    MOST,
     SAME_PLACE,
     at_the_middle,
     changes,
@@ -76,7 +75,7 @@ class Identified:
     def model_error(self) -> float:
         """Return the uncertainty of the model; what changes from day to day is assumed, unless
         every axis was recorded more than once."""
-        shares = [min(share / BY_SHIFT, MOST) for share in self.repetitions.values()]
+        shares = [share / BY_SHIFT for share in self.repetitions.values()]
         known = self.repetitions.keys() >= set(self.axes)
         return max([LEAST_CHANGE if known else DAY_TO_DAY, *shares])
 

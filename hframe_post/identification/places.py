@@ -29,7 +29,6 @@ from hframe_post.identification.estimation.response import fit_racking
 from hframe_post.identification.recordings.runs import NEAREST
 
 DAY_TO_DAY = 0.05  # relative change of a printer as belts, bearings and temperature change
-MOST = 0.2  # a model that scatters by more is wrong in another way
 SAME_PLACE = 5.0  # mm
 
 
@@ -47,7 +46,9 @@ def at_the_middle(places: Sequence[tuple[float, FrequencyResponse]]) -> Frequenc
 
 
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions
-NOISE = 2.5  # least power of racking per that of its noise; without racking 0.9 to 2.0 are seen
+# least power of racking, or of what is off the line, per that of its noise; without racking 0.9 to
+# 2.0 are seen
+NOISE = 2.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +124,9 @@ class LineOverPlaces:
 
     slope: Gxθ (rad/mm). middle: the mean place, mm. at_middle (k,): H_y there.
     off: RMS deviation of the places from the line, relative to the part that varies with the
-    place; beyond_noise: the same without the part that noise explains. over_noise: power of the
-    slope over that of its noise. by_place: each place (mm), and the slope from it alone.
+    place; beyond_noise: the same without the part that noise explains, 0 if it may explain all.
+    over_noise: power of the slope over that of its noise. by_place: each place (mm), and the slope
+    from it alone.
     """
 
     slope: FrequencyResponse
@@ -166,7 +168,7 @@ def line(places: Sequence[float], responses: Sequence[FrequencyResponse]) -> Lin
         middle,
         at_middle,
         float(np.sqrt(off_line)),
-        float(np.sqrt(max(off_line - by_noise, 0.0))),
+        float(np.sqrt(off_line - by_noise)) if off_line > NOISE * by_noise else 0.0,
         float((power * np.abs(slope) ** 2).sum() / max(slope_noise, np.finfo(float).tiny)),
         [
             (place, response((h - at_middle) / a, n / a**2))

@@ -14,6 +14,11 @@ from hframe_post.identification.estimation.frequency_response import (
     average,
     spread,
 )
+from hframe_post.identification.estimation.measured import (
+    Measured,
+    MeasurementSettings,
+    RunResponse,
+)
 from hframe_post.identification.estimation.regression import (
     Data,
     Decay,
@@ -22,7 +27,7 @@ from hframe_post.identification.estimation.regression import (
     ringing,
 )
 from hframe_post.identification.estimation.response import estimated
-from hframe_post.identification.places import centre, line
+from hframe_post.identification.places import centre, find_racking, line
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.printer.settings import Printer
 from tests.plants import Filter, all_of_them, at, axis_mode, resonant, sweep
@@ -221,6 +226,12 @@ def test_exchanged_places_are_off_the_line(paper: Printer) -> None:
     responses = [response(H) for H in responses_across(paper, 140.0, 0.0)]
     responses[0], responses[4] = responses[4], responses[0]
     assert line(PLACES, responses).off > 1.0
+    runs = [
+        RunResponse(at, flat(1.0).within(BAND), one)
+        for at, one in zip(PLACES, responses, strict=True)
+    ]
+    with pytest.raises(IdentificationError, match="files of two places exchanged"):
+        find_racking(Measured.of(runs), {}, MeasurementSettings(BAND))
 
 
 def test_noise_of_the_slope_follows_from_that_of_the_places(paper: Printer) -> None:
@@ -231,8 +242,10 @@ def test_noise_of_the_slope_follows_from_that_of_the_places(paper: Printer) -> N
     off = []
     for _ in range(20):
         errors = rng.normal(0.0, np.sqrt(noise / 2.0), (len(PLACES), len(HZ), 2)) @ [1.0, 1.0j]
-        slope = line(PLACES, [response(H + e) for H, e in zip(clean, errors, strict=True)]).slope
-        off.append(np.abs(slope.H - true) ** 2)
+        shown = [response(H + e, noise) for H, e in zip(clean, errors, strict=True)]
+        one = line(PLACES, shown)
+        assert one.off > 0.0 == one.beyond_noise, "what noise explains is no exchange"
+        off.append(np.abs(one.slope.H - true) ** 2)
     fitted = line(PLACES, [response(H, noise) for H in clean]).slope
     expected = (1.0 / fitted.coherence - 1.0) * np.abs(fitted.H) ** 2
     assert np.mean(off) == pytest.approx(np.mean(expected), rel=0.1)

@@ -27,7 +27,7 @@ MOVING = 199  # its modes move far as the gantry does
 # longer where friction, play and the figures of linear ones show better in it
 DRAWN = [
     (2, 60.0, 0.05), (6, 60.0, 0.1), (1, 60.0, 0.13), (3, 60.0, 0.12), (5, 20.0, 0.03),
-    (7, 20.0, 0.04), (19, 20.0, 0.1), (MOVING, 20.0, 0.15),
+    (7, 20.0, 0.04), (11, 20.0, 0.04), (19, 20.0, 0.1), (MOVING, 20.0, 0.15),
 ]  # fmt: skip
 PLACES = (80.0, 110.0, 140.0, 170.0, 200.0)  # mm of x, of an H-bot that racks
 

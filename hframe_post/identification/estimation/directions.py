@@ -35,7 +35,6 @@ from hframe_post.identification.recordings.clock import (
 
 EXCITED = 0.1  # of a test's usual power, from which a frequency counts as excited
 LATEST_GAP_HZ = 30.0  # at which a test begins at the latest
-LEAST_HZ = 8.0  # to which a test lasts at least; slow sweeping lies below
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +92,7 @@ def _excited(hz: Array, power: Array) -> Flags:
     step = float(hz[1] - hz[0])
     level = power / np.square(hz)
     steady = median_filter(level, max(round(2.0 / step), 1), mode="nearest")
-    usual = float(np.median(level[steady > EXCITED * steady[hz > LEAST_HZ].max(initial=0.0)]))
+    usual = float(np.median(level[steady > EXCITED * steady[~middle].max(initial=0.0)]))
     inside = ~middle & (steady > EXCITED * usual)
     if not inside.any():
         raise IdentificationError(f"the motion excites nothing above {LATEST_GAP_HZ:g} Hz")
