@@ -283,11 +283,12 @@ POLES = 0.5 * (_ROOTS + np.sqrt(_ROOTS**2 - 4.0))
 class CoarseFilter:
     """An impulse response applied to pieces of an input, at half the rate.
 
-    past, ahead: samples of the input that are needed before a sample and after it.
+    taps (m,): of its bells, the oldest first. past, ahead: samples of the input that are needed
+    before a sample and after it.
     """
 
     def __init__(self, G: ImpulseResponse) -> None:
-        self._rest, self._lag = G.rest, G.lag
+        self.rest, self.lag = G.rest, G.lag
         decided = 20  # bells on either side of a sample; the next would count for a millionth
         before = 2 * (decided + (G.lead + 1) // 2)  # samples of the curve before the pulse
         begin = before - G.lead
@@ -297,20 +298,15 @@ class CoarseFilter:
         for pole in POLES:
             weights = pole ** np.abs(np.arange(-decided, decided + 1)) / (pole - 1.0 / pole)
             bells = np.convolve(bells, weights, "same")
-        self._taps = np.ascontiguousarray(64.0 * bells[::-1])
+        self.taps = np.ascontiguousarray(64.0 * bells[::-1])
         self.ahead = before + 3
-        self.past = max(2 * len(bells), self.ahead) + 4 - self.ahead
+        self.past = 2 * len(bells) + 4 - self.ahead
 
     def output(self, u: Array, first: int, n: int, every: int) -> Array:
-        """Return the output at every n-th (``every``) of n samples from the ``first`` one of u on.
+        """Return the output at every n-th (``every``, even) of n samples of u, from first on.
 
-        u has ``past`` samples before these and ``ahead`` after them. An odd ``every`` takes both
-        halves of the input.
+        u has ``past`` samples before these and ``ahead`` after them.
         """
-        if every % 2:
-            y = np.empty(-(-n // every))
-            for k in range(min(2, len(y))):
-                y[k::2] = self.output(u, first + k * every, n - k * every, 2 * every)
-            return y
-        known = u[first - self.past : first + n + self.ahead]
-        return coarse_filter(self._taps, known, n, self.ahead, self._rest, self._lag, every)
+        count = -(-n // every)
+        own = self.taps, self.ahead, self.rest, self.lag
+        return coarse_filter(*own, u, first, count, every)

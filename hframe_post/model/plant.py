@@ -16,7 +16,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, X, Y, moved
 from hframe_post.errors import ArgumentError
-from hframe_post.model.impulse_response import CoarseFilter, FiniteFilter, ImpulseResponse
+from hframe_post.model.impulse_response import FiniteFilter, ImpulseResponse
 from hframe_post.model.transfer_function import TransferFunction
 
 HEAVIER = 0.005  # step of the logarithm of a bed's mass; frequencies follow within 0.13 %
@@ -178,30 +178,3 @@ def nozzle(plant: Plant, origin: Array, command: Array) -> Array:
     response = Response(plant, origin)
     following = np.pad(command, ((0, response.late), (0, 0)), mode="edge")
     return response.run(following)[response.late :]
-
-
-class Nozzle:
-    """A plant's nozzle in pieces of commands, at half the rate.
-
-    past, ahead: samples of a command that a piece needs before it and after it.
-    """
-
-    def __init__(self, plant: Plant) -> None:
-        self._racking = plant.racking
-        self._filters = [CoarseFilter(G) for G in plant.responses]
-        self.past = max(f.past for f in self._filters)
-        self.ahead = max(f.ahead for f in self._filters)
-
-    def at(self, command: Array, n: int, every: int) -> Array:
-        """Return the nozzle's x, y at every n-th (``every``) of n samples.
-
-        command (past + n + ahead, 2).
-        """
-        u = np.ascontiguousarray(command.T)
-        axes = (X, Y, X)[: len(self._filters)]
-        found = zip(self._filters, axes, strict=True)
-        x, y, *theta = (f.output(u[axis], self.past, n, every) for f, axis in found)
-        place = np.column_stack([x, y])
-        if self._racking:
-            place[:, Y] += self._racking.lever(place) * theta[0]
-        return place

@@ -60,6 +60,7 @@ void *new_array(struct call *call, int k, const char *type, int64_t rows, int64_
 #define NEW_PLACES(k, n) ((int64_t *)new_array(call, k, "i8", n, COLUMNS, ALL))
 #define NEW_FLAGS(k, n) ((uint8_t *)new_array(call, k, "?", n, -1, ALL))
 #define UP_TO_FLOATS(k, n) ((double *)new_array(call, k, "f8", n, -1, UP_TO_RESULT)) /* cut to the result */
+#define UP_TO_ROWS(k, n, columns) ((double *)new_array(call, k, "f8", n, columns, UP_TO_RESULT))
 #define UP_TO_INTEGERS(k, n) ((int64_t *)new_array(call, k, "i8", n, -1, UP_TO_RESULT))
 #define UP_TO_FLAGS(k, n) ((uint8_t *)new_array(call, k, "?", n, -1, UP_TO_RESULT))
 #define ROOM(k, n) ((double *)new_array(call, k, "f8", n, -1, ROOM_ONLY)) /* for the loop alone */

@@ -70,39 +70,50 @@ LOOP(finite_filter, FLOATS(0, COUNT(1)), WITHIN(1, 1, MOST_ITEMS), FLOATS(2, COU
      WITHIN(3, COUNT(7) + greater(COUNT(1), WITHIN(4, 0, MOST_FEW)) + 1, MOST_ITEMS), WITHIN(4, 0, MOST_FEW),
      REAL(5), REAL(6), COUNT(7), OUT_FLOATS(8, COUNT(7) + COUNT(1)), OUT_FLOATS(9, COUNT(7)))
 
-/* The same at half the rate, in single precision: output y (count) at every 2·groups-th of the last n
- * samples. taps (m): two samples apart, of accelerations over two samples of the input's means
- * (1, 2, 1)/4, halved. Both are taken in groups, in each of which they follow each other. room
- * (count + 2·m): of both for one group. */
-static int64_t coarse_filter(const double *taps, int64_t m, const double *u, int64_t h, int64_t n,
-                             int64_t late, double rest, double lag, int64_t count, int64_t groups,
-                             float *room, double *y)
+struct coarse { /* a response at half the rate: see model/impulse_response.py */
+    const double *taps; /* m, two samples apart, the oldest first */
+    int64_t m, late;
+    double rest, lag;
+};
+
+/* Output y (count) at every 2·groups-th sample from u[0] on, in single precision: of accelerations over two
+ * samples of the input's means (1, 2, 1)/4, halved, then rest times the input, less its speed times lag.
+ * Taps and accelerations are taken in groups, in each of which they follow each other. room (count + m). */
+static void filter_coarsely(struct coarse of, const double *u, int64_t count, int64_t groups, float *room,
+                            double *y)
 {
-    const double *from = u + h - n - 2 * m - 4, *then = u + h - n - late;
+    const double *from = u + of.late - 2 * of.m - 4;
     for (int64_t i = 0; i < count; i++) {
-        const double *at = then + 2 * groups * i;
-        y[i] = rest * at[0] - 0.5 * lag * (at[0] - at[-2]);
+        const double *at = u + 2 * groups * i;
+        y[i] = of.rest * at[0] - 0.5 * of.lag * (at[0] - at[-2]);
     }
-    for (int64_t group = 0; group < groups && group < m; group++) {
-        int64_t own = (m - group + groups - 1) / groups;
+    for (int64_t group = 0; group < groups && group < of.m; group++) {
+        int64_t own = (of.m - group + groups - 1) / groups;
         const double *now = from + 2 * group;
         float *factors = room, *a = room + own;
         for (int64_t i = 0; i < own; i++)
-            factors[i] = (float)taps[group + groups * i];
+            factors[i] = (float)of.taps[group + groups * i];
         for (int64_t i = 0; i < count + own - 1; i++, now += 2 * groups)
             a[i] = (float)(0.25 * ((now[5] - now[3]) - (now[3] - now[1])) +
                            0.125 * (((now[4] - now[2]) - (now[2] - now[0])) +
                                     ((now[6] - now[4]) - (now[4] - now[2]))));
         add_single_sums(factors, own, a, count, y);
     }
+}
+
+static int64_t coarse_filter(const double *taps, int64_t m, int64_t late, double rest, double lag,
+                             const double *u, int64_t first, int64_t count, int64_t every, double *y,
+                             double *room)
+{
+    struct coarse of = {taps, m, late, rest, lag};
+    filter_coarsely(of, u + first, count, every / 2, (float *)room, y);
     return count;
 }
 
-LOOP(coarse_filter, FLOATS(0, COUNT(1)), WITHIN(1, 1, MOST_FEW), FLOATS(2, COUNT(3)),
-     WITHIN(3, COUNT(4) + greater(2 * COUNT(1), WITHIN(5, 0, MOST_FEW)) + 4, MOST_ITEMS),
-     WITHIN(4, 1 + (COUNT(8) - 1) * 2 * FEW(9), MOST_ITEMS), WITHIN(5, 0, MOST_FEW), REAL(6), REAL(7),
-     COUNT(8), WITHIN(9, 1, MOST_FEW), (float *)OUT_FLOATS(10, COUNT(8) / 2 + COUNT(1) + 1),
-     OUT_FLOATS(11, COUNT(8)))
+LOOP(coarse_filter, FLOATS(0, 1), BOUNDED(0, ITEMS(0), 1, MOST_FEW), WITHIN(1, 0, 2 * ITEMS(0)), REAL(2),
+     REAL(3), FLOATS(4, WITHIN(5, 0, MOST_ITEMS) + FEW(1) + FEW(7) * (COUNT(6) - 1) + 1),
+     WITHIN(5, 2 * ITEMS(0) + 4 - FEW(1), MOST_ITEMS), COUNT(6), WITHIN(7, 2, MOST_FEW),
+     NEW_FLOATS(0, COUNT(6)), ROOM(1, (COUNT(6) + ITEMS(0)) / 2 + 1))
 
 LOOP(sliding_sums, FLOATS(0, COUNT(1)), COUNT(1), FLOATS(2, COUNT(1) - 1 + COUNT(3)), COUNT(3),
      OUT_FLOATS(4, COUNT(3)))
@@ -141,23 +152,27 @@ INSIDE struct vector from_segment(struct path path, struct vector a, int64_t p, 
 
 /* Return the sample nearest to the point: try some around ``at``, then the neighbours of the best.
  * inside: whether the path has all of these samples; a constant, so that most calls need no bounds. */
-INSIDE int64_t nearest(struct path path, struct vector a, int64_t at, int64_t reach, int inside)
+INSIDE int64_t nearest(struct path path, struct vector a, int64_t at, int inside)
 {
-    enum { COARSE = 3 }; /* samples from one candidate to the next in the first search */
-    int64_t found = at - reach, best_k = 0;
-    double best = INFINITY;
-    for (int64_t k = at - reach; k <= at + reach; k += COARSE) {
-        double distance2 = square(from_sample(path, a, inside ? k : within(k, path.n)));
-        if (distance2 < best)
-            best = distance2, found = k;
+    enum { COARSE = 3, TRIED = 2 * NEAREST / COARSE + 1 }; /* samples from one to the next; how many */
+    int64_t found = at - NEAREST, best_k = 0;
+    double distance2[TRIED], best = INFINITY;
+    for (int i = 0; i < TRIED; i++) {
+        int64_t k = at - NEAREST + COARSE * i;
+        distance2[i] = square(from_sample(path, a, inside ? k : within(k, path.n)));
+    }
+    for (int i = 0; i < TRIED; i++) {
+        int nearer = distance2[i] < best;
+        best = nearer ? distance2[i] : best;
+        found = nearer ? at - NEAREST + COARSE * i : found;
     }
     int64_t candidates[] = {found - 1, found, found + 1, at - 1, at, at + 1};
     best = INFINITY;
     for (int i = 0; i < 6; i++) {
         int64_t k = inside ? candidates[i] : within(candidates[i], path.n);
-        double distance2 = square(from_sample(path, a, k));
-        if (distance2 < best)
-            best = distance2, best_k = k;
+        double square_of = square(from_sample(path, a, k));
+        if (square_of < best)
+            best = square_of, best_k = k;
     }
     return best_k;
 }
@@ -181,37 +196,34 @@ static int64_t count_turns(const double *places, int64_t columns, int64_t n, int
     return n;
 }
 
-LOOP(count_turns, FLOATS(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2),
-     OUT_INTEGERS(3, COUNT(2) + 1))
+/* Return the way to a point from the path near its sample ``at``. */
+static struct vector way_off(struct path path, const int64_t *turns, struct vector a, int64_t at)
+{
+    int64_t low = within(at - NEAREST, path.n), high = within(at + NEAREST, path.n);
+    if (turns[high] == turns[low + 1])
+        return from_segment(path, a, low, high);
+    int inside = at > NEAREST && at < path.n - NEAREST - 1;
+    int64_t k = inside ? nearest(path, a, at, 1) : nearest(path, a, at, 0);
+    struct vector before = from_segment(path, a, k, within(k - 1, path.n));
+    struct vector after = from_segment(path, a, k, within(k + 1, path.n));
+    return square(before) < square(after) ? before : after;
+}
 
-/* nozzle (m, width): x and y first, at samples first, first + apart, … of the path; at (count): which of
- * these to judge; off (count): the way to the nozzle from the path. */
-static int64_t deviation(const double *places, int64_t columns, int64_t n, const int64_t *turns,
-                         const double *nozzle, int64_t width, int64_t m, int64_t first,
-                         int64_t apart, const int64_t *at, int64_t count, int64_t reach, struct vector *off)
+/* Distances (count) of the nozzle (n) from the path at samples at (count). */
+static int64_t distances(const double *places, int64_t columns, int64_t n, const struct vector *nozzle,
+                         const int64_t *at, int64_t count, double *distance, double *room)
 {
     struct path path = {places, columns, n};
-    for (int64_t i = 0; i < count; i++) {
-        const double *point = nozzle + width * within((at[i] - first) / apart, m);
-        struct vector a = {point[X], point[Y]};
-        int64_t low = within(at[i] - reach, n), high = within(at[i] + reach, n);
-        if (turns[high] == turns[low + 1]) {
-            off[i] = from_segment(path, a, low, high);
-            continue;
-        }
-        int inside = at[i] > reach && at[i] < n - reach - 1;
-        int64_t k = inside ? nearest(path, a, at[i], reach, 1) : nearest(path, a, at[i], reach, 0);
-        struct vector before = from_segment(path, a, k, within(k - 1, n));
-        struct vector after = from_segment(path, a, k, within(k + 1, n));
-        off[i] = square(before) < square(after) ? before : after;
-    }
+    int64_t *turns = (int64_t *)room;
+    count_turns(places, columns, n, turns);
+    for (int64_t i = 0; i < count; i++)
+        distance[i] = sqrt(square(way_off(path, turns, nozzle[at[i]], at[i])));
     return count;
 }
 
-LOOP(deviation, FLOATS(0, COUNT(1) * COUNT(2)), WITHIN(1, 2, MOST_FEW), COUNT(2),
-     INTEGERS(3, COUNT(2) + 1), FLOATS(4, COUNT(5) * COUNT(6)), WITHIN(5, 2, MOST_FEW),
-     WITHIN(6, COUNT(10) > 0, MOST_ITEMS), WHOLE(7), WITHIN(8, 1, MOST_FEW),
-     INDICES(9, COUNT(10), 0, COUNT(2)), COUNT(10), FEW(11), (struct vector *)OUT_FLOATS(12, 2 * COUNT(10)))
+LOOP(distances, FLOATS(0, 0), BOUNDED(0, WIDTH(0), 2, MOST_FEW), ROWS(0),
+     (const struct vector *)FLOATS(1, 2 * ROWS(0)), INDICES(2, ITEMS(2), 0, ROWS(0)), ITEMS(2),
+     NEW_FLOATS(0, ITEMS(2)), ROOM(1, ROWS(0) + 1))
 
 /* ends (k), ascending, and places at (k) there: write where the segments between them are at those of
  * samples first … first + n − 1 that are in them, but at the first end. */
@@ -234,13 +246,13 @@ static int64_t play(const int64_t *ends, const struct vector *at, int64_t k, int
 LOOP(play, INTEGERS(0, COUNT(2)), (const struct vector *)FLOATS(1, 2 * COUNT(2)), COUNT(2), WHOLE(3),
      COUNT(4), (struct vector *)OUT_FLOATS(5, 2 * COUNT(4)))
 
-/* xyze (n, 4). Note at which samples the path moves, of every n-th from ``first`` on, and whether it
- * extrudes there; return their number. at, extruding (n): room. */
-static int64_t moving(const double *xyze, int64_t n, int64_t first, int64_t every, int64_t *at,
+/* Note at which samples before ``stop`` the path xyze moves, of every n-th from ``first`` on, and whether
+ * it extrudes there; return their number. */
+static int64_t moving(const double *xyze, int64_t stop, int64_t first, int64_t every, int64_t *at,
                       uint8_t *extruding)
 {
     int64_t count = 0;
-    for (int64_t k = first; k < n; k += every) {
+    for (int64_t k = first; k < stop; k += every) {
         const double *now = xyze + COLUMNS * k, *before = k > 0 ? now - COLUMNS : now;
         if (now[X] != before[X] || now[Y] != before[Y]) {
             extruding[count] = now[E] > before[E];
@@ -250,8 +262,82 @@ static int64_t moving(const double *xyze, int64_t n, int64_t first, int64_t ever
     return count;
 }
 
-LOOP(moving, FLOATS(0, COLUMNS * COUNT(1)), COUNT(1), COUNT(2),
-     WITHIN(3, 1, MOST_ITEMS), OUT_INTEGERS(4, COUNT(1)), OUT_BYTES(5, COUNT(1)))
+static int64_t numbers_of(int64_t from, int64_t stop, int64_t step)
+{
+    return stop > from && step > 0 ? (stop - from + step - 1) / step : 0;
+}
+
+struct piece { /* of a command (n): samples begin, begin + apart, … before ``stop`` */
+    const struct vector *command;
+    int64_t n, begin, stop, apart;
+};
+
+/* Write the output of a response to one coordinate of a command, two apart, at the samples of a piece; room:
+ * see judge_window. */
+static void respond(struct coarse of, struct piece piece, int axis, double *y, double *room)
+{
+    int64_t past = of.late < 2 * of.m ? 2 * of.m + 4 - of.late : 4;
+    int64_t size = past + (piece.stop - piece.begin) + of.late;
+    int64_t halves = piece.apart % 2 ? 2 : 1, step = halves * piece.apart;
+    double *u = room, *some = u + size;
+    for (int64_t i = 0; i < size; i++) { /* before the first and after the last sample it rests */
+        const struct vector *at = piece.command + within(piece.begin - past + i, piece.n);
+        u[i] = axis == X ? at->x : at->y;
+    }
+    for (int64_t half = 0; half < halves; half++) { /* of an odd step, every second output */
+        int64_t count = numbers_of(piece.begin + half * piece.apart, piece.stop, step);
+        filter_coarsely(of, u + past + half * piece.apart, count, step / 2, (float *)(some + count), some);
+        for (int64_t i = 0; i < count; i++)
+            y[2 * (half + halves * i)] = some[i];
+    }
+}
+
+/* xyze (n, 4), commands (strategies, n). Responses of x, of y and, if there are three, of racking: counts of
+ * taps, how many samples late, gain at rest and lag of each. Write where the path moves (k) and extrudes;
+ * the nozzle (strategies, samples from begin on, apart); the ways to it from the path and their lengths (k,
+ * strategies). */
+static int64_t judge_window(const double *xyze, int64_t n, const struct vector *commands, int64_t strategies,
+                            const double *taps, const int64_t *counts, const int64_t *late,
+                            const double *gains, int64_t responses, double x_c, int64_t first, int64_t begin,
+                            int64_t stop, int64_t every, int64_t apart, int64_t *at, uint8_t *extruding,
+                            struct vector *nozzle, struct vector *off, double *error, double *room)
+{
+    struct path path = {xyze, COLUMNS, n};
+    int64_t k = moving(xyze, stop, first, every, at, extruding), m = numbers_of(begin, stop, apart);
+    int64_t *turns = (int64_t *)room;
+    double *theta = room + n + 1;
+    if (n == 0)
+        return 0;
+    count_turns(xyze, COLUMNS, n, turns);
+    for (int64_t s = 0; s < strategies; s++, nozzle += m, commands += n) {
+        struct piece piece = {commands, n, begin, stop, apart};
+        const double *own = taps;
+        for (int64_t r = 0; r < responses && m > 0; own += counts[r++]) {
+            struct coarse of = {own, counts[r], late[r], gains[2 * r], gains[2 * r + 1]};
+            respond(of, piece, r == 1 ? Y : X, r < 2 ? &nozzle->x + r : theta, theta + 2 * m);
+        }
+        for (int64_t i = 0; i < m && responses > 2; i++)
+            nozzle[i].y += (nozzle[i].x - x_c) * theta[2 * i];
+        for (int64_t i = 0; i < k; i++) {
+            struct vector way = way_off(path, turns, nozzle[(at[i] - begin) / apart], at[i]);
+            off[strategies * i + s] = way;
+            error[strategies * i + s] = sqrt(square(way));
+        }
+    }
+    return k;
+}
+
+#define WINDOW_N (ITEMS(0) / COLUMNS)
+#define WINDOW_M numbers_of(COUNT(8), COUNT(9), FEW(11))
+#define WINDOW_K numbers_of(COUNT(7), COUNT(9), FEW(10))
+
+LOOP(judge_window, FLOATS(0, 0), WINDOW_N, (const struct vector *)FLOATS(1, 2 * ROWS(1) * WINDOW_N), ROWS(1),
+     FLOATS(2, 0), PARTS(3, BOUNDED(3, ITEMS(3), 2, 3), ITEMS(2)), INDICES(4, ITEMS(3), 0, 2 * ITEMS(2)),
+     FLOATS(5, 2 * ITEMS(3)), ITEMS(3), REAL(6), COUNT(7), WITHIN(8, 0, COUNT(7)), WITHIN(9, 0, WINDOW_N),
+     WITHIN(10, 1, MOST_FEW), WITHIN(11, 1, MOST_FEW), UP_TO_INTEGERS(0, WINDOW_K), UP_TO_FLAGS(1, WINDOW_K),
+     (struct vector *)NEW_FLOATS(2, 2 * ROWS(1) * WINDOW_M),
+     (struct vector *)UP_TO_ROWS(3, WINDOW_K, 2 * ROWS(1)), UP_TO_ROWS(4, WINDOW_K, ROWS(1)),
+     ROOM(5, 3 * WINDOW_N + 4 * WINDOW_M + 6 * ITEMS(2) + 16))
 
 struct sums { /* way of the nozzle, filament laid, filament wanted */
     double way, laid, wanted;

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hframe_post.arrays import TS, Array, Flags, Integers, X, Y
-from hframe_post.native import kernels
+from hframe_post.arrays import TS, Array, Flags, Integers
+from hframe_post.native import compiled, kernels
 
 
 def finite_filter(taps: Array, u: Array, n: int, late: int, rest: float, lag: float) -> Array:
@@ -20,19 +20,16 @@ def finite_filter(taps: Array, u: Array, n: int, late: int, rest: float, lag: fl
     return y
 
 
+@compiled
 def coarse_filter(
-    taps: Array, u: Array, n: int, late: int, rest: float, lag: float, every: int
+    taps: Array, late: int, rest: float, lag: float, u: Array, first: int, count: int, every: int, /
 ) -> Array:
-    """Return the output of a filter at every n-th (``every``, even) of u's last n samples.
+    """Return the output (count,) of a filter at every n-th (``every``, even) sample from first on.
 
-    taps (m,): by acceleration over two samples, that of the oldest first. u (h,): h is at least
-    n + 4 + the greater of 2·m and ``late``. Single precision misses a deviation by a millionth.
+    taps (m,): by acceleration over two samples, that of the oldest first, which comes ``late``
+    samples after its output. u (h,) has 2·m + 4 − late samples before the first and ``late`` after
+    the last output. Single precision misses a deviation by a millionth.
     """
-    y = np.empty(-(-n // every))
-    room = np.empty(len(y) // 2 + len(taps) + 1)
-    filtered = taps, len(taps), u, len(u), n, late, rest, lag
-    kernels.coarse_filter(*filtered, len(y), every // 2, room, y)
-    return y
 
 
 def sliding_sums(factors: Array, u: Array) -> Array:
@@ -43,43 +40,32 @@ def sliding_sums(factors: Array, u: Array) -> Array:
 
 
 # ----------------------------------------------------------------------
-# The way from a path to the nozzle.
+# The way from a path to the nozzle. The path counts within NEAREST samples of each. Where it is a
+# straight line, the distance is that to the line; elsewhere the nearest sample is found first, then
+# the nearer of the two segments that meet there.
 
 
-def count_turns(path: Array) -> Integers:
-    """Return how many samples of a path (p, ≥2) before each change its direction, (p + 1,)."""
-    turns = np.zeros(len(path) + 1, np.int64)
-    kernels.count_turns(path, path.shape[1], len(path), turns)
-    return turns
+@compiled
+def distances(path: Array, nozzle: Array, at: Integers, /) -> Array:
+    """Return the distance (k,) of the nozzle (p, 2) to a path (p, ≥2) at samples ``at`` (k,)."""
 
 
-def deviation(
-    path: Array, turns: Integers, nozzle: Array, first: int, apart: int, at: Integers, reach: int
-) -> Array:
-    """Return the shortest way (k, 2) from a path (p, ≥2) to the nozzle at its samples ``at`` (k,).
+@compiled
+def judge_window(
+    xyze: Array, commands: Array, taps: Array, counts: Integers, late: Integers, gains: Array,
+    x_c: float, first: int, begin: int, stop: int, every: int, apart: int, /,
+) -> tuple[Integers, Flags, Array, Array, Array]:  # fmt: skip
+    """Return how far the nozzle is off a path xyze (n, 4) with each of s commands (s, n, 2).
 
-    turns: see ``count_turns``; nozzle (n, ≥2): at samples first, first + apart, …. x and y
-    come first. The path counts within ``reach`` samples of each. Where it is a straight line, the
-    distance is that to the line; elsewhere the nearest sample is found first, then the nearer of
-    the two segments that meet there.
+    taps: of the responses of x, of y and, if there are three, of racking, one after the other, of
+    which counts (r,) says how many each has; late (r,): see ``coarse_filter``; gains (r, 2): gain
+    at rest and lag. x_c: where the lever arm is 0, mm. Before and after its samples a command rests.
+
+    The path is judged where it moves, at every n-th (``every``) sample from ``first`` to before
+    ``stop``: where that is (k,); whether it extrudes there (k,); the nozzle's x, y at all samples
+    from ``begin`` on, ``apart``, (s·m·2,); by strategy, the way to it from the path (k, s·2), and
+    its length (k, s).
     """
-    p = len(path)
-    nozzle, off = np.ascontiguousarray(nozzle), np.empty((len(at), 2))
-    of_path, of_nozzle = (path, path.shape[1], p, turns), (nozzle, nozzle.shape[1], len(nozzle))
-    kernels.deviation(*of_path, *of_nozzle, first, apart, at, len(at), reach, off)
-    return off
-
-
-def square(off: Array) -> Array:
-    """Return the squares (q,) of lengths of ways (q, 2)."""
-    return np.asarray(off[:, X] * off[:, X] + off[:, Y] * off[:, Y])
-
-
-def moving(xyze: Array, first: int, every: int) -> tuple[Integers, Flags]:
-    """Return which of every n-th sample from ``first`` on move, and which of them extrude, (k,)."""
-    at, extruding = np.empty(len(xyze), np.int64), np.empty(len(xyze), bool)
-    count = kernels.moving(xyze, len(xyze), first, every, at, extruding)
-    return at[:count], extruding[:count]
 
 
 def play(ends: Integers, at: Array, first: int, command: Array) -> None:

@@ -10,7 +10,7 @@
 
 #include "arguments.h"
 
-#define BUILT_FOR 35 /* as in __init__.py: raised whenever a signature changes */
+#define BUILT_FOR 36 /* as in __init__.py: raised whenever a signature changes */
 
 /* WIDE functions are compiled for wider registers, too, with all that is INSIDE them; the processor
  * chooses. Only sums that do not depend on each other share a register: the bits are the same. */
@@ -23,6 +23,7 @@
 #endif
 
 enum { X, Y, Z, E, COLUMNS }; /* of a position */
+enum { NEAREST = 24 }; /* samples to either side in which the path's nearest point is sought */
 #define TS 1e-3 /* s from sample to sample, as in arrays.py */
 
 static inline double greater(double a, double b) { return a > b ? a : b; }

@@ -16,8 +16,7 @@
 #define LOOPS(EACH)                                                                           \
     EACH(breakpoints)                                                                         \
     EACH(coarse_filter)                                                                       \
-    EACH(count_turns)                                                                         \
-    EACH(deviation)                                                                           \
+    EACH(distances)                                                                           \
     EACH(far_off)                                                                             \
     EACH(find_runs)                                                                           \
     EACH(finite_filter)                                                                       \
@@ -25,6 +24,7 @@
     EACH(follow)                                                                              \
     EACH(greatest_speeds)                                                                     \
     EACH(joined_pieces)                                                                       \
+    EACH(judge_window)                                                                        \
     EACH(klipper_durations)                                                                   \
     EACH(klipper_feeds)                                                                       \
     EACH(limit_moves)                                                                         \
@@ -41,7 +41,6 @@
     EACH(motion_lines)                                                                        \
     EACH(motion_segments)                                                                     \
     EACH(move_at_rest)                                                                        \
-    EACH(moving)                                                                              \
     EACH(path_lengths)                                                                        \
     EACH(phases)                                                                              \
     EACH(plain_lines)                                                                         \

@@ -10,7 +10,6 @@
 enum {
     SIDE = 100,    /* samples on either side of a dwell in which its command may change */
     RINGING = 100, /* samples after these that are judged too: ringing shows there */
-    NEAREST = 24,  /* samples to either side in which the path's nearest point is sought */
     PIECES = 2 * NEAREST,
     MOST_PIECES = 2 * SIDE + RINGING + 2 * PIECES,
     MOST_ROWS = 148,

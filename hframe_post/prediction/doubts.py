@@ -16,7 +16,8 @@ from hframe_post.model.error_range import products
 from hframe_post.model.impulse_response import CoarseFilter, ImpulseResponse
 from hframe_post.model.plant import Plant, Racking
 from hframe_post.native.judging import sliding_sums
-from hframe_post.prediction.windows import Window, around
+from hframe_post.prediction.windows import around
+from hframe_post.stream.types import Samples
 
 EVERY = 16  # samples, a power of two and a multiple of those at which errors are judged
 RINGS = 3.0  # times the mean time of a squared response after which it has decayed
@@ -95,23 +96,25 @@ class Doubts:
         return drift, unknown
 
     def along(
-        self, window: Window, at: Integers, off: dict[str, Array]
+        self, piece: Samples, commands: dict[str, Array], at: Integers, off: Array
     ) -> tuple[Integers, dict[str, Array]]:
-        """Return which of the samples ``at`` (k,) of a window were looked at, and their products.
+        """Return which of the samples ``at`` (k,) of a piece were looked at, and their products.
 
-        off: by strategy, the way from the path to the model's nozzle at these samples, (k, 2), mm.
-        Without compensation the error is the printer's own, and promises nothing.
+        commands: by strategy, (n, 2) of the piece; off (s, k, 2): of each, the way from the path to
+        the model's nozzle at these samples, mm. Without compensation the error is the printer's
+        own, and promises nothing.
         """
-        piece = window.piece
         which, found = np.flatnonzero((piece.first + at) % EVERY == 0), dict[str, Array]()
         at = at[which]
-        for name in [name for name in off if name != "none"] if len(at) else ():
+        for (name, command), way in zip(commands.items(), off, strict=True):
+            if name == "none" or not len(at):
+                continue
             first, last = int(at[0]), int(at[-1])
-            command = around(piece.commands[name], first - self.past, last + self.ahead + 1)
+            command = around(command, first - self.past, last + self.ahead + 1)
             drift, unknown = self.at(command, piece.xyze[first : last + 1 : EVERY, :2])
             rows = (at - first) // EVERY
             drift, unknown = drift.take(rows, axis=0), unknown.take(rows, axis=0)
-            x, y, e = _normals(piece.xyze, at, off[name][which])
+            x, y, e = _normals(piece.xyze, at, way[which])
             d = drift[:, :, X] * x[:, None] + drift[:, :, Y] * y[:, None]
             found[name] = products(e, d, unknown[:, X] * x * x + unknown[:, Y] * y * y)
         return which, found

@@ -176,17 +176,15 @@ class ErrorMeter:
             self.add(window)
 
     def add(self, window: Window) -> None:
-        piece = window.piece
-        for each in self._played:
-            piece = each.motion(piece)
-        piece = piece if self.picture is None else with_path(piece)
-        judgement = self.judge.judged(replace(window, piece=piece))
+        if self.picture is not None:
+            window = replace(window, piece=with_path(window.piece))
+        judgement = self.judge.judged(window, self._played)
         if self.picture is not None:
             self.picture.add(judgement)
-        weight = judgement.weight
+        weight = window.weight
         if not weight:
             return
-        self.judged += len(judgement.chunk)
+        self.judged += window.stop - window.start
         for name, errors in judgement.contour.items():
             contour = self.contour.setdefault(name, ContourErrors())
             contour.add(errors, judgement.extruding, weight)

@@ -74,8 +74,8 @@ class Picture:
         chunk, at = judgement.chunk, judgement.at
         layer, feature = (numbers.take(at) for numbers in self.labels.number(chunk))
         if len(at):
-            self.strategies = tuple(judgement.contour)
-            errors = np.stack(list(judgement.contour.values()))
+            self.strategies = judgement.strategies
+            errors = judgement.errors.T
             self._sum(layer, feature, errors, judgement.every)
             line = chunk.line.take(at)
             shape = np.empty((self._speed, len(at)), np.float32)
@@ -83,15 +83,17 @@ class Picture:
             _numbers(shape)[:-1] = line, layer, feature
             _numbers(shape)[-1] = 0
             _numbers(shape)[-1, 0] = self._apart
-            for k, name in enumerate(self.strategies):
-                shape[WAYS + 2 * k : WAYS + 2 * k + 2] = judgement.off[name].T
+            shape[WAYS:] = judgement.off.reshape(len(at), -1).T
             kept = self._kept(shape)
             end = at.take(kept)
             place = _columns(chunk.xyze, end)[:Z]
             self._append(np.vstack([
                 shape.take(kept, axis=1),
                 np.hypot(*(place - _columns(chunk.xyze, end - 1)[:Z]))[None] / TS,
-                *(judgement.nozzle(name, end).T - place for name in self.strategies),
+                *(
+                    nozzle.take((end - judgement.begin) // judgement.apart, axis=0).T - place
+                    for nozzle in judgement.nozzle
+                ),
                 np.maximum.reduceat(errors, _begun(kept), axis=1),
             ], dtype=np.float32, casting="same_kind"), self.coarser)  # fmt: skip
             self._apart = False

@@ -8,19 +8,20 @@ The contour error is the distance to the path, not to the desired place at that 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Flags, Integers, Z
+from hframe_post.model.impulse_response import CoarseFilter
 from hframe_post.model.kinematics import Kinematics
-from hframe_post.model.plant import Nozzle, Plant
+from hframe_post.model.plant import Plant
 from hframe_post.model.strategies import STRATEGIES
-from hframe_post.native.judging import count_turns, deviation, moving, play, square
+from hframe_post.native.judging import distances, judge_window, play
 from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.doubts import Doubts
-from hframe_post.prediction.windows import Window, Windows, around
+from hframe_post.prediction.windows import Window, Windows
 from hframe_post.printer.settings import Steps
 from hframe_post.stream.chunks import part, stretches, with_neighbours
 from hframe_post.stream.types import Samples, frozen
@@ -33,38 +34,81 @@ SHOWN_EVERY = 4  # samples of windows that are only shown; ringing at 50 Hz take
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """How well each strategy follows the samples of a window, at the k of them that count.
+    """How well each of s strategies follows the samples of a window, at the k of them that count.
 
-    weight: of how many windows it is an example; 0: it is only shown. every: samples from one that
-    counts to the next, while the path moves. at (k,): their indices; extruding (k,): which of them
-    extrude. contour: strategy → (k,), distance to the path; off: strategy → (k, 2), the way to the
-    nozzle from the nearest place on the path. motion: strategy → the nozzle's x, y (n, 2) at all
-    samples, or ``apart`` from ``begin`` on. mm.
+    every: samples from one that counts to the next, while the path moves. at (k,): their indices;
+    extruding (k,): which of them extrude. errors (k, s): distance to the path; off (k, s, 2): the
+    way to the nozzle from the nearest place on the path. nozzle (s, m, 2): its x, y at all samples,
+    or ``apart`` from ``begin`` on. mm.
 
     Of some of these samples, numbered by doubtful (d,), strategy → ``products`` (d, SUMS) say what
     is not known of the error; without doubts they are empty.
     """
 
-    chunk: Samples
-    weight: int
+    window: Window
+    strategies: tuple[str, ...]
     every: int
-    at: Integers
-    extruding: Flags
-    contour: dict[str, Array]
-    off: dict[str, Array]
-    motion: dict[str, Array]
     begin: int
     apart: int
+    at: Integers
+    extruding: Flags
+    nozzle: Array
+    off: Array
+    errors: Array
     doubtful: Integers
     products: dict[str, Array]
 
-    def nozzle(self, strategy: str, at: Integers) -> Array:
-        """Return the nozzle's x, y (k, 2) at samples (k,) of those that count."""
-        return self.motion[strategy].take((at - self.begin) // self.apart, axis=0)
+    @property
+    def chunk(self) -> Samples:
+        """Return the samples of the window itself."""
+        return part(self.window.piece, self.window.start, self.window.stop)
+
+    @property
+    def contour(self) -> dict[str, Array]:
+        """Return the distance to the path by strategy, (k,), mm."""
+        return dict(zip(self.strategies, self.errors.T, strict=True))
+
+    @property
+    def motion(self) -> dict[str, Array]:
+        """Return the nozzle's x, y by strategy, (m, 2), mm."""
+        return dict(zip(self.strategies, self.nozzle, strict=True))
 
     def tracking(self, strategy: str) -> Array:
         """Return the deviation from the desired place at the same time, (k, 2), mm."""
-        return np.asarray(self.nozzle(strategy, self.at) - self.chunk.xyze[self.at, :Z])
+        places = self.motion[strategy].take((self.at - self.begin) // self.apart, axis=0)
+        path = self.window.piece.xyze[self.window.start + self.at, :Z]
+        return np.asarray(places - path)
+
+
+class Nozzle:
+    """The nozzle of a plant, at half the rate.
+
+    past, ahead: samples of a command that a piece needs before it and after it.
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        filters, self._x_c = [CoarseFilter(G) for G in plant.responses], plant.x_c
+        self._taps = np.concatenate([each.taps for each in filters])
+        self._counts = np.array([len(each.taps) for each in filters])
+        self._late = np.array([each.ahead for each in filters])
+        self._gains = np.array([[each.rest, each.lag] for each in filters])
+        self.past = max(each.past for each in filters)
+        self.ahead = max(each.ahead for each in filters)
+
+    def judged(
+        self, xyze: Array, commands: Array, first: int, begin: int, stop: int, every: int,
+        apart: int,
+    ) -> tuple[Integers, Flags, Array, Array, Array]:  # fmt: skip
+        """Return at, extruding, nozzle, off and errors of a ``Judgement`` of commands (s, n, 2).
+
+        first, begin: of the samples before ``stop`` of a path xyze (n, 4) that are judged, and of
+        those at which the nozzle is.
+        """
+        own = self._taps, self._counts, self._late, self._gains, self._x_c
+        s, cut = len(commands), (first, begin, stop, every, apart)
+        at, extruding, nozzle, off, errors = judge_window(xyze, commands, *own, *cut)
+        nozzle = nozzle.reshape(s, len(range(begin, stop, apart)), 2)
+        return at, extruding, nozzle, off.reshape(len(at), s, 2), errors
 
 
 class Judge:
@@ -79,28 +123,26 @@ class Judge:
         self.before = max(self._nozzle.past, NEAREST, doubts.past if doubts else 0)
         self.after = max(self._nozzle.ahead, NEAREST + 1, doubts.ahead if doubts else 0)
 
-    def judged(self, window: Window) -> Judgement:
-        """Return the judgement of a window."""
+    def judged(self, window: Window, played: Sequence[Played] = ()) -> Judgement:
+        """Return the judgement of a window. played: of commands whose lines are judged instead."""
         piece, start, stop = window.piece, window.start, window.stop
-        own, path, nozzle = part(piece, start, stop), Polyline(piece.xyze), self._at(window)
+        names = tuple(piece.commands)
+        commands = np.array([*piece.commands.values()])
+        for each in played:
+            if each.strategy in names:
+                each.write(piece.first, commands[names.index(each.strategy)])
         every, apart = (self._every, 1) if window.weight else (SHOWN_EVERY, SHOWN_EVERY)
-        first, begin = (start + -own.first % each for each in (every, apart))
-        at, extruding = moving(piece.xyze[:stop], first, every)
-        motion = {
-            name: nozzle.at(
-                around(u, begin - nozzle.past, stop + nozzle.ahead), stop - begin, apart
-            )
-            for name, u in piece.commands.items()
-            if stop > begin
-        }
-        off = {name: path.deviation(xy, at, begin, apart) for name, xy in motion.items()}
-        contour = {name: np.sqrt(square(way)) for name, way in off.items()}
+        first, begin = (start + -(piece.first + start) % each for each in (every, apart))
+        cut = first, begin, stop, every, apart
+        at, extruding, nozzle, off, errors = self._at(window).judged(piece.xyze, commands, *cut)
         which, products = np.zeros(0, np.int64), dict[str, Array]()
         if self._doubts is not None and window.weight:
-            which, products = self._doubts.along(window, at, off)
-        at, begin = at - start, begin - start
-        known = extruding, contour, off, motion
-        return Judgement(own, window.weight, every, at, *known, begin, apart, which, products)
+            own = dict(zip(names, commands, strict=True))
+            which, products = self._doubts.along(piece, own, at, off.transpose(1, 0, 2))
+        known = nozzle, off, errors, which, products
+        return Judgement(
+            window, names, every, begin - start, apart, at - start, extruding, *known
+        )  # fmt: skip
 
     def _at(self, window: Window) -> Nozzle:
         """Return the nozzle with a window's filament on the bed."""
@@ -141,14 +183,18 @@ class Played:
 
     def motion(self, piece: Samples) -> Samples:
         """Return a piece with this motion as the command. The next one begins no earlier."""
-        while self._segments and self._segments[0][0][-1] < piece.first:
-            self._segments.popleft()
         if self.strategy not in piece.commands:
             return piece
         command = piece.commands[self.strategy].copy()
-        for ends, at in self._segments:
-            play(ends, at, piece.first, command)
+        self.write(piece.first, command)
         return replace(piece, commands={**piece.commands, self.strategy: frozen(command)})
+
+    def write(self, first: int, command: Array) -> None:
+        """Write this motion into a command (n, 2) whose first sample is no earlier next time."""
+        while self._segments and self._segments[0][0][-1] < first:
+            self._segments.popleft()
+        for ends, at in self._segments:
+            play(ends, at, first, command)
 
 
 def quantise(chunks: Iterable[Samples], kinematics: Kinematics, steps: Steps) -> Iterator[Samples]:
@@ -182,21 +228,4 @@ def stepped(command: Array, kinematics: Kinematics, steps: Steps) -> Array:
 
 def contour_error(path: Array, nozzle: Array, at: Integers | None = None) -> Array:
     """Return the distance (k,) of the nozzle (p, 2) to the path (p, 2) at samples (k,), or all."""
-    at = np.arange(len(path)) if at is None else at
-    return np.sqrt(square(Polyline(path).deviation(nozzle, at)))
-
-
-class Polyline:
-    """The path through the desired samples (p, ≥2), x and y first."""
-
-    def __init__(self, path: Array) -> None:
-        self._path = np.ascontiguousarray(path)
-        self._turns = count_turns(self._path)
-
-    def deviation(self, nozzle: Array, at: Integers, first: int = 0, apart: int = 1) -> Array:
-        """Return the shortest way (k, 2) from the path to the nozzle at its samples ``at`` (k,).
-
-        nozzle (n, ≥2): at samples first, first + apart, …, x and y first. The path counts within
-        NEAREST samples of each.
-        """
-        return deviation(self._path, self._turns, nozzle, first, apart, at, NEAREST)
+    return distances(path, nozzle, np.arange(len(path)) if at is None else at)

@@ -105,10 +105,17 @@ class Windows:
         return tuple(event for chunk in self._kept for event in chunk.events)
 
     def _window(self, stop: int, weight: int) -> Window:
-        piece = join([chunk for chunk in self._kept if len(chunk)])
-        piece = replace(piece, events=self._events, ends_stretch=self._kept[-1].ends_stretch)
-        low, high = max(self._start - self._before, piece.first), min(stop + self._after, piece.end)
-        piece = part(piece, low - piece.first, high - piece.first)
+        last = self._kept[-1]
+        low, high = self._start - self._before, min(stop + self._after, last.end)
+        near = [
+            chunk for chunk in self._kept if len(chunk) and low < chunk.end and chunk.first < high
+        ]
+        low = max(low, near[0].first)
+        piece = join([
+            part(each, max(low - each.first, 0), min(high, each.end) - each.first) for each in near
+        ])  # fmt: skip
+        ends = last.ends_stretch and high == last.end
+        piece = replace(piece, events=self._events, ends_stretch=ends)
         return Window(piece, self._start - low, stop - low, weight, self._filament)
 
 

@@ -12,8 +12,9 @@ from examples.paper.tables import transfer_functions
 from hframe_post.arrays import Array, Complex
 from hframe_post.errors import ArgumentError
 from hframe_post.model.impulse_response import ImpulseResponse
-from hframe_post.model.plant import Nozzle, Response
+from hframe_post.model.plant import Response
 from hframe_post.model.transfer_function import TransferFunction
+from hframe_post.prediction.predict import Nozzle
 from hframe_post.printer.settings import Printer
 from tests.paths import walk
 from tests.plants import Filter
@@ -82,12 +83,18 @@ def test_a_piece_of_a_command_moves_the_nozzle_as_all_of_it(
     rough = list(walk(np.random.default_rng(1), 2000).T)
     smooth = [np.convolve(each, np.hanning(48) / np.hanning(48).sum(), "same") for each in rough]
     begin, n = 1400, 333
+
+    def places(command: Array, begin: int, stop: int, every: int) -> Array:
+        path = np.zeros((len(command), 4))
+        _, _, found, *_ = nozzle.judged(path, command[None], begin, begin, stop, every, every)
+        return np.asarray(found[0])
+
     for way in (rough, smooth):
         command = origin + np.column_stack(way)
-        whole = nozzle.at(command, len(command) - nozzle.past - nozzle.ahead, 1)
-        piece = nozzle.at(command[begin - nozzle.past : begin + n + nozzle.ahead], n, every)
-        along = whole[begin - nozzle.past :][:n:every]
-        np.testing.assert_allclose(piece, along, rtol=0.0, atol=2e-6)  # mm
+        whole = places(command, 0, len(command), 1)
+        first, last = begin - nozzle.past, begin + n + nozzle.ahead
+        piece = places(command[first:last], nozzle.past, nozzle.past + n, every)
+        np.testing.assert_allclose(piece, whole[begin:][:n:every], rtol=0.0, atol=2e-6)  # mm
     exact = Response(plant, origin).run(command)[begin : begin + n : every]
     np.testing.assert_allclose(piece, exact, rtol=0.0, atol=1e-5)  # mm
 
