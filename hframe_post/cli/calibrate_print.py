@@ -34,19 +34,15 @@ FORM = ".form.toml"
 NO_WINDOW = "the motors' limits are too low to compensate these waves: raise both under [motors]"
 
 
+_heat = pair("°C of nozzle and bed, such as 210,60", (150.0, 320.0), (0.0, 130.0))
+
+
 def _shift(text: str) -> float:
     """Read ``-6%`` or ``0`` as a share."""
     value = percent(text)
     if not -0.3 <= value <= 0.3:
         raise click.BadParameter(f"{text!r} is not a change of at most 30%, such as -6%")
     return value
-
-
-def _heat(text: str) -> tuple[float, float]:
-    nozzle, bed = pair(text)
-    if not (150.0 <= nozzle <= 320.0 and 0.0 <= bed <= 130.0):
-        raise click.BadParameter(f"{text!r} is not °C of nozzle and bed, such as 210,60")
-    return nozzle, bed
 
 
 @click.command("calibrate-print")

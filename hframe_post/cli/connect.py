@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 from platformdirs import user_data_path
 
-from hframe_post.cli.moonraker import RESTART, Moonraker, agreed, find_printer_cfg, make
+from hframe_post.cli.moonraker import RESTART, Moonraker, confirm, find_printer_cfg, make
 from hframe_post.cli.parameters import READ, quoted, say
 from hframe_post.cli.setup import NewProfile
 from hframe_post.errors import HframeError
@@ -95,9 +95,7 @@ def _connect(printer_cfg: Path) -> None:
     moonraker.choose_live()
     made = NewProfile((printer_cfg,), printer_cfg.parent / PROFILE)
     changes, done = moonraker.connecting(made.target), list[str]()
-    if not agreed(changes):
-        click.echo("nothing was changed")
-        return
+    confirm(changes)
     made.write(lambda outputs: done.extend([*make(changes, outputs), *moonraker.link(True)]))
     click.echo("\n".join([*made.conclude(), "", *done, "", RESTART, CALIBRATE]))
 
@@ -105,9 +103,7 @@ def _connect(printer_cfg: Path) -> None:
 def _disconnect(printer_cfg: Path) -> None:
     moonraker = Moonraker(printer_cfg)
     changes = moonraker.disconnecting()
-    if not agreed(changes):
-        click.echo("nothing was changed")
-        return
+    confirm(changes)
     with Outputs() as outputs:
         done = [*make(changes, outputs), *moonraker.link(create=False)]
     click.echo("\n".join([*done, "", RESTART]))

@@ -187,12 +187,14 @@ def find_printer_cfg() -> Path:
     raise HframeError(f"{several if found else none}. {which}")
 
 
-def agreed(changes: Sequence[Change]) -> bool:
-    """Show changes and, on a terminal, ask once whether to make them."""
+def confirm(changes: Sequence[Change]) -> None:
+    """Show changes and, on a terminal, ask once whether to make them; else end the command."""
     if not changes:
-        return True
+        return
     click.echo("\n".join(change.diff() for change in changes))
-    return agrees("Make these changes?")
+    if not agrees("Make these changes?"):
+        click.echo("nothing was changed")
+        raise click.exceptions.Exit(0)
 
 
 def make(changes: Sequence[Change], outputs: Outputs) -> list[str]:

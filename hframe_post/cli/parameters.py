@@ -168,19 +168,21 @@ def share(text: str) -> float:
     return value
 
 
-def pair(text: str) -> tuple[float, float]:
-    """Return the two numbers of ``X,Y``; nan for any other text."""
-    x, _, y = text.partition(",")
-    return number(x), number(y)
+def pair(
+    what: str, of_x: tuple[float, float], of_y: tuple[float, float]
+) -> Callable[[str], tuple[float, float]]:
+    """Return a type of options: two numbers ``X,Y`` within ranges, of what a message says."""
+
+    def convert(text: str) -> tuple[float, float]:
+        x, y = (round(number(part), 3) for part in text.partition(",")[::2])
+        if not (of_x[0] <= x <= of_x[1] and of_y[0] <= y <= of_y[1]):
+            raise click.BadParameter(f"{text!r} is not {what}")
+        return x, y
+
+    return convert
 
 
-def position(text: str) -> tuple[float, float]:
-    x, y = pair(text)
-    if math.isnan(x + y):
-        raise click.BadParameter(f"{text!r} is not X,Y in mm")
-    if not (abs(x) < 1e4 and abs(y) < 1e4):
-        raise click.BadParameter(f"{text!r} is more than 10 m away")
-    return round(x, 3), round(y, 3)
+position = pair("X,Y in mm, at most 10 m away", (-1e4, 1e4), (-1e4, 1e4))
 
 
 def ask(question: str, otherwise: Any, **settings: Any) -> Any:
@@ -216,11 +218,10 @@ def progress_bar(source: Path | None, quiet: bool) -> Iterator[Callable[[int], o
 
 def write_kernel(outputs: Outputs, profile: Path, printer: Printer) -> None:
     """Write the kernel of a printer next to its profile, if Klipper may use one."""
-    from hframe_post.firmware.klipper.live import kernel_file, name_of
+    from hframe_post.firmware.klipper.live import kernel_file
 
-    data = kernel_file(printer)
-    if data is not None:
-        outputs.open(name_of(profile)).write(data)
+    if (data := kernel_file(printer)) is not None:
+        outputs.open(profile.with_suffix(".kernel")).write(data)
 
 
 # ---------------------------------------------------------------------- summaries

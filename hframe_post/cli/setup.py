@@ -13,6 +13,7 @@ from hframe_post.errors import HframeError
 from hframe_post.firmware.base import Source
 from hframe_post.firmware.klipper.macros import FILE
 from hframe_post.firmware.registry import source_of
+from hframe_post.model.kinematics import TYPES
 from hframe_post.printer.choice import PROFILE, VARIABLE, set_default
 from hframe_post.printer.model_file import named_model
 from hframe_post.printer.new_profile import Known, Tables, differences, profile_text
@@ -21,17 +22,12 @@ from hframe_post.printer.settings import Printer
 from hframe_post.writers.outputs import Outputs
 
 SAID = "as you said"
-KINDS = ("cartesian", "corexy", "hbot", "hybrid-corexy", "corexz")
 TWO_BELTS = "corexy (two belts, which cross) or hbot (one long belt in the shape of an H)"
 QUESTION = f"The firmware treats two kinds of printer alike. Is yours {TWO_BELTS}?"
 ANY_KIND = f"How do the motors move the nozzle? cartesian (one motor for each axis), {TWO_BELTS}"
 
 
-def _size(text: str) -> tuple[float, float]:
-    x, y = pair(text)
-    if not (0.0 < x <= 1e4 and 0.0 < y <= 1e4):
-        raise click.BadParameter(f"{text!r} is not the width and depth of a bed, such as 220,220")
-    return x, y
+_size = pair("the width and depth of a bed, such as 220,220", (1.0, 1e4), (1.0, 1e4))
 
 
 @click.command()
@@ -43,7 +39,7 @@ def _size(text: str) -> tuple[float, float]:
     help=f"Folder for {PROFILE} and {FILE}. Default: the present one.",
 )  # fmt: skip
 @click.option(
-    "--kinematics", type=click.Choice(KINDS),
+    "--kinematics", type=click.Choice(tuple(TYPES)),
     help="How the motors move the nozzle: neither firmware tells an H-bot from a CoreXY. Default: "
     "asked on a terminal, otherwise the kind that does not rack.",
 )  # fmt: skip

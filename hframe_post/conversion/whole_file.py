@@ -251,10 +251,8 @@ def with_format(
     kind = chosen_format(output, options.format)
     if in_place and kind != "gcode":
         raise OptionError(f"{kind} would replace the G-code: name an output file with -o")
-    if options.tolerance != TOLERANCE and kind != "gcode":
-        raise OptionError("--tolerance is for G-code")
-    if options.tolerance != TOLERANCE and not firmware(printer).decimates:
-        raise OptionError("--tolerance is for Klipper")
+    if options.tolerance != TOLERANCE and not (kind == "gcode" and firmware(printer).decimates):
+        raise OptionError("--tolerance is for G-code for Klipper")
     return replace(options, format=kind, tolerance=options.tolerance if kind == "gcode" else None)
 
 

@@ -18,17 +18,9 @@ from hframe_post.firmware.motion import MotionRules, WrittenMoves
 from hframe_post.model.shapers import Shaping
 from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.firmware_tables import FirmwareTable
-from hframe_post.printer.new_profile import Tables, differences
+from hframe_post.printer.new_profile import Finding, Tables, differences
 from hframe_post.printer.settings import Limits, Printer, Steps
 from hframe_post.stream.types import FileLimits, Position
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """A difference from the profile. wrong: the printer would not move as computed."""
-
-    wrong: bool
-    text: str
 
 
 class Source(ABC):
@@ -75,7 +67,7 @@ class Source(ABC):
             yield Finding(True, f"{text}: {remedy}")
         x, y = profile.travel.x[1], profile.travel.y[1]
         for each in differences(self.tables(kind, (x, y) if self.no_travel else None), profile):
-            if each.harmful:
+            if each.wrong:
                 yield Finding(True, f"{each.place or self.path}: {each.text}: {remedy}")
 
     def companions(self, profile: Printer) -> dict[str, str]:

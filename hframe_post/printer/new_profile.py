@@ -128,26 +128,26 @@ CHOSEN = (
 )  # fmt: skip
 
 
-class Difference(NamedTuple):
-    """A difference of what was found from a profile.
+class Finding(NamedTuple):
+    """A difference from a profile, or what else is wrong with the files of a printer.
 
-    harmful: the printer would not move as computed. place: file and line, if known.
+    wrong: the printer would not move as computed. place: file and line, if the text has none.
     """
 
-    harmful: bool
-    place: str
+    wrong: bool
     text: str
+    place: str = ""
 
 
-def differences(tables: Tables, printer: Printer) -> Iterator[Difference]:
+def differences(tables: Tables, printer: Printer) -> Iterator[Finding]:
     """Yield where a profile differs from what a firmware says of itself."""
     for name, table in tables.items():
         own = _table_of(printer, name)
         if own is None or not table:
             if own is not None:
-                yield Difference(True, "", f"[{name}]: the printer has none any more")
+                yield Finding(True, f"[{name}]: the printer has none any more")
             elif name.startswith(FIRMWARE):
-                yield Difference(True, "", f"[{name}]: the profile has none")
+                yield Finding(True, f"[{name}]: the profile has none")
             continue
         for key, known in table.items():
             has = getattr(own, key)
@@ -156,9 +156,9 @@ def differences(tables: Tables, printer: Printer) -> Iterator[Difference]:
             if known.assumed or _equal(known.value, has):
                 continue
             inside = name == "travel" and _inside(has, known.value)
-            harmful = not f"{name}.{key}".startswith(CHOSEN) and not inside
+            wrong = not f"{name}.{key}".startswith(CHOSEN) and not inside
             found = f"{name}.{key}: {known.as_toml()} ({known.origin})"
-            yield Difference(harmful, known.place, f"{found}, but the profile has {_toml(has)}")
+            yield Finding(wrong, f"{found}, but the profile has {_toml(has)}", known.place)
 
 
 def _table_of(printer: Printer, name: str) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, asdict, field, fields, is_dataclass
 from datetime import date
@@ -74,13 +75,15 @@ def checked_value(hint: Any, value: Any, rules: Rules, key: str) -> Any:
     if NoneType in get_args(hint):  # such a default cannot be written, but left out
         hint = get_args(hint)[0]
     if hint in LISTS:
-        return LISTS[hint](value, rules, key)
+        return _list(hint, value, rules, key)
     if hint in (int, float):
         value = _number(hint, value, rules, key)
     elif hint in (str, bool) and not isinstance(value, hint):
         raise PrinterError(f"must be {KINDS[hint]}, not {value!r}", key)
     elif hint is str and not value.isprintable():
         raise PrinterError("must be one line of printable text", key)
+    elif "pattern" in rules and not rules["pattern"].fullmatch(value):
+        raise PrinterError(f"{value!r} is not the name of a command or macro", key)
     elif hint is date:
         return _day(value, key)
     choices = rules.get("choices")
@@ -90,58 +93,31 @@ def checked_value(hint: Any, value: Any, rules: Rules, key: str) -> Any:
     return value
 
 
-def _list(value: Any, least: int, most: int, words: str, key: str) -> list[Any]:
+def _list(hint: Any, value: Any, rules: Rules, key: str) -> Any:
+    of, least, most, words, made = LISTS[hint]
+    most = most or rules.get("count", math.inf)
     if not isinstance(value, list) or not least <= len(value) <= most:
-        raise PrinterError(f"must be a list of {words}", key)
-    return value
+        raise PrinterError(f"must be a list of {words.format(most)}", key)
+    found = made([checked_value(of, each, rules, key) for each in value])
+    if hint == PAIR and rules.get("ascending") and not found[0] < found[1]:
+        raise PrinterError(f"least {found[0]:g} is not below greatest {found[1]:g}", key)
+    return found
 
 
-def _range(value: Any, rules: Rules, key: str) -> tuple[float, float]:
-    numbers = _list(value, 2, 2, "two numbers", key)
-    low, high = (checked_value(float, number, rules, key) for number in numbers)
-    if rules.get("ascending") and not low < high:
-        raise PrinterError(f"least {low:g} is not below greatest {high:g}", key)
-    return low, high
+def _roots(pairs: list[tuple[float, float]]) -> Complex:
+    return np.array([complex(*pair) for pair in pairs], dtype=np.complex128)
 
 
-def _ranges(value: Any, rules: Rules, key: str) -> tuple[tuple[float, float], ...]:
-    most = rules["count"]
-    pairs = _list(value, 0, most, f"at most {most} pairs of numbers", key)
-    return tuple(_range(pair, rules, key) for pair in pairs)
-
-
-def _names(value: Any, rules: Rules, key: str) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
-        raise PrinterError("must be a list of names", key)
-    for name in value:
-        if not rules["pattern"].fullmatch(name):
-            raise PrinterError(f"{name!r} is not the name of a command or macro", key)
-    return tuple(value)
-
-
-def _numbers(values: Any, rules: Rules, key: str) -> Array:
-    most = rules["count"]
-    numbers = _list(values, 1, most, f"1 to {most} numbers", key)
-    return np.array([checked_value(float, number, rules, key) for number in numbers])
-
-
-def _roots(pairs: Any, rules: Rules, key: str) -> Complex:
-    """Return complex roots from pairs [real, imaginary]."""
-    if not isinstance(pairs, list):
-        raise PrinterError("must be a list of pairs [real, imaginary]", key)
-    if len(pairs) > rules["count"]:
-        raise PrinterError(f"must be at most {rules['count']} roots, they are {len(pairs)}", key)
-    for pair in pairs:
-        if not isinstance(pair, list) or len(pair) != 2:
-            raise PrinterError("roots are pairs [real, imaginary] of numbers", key)
-    numbers = [[checked_value(float, number, rules, key) for number in pair] for pair in pairs]
-    return np.array([complex(*pair) for pair in numbers], dtype=np.complex128)
-
-
-LISTS: dict[Any, Callable[[Any, Rules, str], Any]] = {
-    tuple[float, float]: _range, tuple[tuple[float, float], ...]: _ranges,
-    tuple[str, ...]: _names, Array: _numbers, Complex: _roots,
-}  # fmt: skip
+# By type: that of its members, how many at least and at most (0: the field's count), in words, and
+# what makes it of a list
+PAIR = tuple[float, float]
+LISTS: dict[Any, tuple[Any, int, int, str, Callable[[list[Any]], Any]]] = {
+    PAIR: (float, 2, 2, "two numbers", tuple),
+    tuple[PAIR, ...]: (PAIR, 0, 0, "at most {} pairs of numbers", tuple),
+    tuple[str, ...]: (str, 0, 0, "names", tuple),
+    Array: (float, 1, 0, "1 to {} numbers", np.array),
+    Complex: (PAIR, 0, 0, "at most {} roots, pairs [real, imaginary]", _roots),
+}
 
 
 def _day(value: Any, key: str) -> date:

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from hframe_post.firmware.base import Finding
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.firmware.klipper.source import KlipperSource, check_stream
 from hframe_post.printer.firmware_tables import KlipperTable
+from hframe_post.printer.new_profile import Finding
 from hframe_post.printer.settings import Extruder, Printer
 from tests.printers import REAL, profile_of
 

@@ -9,21 +9,16 @@ import numpy as np
 
 from hframe_post.arrays import X, Y
 from hframe_post.errors import ArgumentError
-from hframe_post.firmware.base import Finding
 from hframe_post.firmware.klipper.printer_cfg import KINEMATICS, KlipperConfig
 from hframe_post.hosts.klipper.kernel_file import FIGURES, LIMITS, read, signed
 from hframe_post.model.kernel import Bounds, Figures, Kernel, kernel
 from hframe_post.printer.firmware_tables import KlipperTable
+from hframe_post.printer.new_profile import Finding
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 
 SECTION = "hframe_live"
 SAME = 1e-6  # between weights of the same model, computed on other processors
-
-
-def name_of(profile: Path) -> Path:
-    """Return where the kernel of a profile is: next to it."""
-    return profile.with_suffix(".kernel")
 
 
 def live_kernel(printer: Printer) -> tuple[Kernel, Figures]:

@@ -15,10 +15,10 @@ from collections.abc import Iterator
 from importlib import resources
 
 from hframe_post.errors import PrinterError
-from hframe_post.firmware.base import Finding
 from hframe_post.firmware.klipper.klipper_stream import KlipperCode
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS, RECORDED, UNUSED, USUAL_CHIP
+from hframe_post.printer.new_profile import Finding
 from hframe_post.printer.settings import Printer
 
 FILE, END = MACROS, END_MACRO

@@ -75,8 +75,8 @@ class KlipperConfig:
         except _MalformedError as error:
             raise HframeError(_advice(path, text) or str(error)) from None
         if not self._parser.has_section("printer"):
-            lost = f"; {self.missing[0]}" if self.missing else f": {UNLIKE}"
-            raise HframeError(_advice(path, text) or f"{path} has no section [printer]{lost}")
+            lacks = f"{path} has no section [printer]{self.lost or f': {UNLIKE}'}"
+            raise HframeError(_advice(path, text) or lacks)
 
     def _read(self, lines: Sequence[ConfigLine], within: tuple[str, ...]) -> None:
         """Read lines and, where they stand, the includes among them. within: files around them."""
@@ -138,6 +138,11 @@ class KlipperConfig:
                 if not self._parser.has_option(section, key):
                     self._parser.set(section, key, saved.get(section, key))
         self._lines |= places
+
+    @property
+    def lost(self) -> str:
+        """Return what an error adds where a file was not found, which may have what is missing."""
+        return f"; {self.missing[0]}" if self.missing else ""
 
     def has(self, section: str) -> bool:
         return self._parser.has_section(section) or (section, "") in self._lines

@@ -9,12 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from hframe_post.errors import HframeError
-from hframe_post.firmware.base import Finding, Source
+from hframe_post.firmware.base import Source
 from hframe_post.firmware.klipper.live import check_live
 from hframe_post.firmware.klipper.macros import FILE, check_macros, macros
 from hframe_post.firmware.klipper.printer_cfg import KINEMATICS, KlipperConfig
 from hframe_post.printer.firmware_tables import END_MACRO, MACROS, KlipperTable
 from hframe_post.printer.new_profile import (
+    Finding,
     Known,
     Tables,
     as_float,
@@ -135,8 +136,7 @@ def _option(config: KlipperConfig, section: str, key: str, default: float | Know
             raise HframeError(f"{config.path}: [{section}] {key}: {value:g} is not possible")
         return Known(value, f"{key} of [{section}]", place)
     if default is None:
-        lost = f"; {config.missing[0]}" if config.missing else ""
-        raise HframeError(f"{config.path}: [{section}] {key} is missing{lost}")
+        raise HframeError(f"{config.path}: [{section}] {key} is missing{config.lost}")
     if isinstance(default, Known):
         default = replace(default, origin=f"{default.origin}, without {key}")
     else:
@@ -148,10 +148,8 @@ def _range(config: KlipperConfig, axis: str) -> Known:
     section = f"stepper_{axis}"
     low, high = config.number(section, "position_min", 0.0), config.number(section, "position_max")
     if not low < high:
-        lost = f"; {config.missing[0]}" if config.missing else ""
-        raise HframeError(
-            f"{config.path}: [{section}] position_max is missing, or below position_min{lost}"
-        )
+        wrong = f"position_max is missing, or below position_min{config.lost}"
+        raise HframeError(f"{config.path}: [{section}] {wrong}")
     origin = f"position_min and position_max of [{section}]"
     return Known((low, high), origin, config.place(section, "position_max"))
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hframe_post.errors import HframeError
+from hframe_post.model.kinematics import TYPES
 from hframe_post.printer.new_profile import Known, as_float
 from hframe_post.printer.schema import file_text
 
@@ -38,7 +39,7 @@ KINEMATICS = {  # ours, the safest first, by the name of the build's option
     "COREXZ": ("corexz",),
 }
 UNUSABLE = ("DELTA", "SCARA", "COREYZ", "COREYX", "MARKFORGED_YX", "POLAR", "MORGAN_SCARA")
-ANY = ("cartesian", "corexy", "hbot", "hybrid-corexy", "corexz")
+ANY = tuple(reversed(TYPES))
 M115 = "the answer to M115"
 ASSUMED = "2.1"  # planner of a build whose version is not known
 TWO_CARRIAGES = "DUAL_X_CARRIAGE"  # of Configuration_adv.h
