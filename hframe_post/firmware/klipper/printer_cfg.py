@@ -68,10 +68,12 @@ class KlipperConfig:
         text = file_text(path, UNLIKE)
         regular, saved, void = _divided(_lines(path, text))
         self.unsaved = VOID.format(void.place) if void is not None else ""
-        self._parser = _parser()
+        self._parser = configparser.RawConfigParser(
+            strict=False, inline_comment_prefixes=("#", ";"), default_section="\0"
+        )
         try:
+            self._parse(saved)  # first, since all others count more
             self._read(regular, ())
-            self._add_saved(saved)
         except _MalformedError as error:
             raise HframeError(_advice(path, text) or str(error)) from None
         if not self._parser.has_section("printer"):
@@ -84,11 +86,11 @@ class KlipperConfig:
         for k, line in enumerate(lines):
             header = SECTION.match(line.text)
             if header and header[1].startswith("include "):
-                self._parse(lines[begun:k], self._parser)
+                self._parse(lines[begun:k])
                 begun = k + 1
                 self._lines.setdefault((header[1], ""), []).append(line)
                 self._include(line, header[1].removeprefix("include ").strip(), within)
-        self._parse(lines[begun:], self._parser)
+        self._parse(lines[begun:])
 
     def _include(self, line: ConfigLine, pattern: str, within: tuple[str, ...]) -> None:
         inside = (*within, os.path.abspath(line.path))
@@ -107,12 +109,12 @@ class KlipperConfig:
                 raise HframeError(f"{line.place}: [include {pattern}] includes a file in itself")
             self._read(_lines(each, file_text(each, UNLIKE)), inside)
 
-    def _parse(self, lines: Sequence[ConfigLine], parser: configparser.RawConfigParser) -> None:
+    def _parse(self, lines: Sequence[ConfigLine]) -> None:
         if not lines:
             return
         lines = [ConfigLine(line.path, line.number, line.text.partition("#")[0]) for line in lines]
         try:
-            parser.read_string("\n".join(line.text for line in lines))
+            self._parser.read_string("\n".join(line.text for line in lines))
         except configparser.Error as error:
             number = getattr(error, "lineno", None) or getattr(error, "errors", [(1,)])[0][0]
             raise _MalformedError(
@@ -126,18 +128,6 @@ class KlipperConfig:
                 self._lines.setdefault((section, ""), []).append(line)
             elif option := OPTION.match(line.text):
                 self._lines.setdefault((section, option[1].lower()), []).append(line)
-
-    def _add_saved(self, lines: Sequence[ConfigLine]) -> None:
-        saved, places = _parser(), self._lines
-        self._lines = {}
-        self._parse(lines, saved)
-        for section in saved.sections():
-            if not self._parser.has_section(section):
-                self._parser.add_section(section)
-            for key in saved.options(section):
-                if not self._parser.has_option(section, key):
-                    self._parser.set(section, key, saved.get(section, key))
-        self._lines |= places
 
     @property
     def lost(self) -> str:
@@ -215,12 +205,6 @@ PROFILE = re.compile(r"^\s*(extends\s*=|\[(compensation|plant|travel)\b)", re.MU
 
 class _MalformedError(HframeError):
     pass
-
-
-def _parser() -> configparser.RawConfigParser:
-    return configparser.RawConfigParser(
-        strict=False, inline_comment_prefixes=("#", ";"), default_section="\0"
-    )
 
 
 def _lines(path: Path, text: str) -> list[ConfigLine]:

@@ -24,7 +24,7 @@ from hframe_post.firmware.marlin.marlin_code import (
     MarlinCode,
     motion_limits,
 )
-from hframe_post.firmware.marlin.planner import Planner
+from hframe_post.firmware.marlin.planner import Planner, along
 from hframe_post.firmware.motion import (
     USED_LINES_SHARE,
     MotionRules,
@@ -123,8 +123,7 @@ class MarlinMotion(MotionRules):
         if self.code.table.classic_jerk:
             into = out = Z_JERK_MM_S if lifts else self.code.table.jerk_e
         else:
-            n, d, a = (float(each[0]) for each in self._block(way)[:3])
-            own = of_axis = a * d / n
+            own = of_axis = float(along(self._block(way))[0])
             if not (lifts or self.planner.fixed_time):
                 of_axis = self.code.filament_acceleration
             J, asked = self.code.table.junction_deviation, (own, math.sqrt(2.0) * of_axis)
@@ -141,8 +140,8 @@ class MarlinMotion(MotionRules):
         its own speed.
         """
         lifts = way.end[Z] != way.start[Z]
-        n, d, a, _ = blocks = self._block(way)
-        a = a * d / n
+        blocks = self._block(way)
+        d, a = blocks.d, along(blocks)
         T = np.maximum(wanted, d / speed)
         v = float(speeds(d, T, a, np.array([math.inf, leaving]), entry)[0])
         reached = min(speed, float(np.sqrt(a * d)[0]))

@@ -29,6 +29,11 @@ from hframe_post.native.whole_steps import Blocks
 from hframe_post.printer.firmware_tables import MarlinTable
 
 
+def along(blocks: Blocks) -> Array:
+    """Return the accelerations (k,) of blocks along their paths, mm/s²."""
+    return blocks.a * blocks.d / blocks.n
+
+
 class Planner(ABC):
     """A planner. stall: seconds of the first step from rest. before: see ``MotionRules``."""
 
@@ -74,8 +79,7 @@ class Planner(ABC):
 
         joint (k + 1,): the speeds asked for; v (k,): those inside blocks.
         """
-        n, d, a, _ = blocks
-        a, least, joint = a * d / n, self.least_entry(blocks), joint.copy()
+        d, a, least, joint = blocks.d, along(blocks), self.least_entry(blocks), joint.copy()
         joint[:-1] = np.maximum(joint[:-1], np.minimum(least, v))
         joint[-1] = max(joint[-1], min(float(least[-1]), float(v[-1])))
         for k in range(len(v)):
@@ -148,22 +152,21 @@ class FixedTimePlanner(Planner):
         return np.minimum(T, blocks.n)
 
     def feed_rates(self, blocks: Blocks, T: Array, before: float) -> Array:
-        n, d, a, corners = blocks
-        return ramps.speeds(d, T, a * d / n, corners, before, self.least_entry(blocks))
+        own = blocks.corners, before, self.least_entry(blocks)
+        return ramps.speeds(blocks.d, T, along(blocks), *own)
 
     def durations(self, blocks: Blocks, v: Array, before: float) -> Array:
-        n, d, a, corners = blocks
-        return ramps.durations(d, v, a * d / n, corners, before, self.least_entry(blocks))
+        own = blocks.corners, before, self.least_entry(blocks)
+        return ramps.durations(blocks.d, v, along(blocks), *own)
 
     def seconds(self, blocks: Blocks, v_s: Array, v_e: Array, v: Array) -> Array:
-        n, d, a, _ = blocks
-        a = a * d / n
-        v = np.minimum(v, np.sqrt(a * d + (v_s**2 + v_e**2) / 2.0))
-        return ramps.seconds(d, v, v_s, v_e, a)
+        a = along(blocks)
+        v = np.minimum(v, np.sqrt(a * blocks.d + (v_s**2 + v_e**2) / 2.0))
+        return ramps.seconds(blocks.d, v, v_s, v_e, a)
 
     def travelled(self, blocks: Blocks, v_s: Array, v_e: Array, v: Array) -> Array:
         """Return mm of path (m,) at every 1 ms, where it looks up its place."""
-        return travelled(blocks.d, v, v_s, v_e, blocks.a * blocks.d / blocks.n)
+        return travelled(blocks.d, v, v_s, v_e, along(blocks))
 
 
 def make_planner(table: MarlinTable) -> Planner:
