@@ -148,8 +148,10 @@ def _range(config: KlipperConfig, axis: str) -> Known:
     section = f"stepper_{axis}"
     low, high = config.number(section, "position_min", 0.0), config.number(section, "position_max")
     if not low < high:
-        where = f"{config.path}: [{section}]"
-        raise HframeError(f"{where} position_max is missing, or below position_min{config.lost}")
+        raise HframeError(
+            f"{config.path}: [{section}] position_max is missing, or below position_min"
+            f"{config.lost}"
+        )
     origin = f"position_min and position_max of [{section}]"
     return Known((low, high), origin, config.place(section, "position_max"))
 
