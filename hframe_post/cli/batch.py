@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
@@ -66,16 +67,16 @@ def batch(
       hframe-post batch jobs/*.gcode -o out/ -p my.toml --resume
     """
     profile = load(printer)
-    stamped = first_line(profile, options.resolved(profile))
-    if options.strategy != "none" and not options.force:
+    resolved = options.resolved(profile)
+    compensates = resolved.strategy != "none"
+    if compensates and not options.force:
         check_identified(profile)
     try:
-        todo = jobs_for(sources, folder, stamped if resume else b"")
+        todo = jobs_for(sources, folder, first_line(profile, resolved) if resume else b"")
     except HframeError as error:
         raise click.UsageError(str(error)) from None
     folder.mkdir(parents=True, exist_ok=True)
     converter, interruption = Converter(jobs, printer, options), Interruption()
-    compensates = (options.strategy or profile.compensation.strategy) != "none"
     notices = profile.warnings() if compensates else []  # which every file has
     tell = (lambda _: None) if quiet else say
     for text in notices:
@@ -88,8 +89,9 @@ def batch(
         if interruption.number:
             status = 128 + interruption.number
         files = [job.as_json(chosen_printer().why) for job in todo]
-        found = {"files": files, "failed": _count(todo, "failed")}
-        summary.write({**found, "interrupted": bool(interruption.number)}, status)
+        failed = sum(job.state == "failed" for job in todo)
+        found = {"files": files, "failed": failed, "interrupted": bool(interruption.number)}
+        summary.write(found, status)
     tell(_summary(todo, notices))
     interruption.end()
     context.exit(status)
@@ -120,23 +122,19 @@ def _summary(jobs: Sequence[Job], notices: Sequence[str]) -> str:
         for text in job.summary.get("warnings", []):
             if text not in notices:
                 warned.setdefault(text, []).append(job.source)
-    failed, stopped = _count(jobs, "failed"), _count(jobs, "stopped")
+    count = Counter(job.state for job in jobs)
     lines = list[str]()
     if len(jobs) > 1:
         lines = [job.as_text() for job in jobs if job.state == "failed"]
         lines += [f"WARNING {_some(files)}: {text}" for text, files in warned.items()]
-    counts = f"{_count(jobs, 'done')} converted, {_count(jobs, 'skipped')} skipped, {failed} failed"
+    counts = f"{count['done']} converted, {count['skipped']} skipped, {count['failed']} failed"
     if warned:
         counts += f", {len(set(chain(*warned.values())))} with warnings"
-    if stopped:
-        counts += f", {stopped} not converted"
-    if failed or stopped:
+    if count["stopped"]:
+        counts += f", {count['stopped']} not converted"
+    if count["failed"] or count["stopped"]:
         counts += "; --resume tries only those again"
     return "\n".join([*lines, counts])
-
-
-def _count(jobs: Iterable[Job], state: State) -> int:
-    return sum(job.state == state for job in jobs)
 
 
 def _some(files: list[Path]) -> str:

@@ -1,6 +1,6 @@
 """The firmwares that the output can be written for. architecture.md says how to add one.
 
-What only one of them needs is imported there: a slicer waits, and most printers run Klipper.
+Marlin's parts are imported where they are needed: a slicer waits, and most printers run Klipper.
 """
 
 from __future__ import annotations

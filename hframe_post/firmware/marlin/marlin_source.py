@@ -18,7 +18,6 @@ from hframe_post.native.planning import square_corner_velocity
 from hframe_post.printer.new_profile import Known, Tables, as_float, sweep
 from hframe_post.printer.settings import Printer
 
-MAX_STEPS_CORRECTION = 0.03  # share by which owners correct steps that a part's size showed
 LIMITS = {
     "z_velocity": ("M203", "Z"), "z_acceleration": ("M201", "Z"),
     "extruder_velocity": ("M203", "E"), "extruder_acceleration": ("M204", "R"),
@@ -80,13 +79,10 @@ def _least(settings: MarlinSettings, command: str) -> Known:
 def _steps(settings: MarlinSettings) -> dict[str, Known]:
     x, y = (as_float(settings.word("M92", letter)) for letter in "XY")
     if x != y:
-        remedy = (
-            f"Send M92 Y{x:g} and M500, correct the part's size in the slicer, and save M503 again"
-            if abs(y - x) < MAX_STEPS_CORRECTION * x
-            else "Their pulleys or microsteps differ: give both axes the same"
-        )
         raise HframeError(
-            f"{settings.name}: M92 X{x:g} and Y{y:g} differ, but x and y need equal steps. {remedy}"
+            f"{settings.name}: M92 X{x:g} and Y{y:g} differ, but x and y need equal steps. Where "
+            f"they correct a part's size, send M92 Y{x:g} and M500, correct it in the slicer, and "
+            "save M503 again; where pulleys or microsteps differ, give both axes the same"
         )
     found = dict[str, Known]()
     for name, letter in MOTORS.items():
