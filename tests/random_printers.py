@@ -32,14 +32,14 @@ def printer(machine: Machine) -> Printer:
     return replace(paper, plant=plant, kinematics=Kinematics(machine.kinematics))
 
 
-BEGUN, SD = 1234.5, 2e-5  # s of print time at which the simulator's motions begin
+BEGUN = 1234.5  # s of print time at which the simulator's motions begin
 
 
 def recorded(
     machine: Machine, chip: Chip, planned: Sequence[PlannedRun], seed: int, step: float = 0.0
 ) -> list[Run]:
     """Return runs of known start. step: mm of belt that a motor step moves."""
-    clock = Clock(BEGUN, sd=SD)
+    clock = Clock(BEGUN, is_exact=True)
     return [
         Run(run.name, run.command, chip.record(machine, run.command, 100 * seed + k, step), clock)
         for k, run in enumerate(planned)

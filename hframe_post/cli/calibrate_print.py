@@ -193,7 +193,7 @@ def _publish(
     """Write the profile with a plant, and with windows for printers that differ by a share."""
 
     def find() -> Findings:
-        from hframe_post.identification.recommend import recommend
+        from hframe_post.studies.tuning import recommend
 
         found = recommend(plant, profile, off)
         if found is None:

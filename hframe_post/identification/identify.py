@@ -39,7 +39,6 @@ from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.native.linear import one_blas_thread
 
-KNOWN_START = 1e-3  # s, standard deviation from which a start is not known
 LEAST_CHANGE = 0.02  # relative, that is assumed of a printer that repeats itself
 # standard deviation of all frequencies of an axis from one session to another: 2.0 % on six axes of
 # three published printers, 12 minutes to ten weeks later
@@ -56,17 +55,15 @@ RIGID = ImpulseResponse(np.zeros(1), 0)
 class Identified:
     """What was identified.
 
-    measured, fits: by name, Gxx, Gyy and, if measured, Gxtheta. x_c: mm, None if no
-    runs tell it. warnings: about recordings; those about a model are in ``fits``. racks: whether
-    the kinematics can rack. racking_below_noise: racking was looked for and is less than its
-    noise. repetitions: by name, of axes that were recorded more than once at one place, the share
-    of the response that each recording has of its own.
+    measured, fits: by name, Gxx, Gyy and, if measured, Gxtheta. x_c: mm, None if no runs tell it.
+    racks: whether the kinematics can rack. racking_below_noise: racking was looked for and is less
+    than its noise. repetitions: by name, of axes that were recorded more than once at one place,
+    the share of the response that each recording has of its own.
     """
 
     measured: dict[str, Measured]
     fits: dict[str, Fit]
     x_c: float | None
-    warnings: list[str]
     racks: bool
     racking_below_noise: bool
     repetitions: dict[str, float]
@@ -158,7 +155,9 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
 
     Raises IdentificationError.
     """
-    measured = _measured(runs, settings)
+    if not runs:
+        raise IdentificationError("no run of the nozzle's sensor. Give one with --nozzle")
+    measured = axis_responses(runs, settings)
     fits = _fit_all(measured)
     fits |= {
         name: fit_known_start(at_the_middle(one.places))
@@ -173,17 +172,8 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
     x_c = None
     if racking is not None:
         measured["Gxtheta"], fits["Gxtheta"], x_c = racking.measured, racking.fit, racking.x_c
-    warnings = _late_start(runs)
-    return Identified(
-        measured, fits, x_c, warnings, settings.racks, sought and racking is None, repetitions
-    )
-
-
-def _measured(runs: Sequence[Run], settings: MeasurementSettings) -> dict[str, Measured]:
-    """Return what the runs of each axis show."""
-    if not runs:
-        raise IdentificationError("no run of the nozzle's sensor. Give one with --nozzle")
-    return axis_responses(runs, settings)
+    below_noise = sought and racking is None
+    return Identified(measured, fits, x_c, settings.racks, below_noise, repetitions)
 
 
 def _fit_all(measured: Mapping[str, Measured]) -> dict[str, Fit]:
@@ -215,13 +205,3 @@ def _most_repeated(places: Sequence[float]) -> Flags:
     """Flag the runs at the place (mm) that has most of them."""
     at = np.array(places)
     return max((np.abs(at - place) < SAME_PLACE for place in at), key=np.count_nonzero)
-
-
-def _late_start(runs: Sequence[Run]) -> list[str]:
-    widest = max((run.clock.sd or 0.0 for run in runs if run.clock), default=0.0)
-    message = (
-        f"the start of a recording is known to ±{widest * 1e3:.1f} ms only, so x, y and racking "
-        "may be late relative to each other by as much. Record with Klipper, whose files tell "
-        "the start"
-    )
-    return [message] if widest > KNOWN_START else []

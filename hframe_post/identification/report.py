@@ -13,11 +13,11 @@ from hframe_post.identification.estimation.fit import Fit
 from hframe_post.identification.estimation.measured import Measured
 from hframe_post.identification.gather import Gathered
 from hframe_post.identification.identify import AXIS, Identified, MeasurementSettings, identify
-from hframe_post.identification.recommend import Recommendation, recommend
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.page.charts import Card, Chart, Curve, Section, page
 from hframe_post.printer.settings import Printer
+from hframe_post.studies.tuning import Recommendation, recommend
 
 
 def conclude(
@@ -72,8 +72,7 @@ class IdentificationReport:
 
     def warnings(self) -> list[str]:
         """Return what the user should not rely on, with the contour error that may remain."""
-        identified = self.identified
-        messages = [*identified.warnings]
+        identified, messages = self.identified, list[str]()
         for name in identified.axes:
             axis, share = AXIS[name], identified.fits[name].residual
             measured = identified.measured[name]

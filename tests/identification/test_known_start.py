@@ -1,5 +1,6 @@
 """Recordings of strokes: found in a folder, on the clock of their command, along the printer."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -132,7 +133,7 @@ def test_without_the_macro_the_first_sample_counts(tmp_path: Path) -> None:
     (found,) = folder.gathered().runs
     assert found.clock is not None
     below(abs(found.clock.start - BEGUN), 0.5 / chip.rate + 1e-5, "error of the start, s")
-    below(found.clock.sd or 1.0, 0.3 / chip.rate, "standard deviation of the start, s")
+    assert found.clock.is_exact
     off = error(along_axes(found), true_acceleration(run))
     below(float(off.max()), WITHOUT_MACRO, "error of the acceleration, %")
 
@@ -209,8 +210,10 @@ def test_a_start_that_is_a_little_off_is_known_less_well(tmp_path: Path) -> None
     (found,) = gathered.runs
     assert found.clock is not None
     assert found.clock.start == pytest.approx(BEGUN, abs=1e-5)
-    assert found.clock.sd == pytest.approx(0.006, abs=5e-4)
-    assert "differ by 6" in gathered.used[0].as_text()
+    assert re.search(
+        r"differ by (5\.[5-9]\d*|6(\.[0-4]\d*)?) ms: x, y and racking may be late .* by as much",
+        gathered.used[0].as_text(),
+    )
 
 
 @pytest.mark.parametrize("cause", ["begins", "ends"])

@@ -9,13 +9,13 @@ from hframe_post.arrays import TS, Array, Complex
 from hframe_post.identification.estimation.fit import Fit, described, shares
 from hframe_post.identification.estimation.frequency_response import FrequencyResponse
 from hframe_post.identification.estimation.regression import FIRST, Mode, Prior
-from hframe_post.identification.recommend import recommend
 from hframe_post.identification.report import uncertain
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import GuessedMotors, Motors
+from hframe_post.studies.tuning import recommend
 from tests import simulator
 from tests.plants import axis_mode, deviation_of_mode
 from tests.simulator import Axis, Machine

@@ -118,7 +118,7 @@ def test_a_real_printer_follows_its_command_below_the_resonance_and_may_drift() 
     assert fitted_x.G.lag == 0.0
     assert fitted_x.residual < 0.15
     fits = {"Gxx": fitted_x}
-    found = Identified({}, fits, None, [], False, False, {})
+    found = Identified({}, fits, None, False, False, {})
     plant = found.plant(100.0)
     assert isinstance(plant.Gxx, ImpulseResponse)
     assert plant.Gxx.drift == DRIFT_ALONE == 0.03

@@ -79,7 +79,7 @@ def test_the_macro_tells_the_start_to_some_microseconds(tmp_path: Path) -> None:
     found = starts(tmp_path, command)
     assert found.keys() == {3200.0, 394.0}
     for start in found.values():
-        below(start.sd or 1.0, 30e-6, "standard deviation of the start, s")
+        assert start.is_exact
         below(abs(start.start - true), 30e-6, "error of the start, s")
     # and at all times the motion is that of the command
     t = true + np.arange(len(command)) * TS

@@ -14,7 +14,6 @@ explains as much of four recordings of a LIS2DW as one that bends every 15 s, or
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -89,9 +88,9 @@ def _steady(t: Array, number: Integers) -> tuple[Array, tuple[str, ...]]:
 
 
 GRAVITY = 9806.65  # mm/s²
-UNITS = (1.0, 1000.0, GRAVITY)  # of other programs: mm/s², m/s², g
+UNITS = (1.0, 1000.0, GRAVITY)  # mm/s², m/s², g
 # of a sensor set to another range than the program believes: 2, 4, 8, 16 g
-RANGES = (1.0, 1.0 / 8.0, 1.0 / 4.0, 1.0 / 2.0, 2.0, 4.0, 8.0)
+RANGES = (1.0 / 8.0, 1.0 / 4.0, 1.0 / 2.0, 2.0, 4.0, 8.0)
 AXES = "xyz"
 PLAUSIBLE = (8000.0, 12000.0)  # of gravity, mm/s²
 
@@ -143,21 +142,16 @@ def from_table(path: Path, table: Table) -> Recording:
     """
     _check_samples(path, table)
     a = table.values[:, 1:]
-    unit = _by_gravity(a, RANGES if table.in_mm else UNITS)
+    read = float(np.linalg.norm(a.mean(axis=0)))
+    plausible = (u for u in (*UNITS, *RANGES) if PLAUSIBLE[0] <= read * u <= PLAUSIBLE[1])
+    unit = next(plausible, 1.0)
     a = a * unit
     _check_clipping(path, table, a)
     t, a, notes = repaired(table.values[:, 0].copy(), a)
-    if table.in_mm and unit != 1.0:
-        read = float(np.linalg.norm(table.values[:, 1:].mean(axis=0))) / 1000.0
-        notes = (f"gravity reads {read:.3g} m/s²: all values are multiplied by {unit:g}", *notes)
+    if unit in RANGES:
+        shown = f"gravity reads {read / 1000.0:.3g} m/s²"
+        notes = (f"{shown}: all values are multiplied by {unit:g}", *notes)
     return Recording(t, a, table.starts_with_command, notes)
-
-
-def _by_gravity(a: Array, units: Sequence[float]) -> float:
-    """Return the unit, in mm/s², in which the mean of a (n, 3) is gravity; 1 if it is in none."""
-    strength = float(np.linalg.norm(a.mean(axis=0)))
-    fitting = (unit for unit in units if PLAUSIBLE[0] <= strength * unit <= PLAUSIBLE[1])
-    return next(fitting, 1.0)
 
 
 # ---------------------------------------------------------------------- checks of samples

@@ -66,18 +66,13 @@ def acceleration(position: Array) -> Array:
 class Clock:
     """A sensor's clock.
 
-    start: s on it at the first row of the command. drift: by how much it runs fast. sd: standard
-    deviation of the start in s, if the printer's own clock reports it; else None.
+    start: s on it at the first row of the command. drift: by how much it runs fast. is_exact:
+    whether the printer's own clock reports the start.
     """
 
     start: float
     drift: float = 0.0
-    sd: float | None = None
-
-    @property
-    def is_exact(self) -> bool:
-        """Return whether the printer's own clock reports the start."""
-        return self.sd is not None
+    is_exact: bool = False
 
     def at(self, rows: Array | Integers) -> Array:
         """Return what it shows at rows (k,) of the command, s."""
@@ -230,7 +225,6 @@ def summit(values: Array) -> float:
 
 # ---------------------------------------------------------------------- reported by the printer
 
-PLAYED_SD = 2e-5  # s: by how much Klipper plays a motion longer or shorter than its command
 AGREED = 1e-3  # s by which the two starts may differ, beyond the time between samples
 SHORTEST_STOP = 0.1  # s by which Klipper moves the print time at least, once its queue is empty
 SLOW_HZ = (2.0, 10.0)
@@ -245,8 +239,7 @@ def known_start(
     ended: print time in s at which the motion had ended, if the recording's name tells. Raises
     IdentificationError if nothing tells.
     """
-    period = recording.period
-    first = Clock(float(recording.t[0]) - period / 2.0, sd=period / 12.0**0.5)
+    first = Clock(float(recording.t[0]) - recording.period / 2.0, is_exact=True)
     if ended is None and not recording.started:
         raise IdentificationError(
             "nothing tells when its motion began. Let Klipper record it, by the file of "
@@ -254,14 +247,15 @@ def known_start(
         )
     if ended is None:
         return first, ()
-    named = Clock(ended - (samples - 1) * TS, sd=PLAYED_SD)
+    named = Clock(ended - (samples - 1) * TS, is_exact=True)
     off = abs(named.start - first.start)
-    missed = off - period / 2.0
+    missed = off - recording.period / 2.0
     if not recording.started or missed <= AGREED:
         return named, ()
     differ = f"the time in its name and its first sample differ by {1e3 * off:.3g} ms"
     if missed <= SHORTEST_STOP:  # its time stamps wander, or the host was late
-        return Clock(named.start, sd=missed), (differ,)
+        late = "x, y and racking may be late relative to each other by as much"
+        return named, (f"{differ}: {late}",)
     # another command has moved the print time after the motion; or the motion stopped, which shows
     return first, (f"{differ}: the sample counts",)
 

@@ -126,15 +126,13 @@ LONGEST_NAME = 40  # characters of a column's name or a bad line, as errors show
 class Table:
     """One recording in a file: time (s) and three accelerations, (n, 4).
 
-    text: the file, if it has lines, so that errors can name them. in_mm: whether the accelerations
-    are in mm/s²; otherwise gravity shows their unit. starts_with_command: whether the program that
-    wrote the file began recording with the first sample of the command. name: of the recording, if
-    the file names it.
+    Gravity shows their unit. text: the file, if it has lines, so that errors can name them.
+    starts_with_command: whether the program that wrote the file began recording with the first
+    sample of the command. name: of the recording, if the file names it.
     """
 
     values: Array
     text: bytes | None = None
-    in_mm: bool = False
     starts_with_command: bool = False
     name: str = ""
 
@@ -171,13 +169,6 @@ def read_tables(path: Path, content: bytes, columns: Sequence[str] | None) -> li
     )
 
 
-def _klipper(path: Path, content: bytes, names: list[str]) -> list[Table] | None:
-    """Read what ACCELEROMETER_MEASURE and TEST_RESONANCES write."""
-    if names != KLIPPER:
-        return None
-    return [Table(_numbers(path, content, names), content, in_mm=True, starts_with_command=True)]
-
-
 def _shaketune(path: Path, content: bytes, _: list[str]) -> list[Table] | None:
     """Read a .stdata file of Shake&Tune: in each line a JSON object with a name and samples."""
     if not content.startswith(b"{"):
@@ -202,7 +193,7 @@ def _measurement(path: Path, number: int, line: bytes) -> Table:
             f"{path}: measurement {number} does not consist of a name and samples of time, x, y "
             "and z: Shake&Tune did not write this file"
         ) from None
-    return Table(values, in_mm=True, name=name)
+    return Table(values, name=name)
 
 
 def _reprap(path: Path, content: bytes, names: list[str]) -> list[Table] | None:
@@ -222,19 +213,22 @@ def _reprap(path: Path, content: bytes, names: list[str]) -> list[Table] | None:
 
 
 def _labelled(path: Path, content: bytes, names: list[str]) -> list[Table] | None:
-    """Read another program's table if its columns say what they are: time, and accelerations."""
+    """Read a table whose columns say what they are: time, and accelerations.
+
+    ACCELEROMETER_MEASURE and TEST_RESONANCES write such, and so do other programs.
+    """
     bare = [UNIT.sub("", name.strip("# ").lower()).replace(" ", "_") for name in names]
     times = [k for k, name in enumerate(bare) if name in TIMES]
     for form in ACCELERATIONS:
         axes = [form.format(axis) for axis in "xyz"]
         if len(times) == 1 and all(bare.count(axis) == 1 for axis in axes):
-            places = [times[0], *(bare.index(axis) for axis in axes)]
-            return [Table(_numbers(path, content, [names[k] for k in places]), content)]
+            chosen = [names[k] for k in (times[0], *(bare.index(axis) for axis in axes))]
+            return [Table(_numbers(path, content, chosen), content, names == KLIPPER)]
     return None
 
 
 FORMATS: tuple[Callable[[Path, bytes, list[str]], list[Table] | None], ...] = (
-    _shaketune, _klipper, _reprap, _labelled,
+    _shaketune, _reprap, _labelled,
 )  # fmt: skip
 
 

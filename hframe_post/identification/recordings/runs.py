@@ -75,17 +75,19 @@ SAVE_GCODE_STATE NAME={state}
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
-    """One recording.
+    """A motion that is recorded.
 
-    position: the x and y where it begins and ends, mm. axis: that moves, X if both do. command
-    (n, 2): x and y every 1 ms, the first row at the first call of ACCELEROMETER_MEASURE, the last
-    at the second. The recording's name ends with ``name`` and the time of the end.
+    command (n, 2): x and y, mm, every 1 ms; Klipper records from the first row to the last. The
+    recording's name ends with ``name`` and the time of the end.
     """
 
     name: str
-    axis: int
-    position: tuple[float, float]
     command: Array
+
+    @property
+    def axis(self) -> int:
+        """Return the axis that moves, X if both do."""
+        return X if np.ptp(self.command[:, X]) > 0.0 else Y
 
     @property
     def seconds(self) -> float:
@@ -165,7 +167,7 @@ def moves_sensor(printer: Printer, planned: Sequence[PlannedRun], chips: Sequenc
 
 def seconds_of(planned: Sequence[PlannedRun]) -> float:
     """Return the time in all, with the ways between the places but not the one to the first."""
-    ways = np.diff([run.position for run in planned], axis=0)
+    ways = np.diff([run.command[0] for run in planned], axis=0)
     on_the_way = float(np.hypot(*ways.T).sum()) / APPROACH if len(planned) > 1 else 0.0
     return on_the_way + sum(run.seconds + SETTLED * TS for run in planned)
 
@@ -245,10 +247,10 @@ def _samples(
 ) -> Iterator[Samples]:
     first = 0
     for run, chips in zip(planned, sensors, strict=True):
-        x, y = (plain(p, 3) for p in run.position)
-        approach = f"G90\nG0 X{x} Y{y} F{plain(APPROACH * 60.0, 1)}"
-        here = (*run.position, z, 0.0)
-        still = np.tile(np.array(run.position), (1 + SETTLED, 1))
+        x, y = run.command[0].tolist()
+        approach = f"G90\nG0 X{plain(x, 3)} Y{plain(y, 3)} F{plain(APPROACH * 60.0, 1)}"
+        here = (x, y, z, 0.0)
+        still = np.tile(run.command[0], (1 + SETTLED, 1))
         command = np.concatenate([still, run.command[1:]])
         measure = [f"ACCELEROMETER_MEASURE CHIP={chip}" for chip in chips]
         begun, end = first + len(still), first + len(command)

@@ -65,8 +65,7 @@ def runs(
     for axes in [(X,), (Y,)] if printer.kinematics.bed_moves else [(X, Y)]:
         prefix = name if len(axes) > 1 else f"{name}-{'xy'[axes[0]]}"
         for own, at in named(prefix, printer, axes[0], places):
-            motion = frozen(command(printer, at, axes, seconds))
-            made.append(PlannedRun(own, axes[0], at, motion))
+            made.append(PlannedRun(own, frozen(command(printer, at, axes, seconds))))
     return made
 
 

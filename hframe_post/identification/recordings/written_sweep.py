@@ -114,7 +114,7 @@ def played(
     along = np.pad(play.motion(cells, moves.v, moves.turns, a), QUIET, mode="edge")
     command = np.tile(np.array([x, y]), (len(along), 1))
     command[:, axis] += along
-    done = PlannedRun(name, axis, (x, y), frozen(command))
+    done = PlannedRun(name, frozen(command))
     ends = (x, y)[axis] + cells[1:, axis] * play.step
     return done, _gcode(printer, play, done, np.asarray(ends), moves.v, a, z)
 
@@ -187,7 +187,7 @@ def _gcode(
         name=run.name, printer=printer.name, version=__version__, seconds=run.seconds, part=part,
         z=height, axis=axis.lower(), after_cancel=play.after_cancel,
     )  # fmt: skip
-    x, y = (plain(place, 3) for place in run.position)
+    x, y = (plain(place, 3) for place in run.command[0].tolist())
     begin = [
         *play.begin, "G90", f"G1 Z{height} F{plain(LIFT * 60.0, 1)}",
         f"G1 X{x} Y{y} F{plain(APPROACH * 60.0, 1)}",
@@ -197,7 +197,7 @@ def _gcode(
     feeds = (plain(speed * 60.0, 1) for speed in v.tolist())
     places = (plain(place, 4) for place in at.tolist())
     moves = [f"G1 {axis}{place} F{feed}" for place, feed in zip(places, feeds, strict=True)]
-    last = np.array([*run.position, z, 0.0])
+    last = np.array([*run.command[0], z, 0.0])
     last[run.axis] = at[-1]
     state = ModalState(True, False, 0.0, APPROACH, (0.0, 0.0, 0.0))
     end = play.code.end(state, last)
