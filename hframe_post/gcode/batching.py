@@ -10,7 +10,6 @@ import numpy as np
 from hframe_post.arrays import Array, E
 from hframe_post.errors import GcodeError
 from hframe_post.gcode import commands
-from hframe_post.gcode.commands import Vocabulary
 from hframe_post.gcode.curves import MAX_COORDINATE_MM
 from hframe_post.gcode.objects import Objects
 from hframe_post.gcode.state import ReadOptions, State
@@ -19,9 +18,11 @@ from hframe_post.native.plain_lines import (
     CHANGES,
     HARMLESS,
     LABELS,
+    MODES,
     SHOWS,
     SKIP,
     TELLS,
+    UNKNOWN,
     Known,
     digest,
     plain_lines,
@@ -29,7 +30,6 @@ from hframe_post.native.plain_lines import (
 from hframe_post.stream.features import PLACE_WORDS
 from hframe_post.stream.marks import NO_MARKS, SETS, Mark, Marks
 from hframe_post.stream.types import (
-    FileLimits,
     Handling,
     Item,
     MoveAtRest,
@@ -48,7 +48,7 @@ BYTES_PER_MARK = 200  # in addition to the text
 MAX_FILAMENT_MM = 2e3  # mm of one move; loading takes less
 MAX_FILAMENT_PER_PATH = 10.0  # mm/mm; Klipper refuses more than a quarter
 MIN_PATH_MM = 1e-9  # mm; a curve may end where it begins, and squares of less may be 0
-# of comments and messages that need a closer look, and of comments that later stages read
+# of comments that need a closer look, and of comments and messages that later stages read
 WORDS = commands.COMMENT_WORDS, PLACE_WORDS, commands.TIME_WORDS
 CORNER = 7  # column of ``PlainLines``' rows
 
@@ -67,7 +67,7 @@ class PlainLines:
         for axis, edge in enumerate(state.endstops):
             low[axis], high[axis] = max(low[axis], edge[0]), min(high[axis], edge[1])
         self._edges = *low.tolist(), *high.tolist()
-        self._values, self._rules = np.empty(17), np.empty(24)
+        self._values, self._rules = np.empty(19), np.empty(22)
         self._rows = np.empty((MOVES_PER_ITEM, 8))
         self._marks, self._taken = np.empty((MARKS_AT_ONCE, 4), np.int64), np.zeros(6, np.int64)
 
@@ -77,11 +77,13 @@ class PlainLines:
         text, offset = source.upcoming()
         if not text:
             return False
+        kept = state.modes().items()
+        self._known.classify({name: MODES if set_ else UNKNOWN for name, set_ in kept})
         values = self._values
         values[:] = (
             *state.position, *state.offset, state.feed, state.speed, state.acceleration,
             state.travel_acceleration, state.corner, items.passed, objects.present, objects.last,
-            state.setting,
+            state.setting, state.others.cruise_ratio, state.others.path,
         )  # fmt: skip
         self._rules[:] = self._present_rules()
         count = plain_lines(
@@ -95,7 +97,7 @@ class PlainLines:
         start = state.position
         *_, e_offset, state.feed, _ = values[:10].tolist()
         state.acceleration, state.travel_acceleration, state.corner = values[10:13].tolist()
-        objects.present, objects.last, state.setting = map(int, values[14:].tolist())
+        objects.present, objects.last, state.setting = map(int, values[14:17].tolist())
         if renamed:
             state.offset, state.e_named = (*state.offset[:3], e_offset), True
         marks = Marks(self._marks[:passed].copy(), text).compact() if passed else NO_MARKS
@@ -106,6 +108,8 @@ class PlainLines:
             x, y, z, e = values[:4].tolist()
             state.position = (x, y, z, e)
         items.add_rows(start, rows, marks, int(values[13]))
+        ratio, path = values[17:].tolist()
+        state.limit(cruise_ratio=ratio, path=path)
         return not stopped
 
     def _set_advance(self, marks: Marks) -> None:
@@ -116,7 +120,7 @@ class PlainLines:
             self._known.learn(text, digest(text))
 
     def _present_rules(self) -> tuple[float, ...]:
-        state, others, options = self._state, self._state.others, self._options
+        state, options = self._state, self._options
         m204, m205, velocity_limit = (
             APPLY if options.obeys(name) else SKIP for name in ("M204", "M205", commands.LIMITS)
         )
@@ -126,15 +130,19 @@ class PlainLines:
         return (
             state.scale, state.factor, MIN_FEED_MM_S, MAX_COORDINATE_MM, MAX_FILAMENT_MM,
             *self._edges, not state.absolute_e, 0.99 * MAX_FILAMENT_PER_PATH, MIN_PATH_MM,
-            MAX_MOVE_S, moves, m204, m205, velocity_limit, others.cruise_ratio, others.path,
-            MAX_MARK_BYTES, BYTES_PER_MARK, self._objects.may_be_several,
+            MAX_MOVE_S, moves, m204, m205, velocity_limit, MAX_MARK_BYTES,
+            BYTES_PER_MARK, self._objects.may_be_several,
         )  # fmt: skip
 
 
-def known_names(vocabulary: Vocabulary) -> Known:
+def known_names(options: ReadOptions) -> Known:
     """Return the classes of the commands that pass in mid-motion, and that no item depends on."""
-    passing = [name for name, effect in vocabulary.names.items() if effect is commands.Effect.NONE]
-    classes = {name: HARMLESS for name in passing if name not in commands.FOLLOWED}
+    names = options.vocabulary.names.items()
+    passing = [name for name, effect in names if effect is commands.Effect.NONE]
+    followed = commands.FOLLOWED
+    if options.retraction is not None:
+        followed |= options.dialect.retraction_settings
+    classes = {name: HARMLESS for name in passing if name not in followed}
     special = {"M73": TELLS, "M117": SHOWS, "M118": SHOWS}
     special |= {"SET_PRESSURE_ADVANCE": CHANGES, "M900": CHANGES}
     special |= dict.fromkeys(("M486", "EXCLUDE_OBJECT_START", "EXCLUDE_OBJECT_END"), LABELS)
@@ -147,6 +155,7 @@ class ItemBuilder:
     def __init__(self, state: State) -> None:
         self._state = state
         self._start: Position = (0.0, 0.0, 0.0, 0.0)
+        self._limits = state.others  # of the moves
         self._count = 0
         self._rows: list[tuple[float, ...]] = []  # the latest moves
         self._tables: list[Array] = []  # those before
@@ -194,7 +203,7 @@ class ItemBuilder:
             self.flush()
 
     def _add_travel(self, start: Position, rows: Array, marks: Marks) -> None:
-        if marks is not NO_MARKS and not self._count:
+        if marks is not NO_MARKS and self._is_new:
             first = marks.count_before(1)
             self._add_marks(marks.rows(0, first))
             marks = marks.rows(first)
@@ -213,10 +222,16 @@ class ItemBuilder:
         if marks:
             self._marks.append(marks.shifted(self._count))
 
+    @property
+    def _is_new(self) -> bool:
+        """Return whether the next move begins an item: all moves of one have the same limits."""
+        others = self._state.others
+        return not self._count or (others is not self._limits and others != self._limits)
+
     def _begin(self, start: Position) -> None:
-        if not self._count:
+        if self._is_new:
             self.flush()
-            self._start = start
+            self._start, self._limits = start, self._state.others
         self.passed, self.any_motion = 0, True
 
     def _tabulate(self) -> None:
@@ -258,8 +273,8 @@ class ItemBuilder:
         self.flush()
         self.ready.append(item)
 
-    def flush(self, limits: FileLimits | None = None) -> None:
-        """End the item that is collected. limits: of its moves; those in force by default."""
+    def flush(self) -> None:
+        """End the item that is collected."""
         marks = NO_MARKS
         if self._lines:
             self._add_marks(NO_MARKS)
@@ -278,7 +293,7 @@ class ItemBuilder:
         self.ready.append(
             Moves(
                 table[:, 0].astype(np.int64), frozen(points), speed, acceleration, corner,
-                limits or self._state.others, marks,
+                self._limits, marks,
             )
         )  # fmt: skip
         self._count, self._tables = 0, []

@@ -175,9 +175,8 @@ def _finite(line: Line, found: dict[str, float]) -> dict[str, float]:
 
 STAMP = b"; processed by hframe-post"
 OFF = b"; hframe-post: off"  # a file with this line is not to be converted
-# comments with such a word need a closer look: the two above, labels of objects, times of the
-# print; so do messages with such a word, which may say a time left
-COMMENT_WORDS, TIME_WORDS = b"hframe-post|printing|mesh:|time", b"left|remaining"
+# words of the two above and of labels of objects, and of comments and messages that say a time
+COMMENT_WORDS, TIME_WORDS = b"hframe-post|printing|mesh:", b"time|left|remaining"
 
 MOTION_WORDS = {
     "G0": "XYZEF",
@@ -199,8 +198,8 @@ LIMIT_PARAMETERS = (
 )
 # commands that move nothing, and of which the reader or a later stage keeps the words
 FOLLOWED = frozenset({
-    *MOTION_WORDS, *MODAL, LIMITS, *LIMIT_WORDS, "M207", "M208", "M211", "M486", "M900",
-    "SET_RETRACTION", "SET_PRESSURE_ADVANCE", "EXCLUDE_OBJECT_START", "EXCLUDE_OBJECT_END",
+    *MOTION_WORDS, *MODAL, LIMITS, *LIMIT_WORDS, "M211", "M486", "M900",
+    "SET_PRESSURE_ADVANCE", "EXCLUDE_OBJECT_START", "EXCLUDE_OBJECT_END",
 })  # fmt: skip
 UNSUPPORTED = {
     "G5.1": "quadratic splines",

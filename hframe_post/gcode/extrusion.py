@@ -116,16 +116,11 @@ class FirmwareRetraction:
 
     def apply(self, line: Line, name: str, arguments: bytes) -> None:
         """Apply SET_RETRACTION, M207 or M208, which the firmware obeys, too; ignore the others."""
-        if name == "SET_RETRACTION":
-            words = parameters(line, SET_RETRACTION)
-        elif name in RETRACTION_WORDS:
-            words = numbers_among(line, arguments, RETRACTION_WORDS[name])
-        else:
-            return
         old = self._settings
         if old is None or name not in self._dialect.retraction_settings:
             return
         if name == "SET_RETRACTION":
+            words = parameters(line, SET_RETRACTION)
             new = Retraction(
                 length=words.get("RETRACT_LENGTH", old.length),
                 extra=words.get("UNRETRACT_EXTRA_LENGTH", old.extra),
@@ -134,6 +129,7 @@ class FirmwareRetraction:
             )
             lift = words.get("Z_HOP_HEIGHT", 0.0)
         else:
+            words = numbers_among(line, arguments, RETRACTION_WORDS[name])
             speed, lift = words.get("F", 0.0) / 60.0, words.get("Z", 0.0)
             if name == "M207":
                 length = words.get("S", old.length)

@@ -85,7 +85,7 @@ class _Reader:
     def __init__(self, source: Lines, options: ReadOptions) -> None:
         self._source, self._options, self._dialect = source, options, options.dialect
         self._state = State(options)
-        self._objects = Objects(options.dialect, source, known_names(options.vocabulary))
+        self._objects = Objects(options.dialect, source, known_names(options))
         self._retraction = FirmwareRetraction(options.retraction, options.dialect)
         self.plain_lines = PlainLines(self._state, self._objects, options)
         self._any_motion = False  # requested so far, even from unknown positions
@@ -247,10 +247,7 @@ class _Reader:
         if name == "M220":
             self._state.set_factor(line, arguments, words)
         elif self._options.obeys(name):
-            before = self._state.others
             self._state.set_limits(line, name, words)
-            if self._state.others is not before:
-                self.items.flush(before)  # they hold for all moves of an item
             of_others = [a + plain(words[a], 3) for a in "ZE" if name == "M203" and a in words]
             if of_others:  # the stream's lines set those of x and y
                 text = " ".join([name, *of_others]).encode()

@@ -222,6 +222,16 @@ class State:
         else:
             self.xy_plane = name == "G17"
 
+    def modes(self) -> dict[str, bool]:
+        """Return whether each mode is set; its command changes nothing then."""
+        absolute, e = self.absolute, self.absolute_e if self.e_mode_known else None
+        g90 = absolute and (e is True or not self._dialect.g90_sets_e)
+        g91 = not absolute and (e is False or not self._dialect.g90_sets_e)
+        return {
+            "G90": g90, "G91": g91, "M82": e is True, "M83": e is False,
+            "G21": self.scale == 1.0, "G17": self.xy_plane,
+        }  # fmt: skip
+
     def set_e_mode(self, absolute: bool) -> None:
         self.absolute_e, self.e_mode_known = absolute, True
 
@@ -261,17 +271,17 @@ class State:
             before = self.acceleration, self.travel_acceleration
             self.acceleration, self.travel_acceleration = self._dialect.accelerations(words, before)
             if self.others.retract < math.inf:
-                self._limit(retract=words.get("R", self.others.retract))
+                self.limit(retract=words.get("R", self.others.retract))
         elif name == "M205" and self._dialect.has_deviation:
-            self._limit(deviation=words.get("J", self.others.deviation))
+            self.limit(deviation=words.get("J", self.others.deviation))
         elif name == "M205":
             self.corner = min((words[a] for a in "XY" if a in words), default=self.corner)
         elif name == "M201":
             x, y, z, e = map(words.get, AXES, self.others.acceleration)
-            self._limit(acceleration=(x, y, z, e))
+            self.limit(acceleration=(x, y, z, e))
         elif name == "M203":
             x, y, z, e = map(words.get, AXES, self.others.velocity)
-            self._limit(velocity=(x, y, z, e))
+            self.limit(velocity=(x, y, z, e))
         else:
             self.acceleration = self.travel_acceleration = words.get("ACCEL", self.acceleration)
             self.corner = words.get("SQUARE_CORNER_VELOCITY", self.corner)
@@ -279,7 +289,7 @@ class State:
             if (slower := words.get("ACCEL_TO_DECEL")) is not None:
                 ratio = 1.0 - min(1.0, slower / self.acceleration)
             path = words.get("VELOCITY", self.others.path)
-            self._limit(path=path, cruise_ratio=ratio)
+            self.limit(path=path, cruise_ratio=ratio)
 
     def set_advance(self, text: bytes) -> AdvanceChange:
         """Apply what a line sets of pressure advance, and return it."""
@@ -292,7 +302,7 @@ class State:
             self.setting = -1
         return change
 
-    def _limit(self, **limits: Any) -> None:
+    def limit(self, **limits: Any) -> None:
         """Change these of the other limits; they stay the same object where nothing changes."""
         if any(getattr(self.others, name) != value for name, value in limits.items()):
             self.others = replace(self.others, **limits)

@@ -89,47 +89,79 @@ LOOP(motion_lines, INTEGERS(0, COLUMNS * (ITEMS(1) + 1)), INTEGERS(1, 0), BYTES(
 enum { LONGEST = 256 }; /* bytes of a line, with the room behind it */
 
 struct times {
-    double left, faster; /* change of the time that is left, s; least share of it that stays */
+    double gone, left, faster; /* changes of the times that have passed and are left, s; least share of these
+                                  that stays */
 };
 
-/* Copy M73 and its words, with its minutes changed, to ``made``; return its length, 0: it has another
- * form. */
+/* Copy a number of a unit (s) to *to, changed by seconds; return its end, or NULL: it has another form. */
+static const uint8_t *changed(const uint8_t *c, const uint8_t *last, double unit, double change,
+                              double faster, uint8_t **to)
+{
+    const uint8_t *digits = c;
+    double value = 0.0, scale = 1.0;
+    int decimals = 0, point = 0;
+    for (; c < last && ((*c >= '0' && *c <= '9') || (*c == '.' && !point && c > digits)); c++) {
+        if (*c == '.') {
+            point = 1;
+            continue;
+        }
+        value = 10.0 * value + (*c - '0');
+        if (point)
+            decimals++, scale *= 10.0;
+    }
+    int64_t count = c - digits - point;
+    if (count == 0 || count > MOST_DIGITS - 1 || point != (decimals > 0)
+        || (count > decimals + 1 && *digits == '0'))
+        return NULL;
+    double seconds = unit * (value / scale);
+    double made = rint(greater(greater(seconds + change, faster * seconds), 0.0) / unit * scale);
+    if (made >= 1e9)
+        return NULL;
+    int64_t whole = (int64_t)(made / scale), rest = (int64_t)made - whole * (int64_t)scale;
+    *to = written(*to, whole, 0);
+    if (point)
+        *(*to)++ = '.';
+    for (int64_t ten = (int64_t)scale / 10; ten > 0; ten /= 10)
+        *(*to)++ = (uint8_t)('0' + rest / ten % 10);
+    return c;
+}
+
+/* Copy M73 and its words, with its minutes changed, or Cura's comment of the time that has passed, to
+ * ``made``; return its length, 0: it has another form. */
 static int64_t progress_line(const uint8_t *c, int64_t size, struct times times, uint8_t *made,
                              int64_t most)
 {
+    static const char label[] = ";TIME_ELAPSED:";
+    enum { LABEL = sizeof label - 1 };
     const uint8_t *last = c + size;
-    uint8_t *to = made, *full = made + LONGEST - MOST_DIGITS - 3;
-    if (size < 3 || memcmp(c, "M73", 3) != 0)
+    uint8_t *to = made, *full = made + LONGEST - 2 * MOST_DIGITS - 3;
+    if (size > LABEL && memcmp(c, label, LABEL) == 0) {
+        memcpy(to, c, LABEL), to += LABEL;
+        if ((c = changed(c + LABEL, last, 1.0, times.gone, times.faster, &to)) == NULL)
+            return 0;
+    } else if (size < 3 || memcmp(c, "M73", 3) != 0) {
         return 0;
-    memcpy(to, c, 3);
-    to += 3, c += 3;
-    while (c < last && *c == ' ' && to < full) {
-        *to++ = *c++;
-        if (c == last || *c < 'A' || *c > 'Z')
-            break;
-        uint8_t letter = *to++ = *c++;
-        const uint8_t *digits = c;
-        double value = 0.0;
-        for (; c < last && *c >= '0' && *c <= '9'; c++)
-            value = 10.0 * value + (*c - '0');
-        int64_t count = c - digits;
-        if (count == 0 || count > MOST_DIGITS - 1 || (count > 1 && *digits == '0'))
-            return 0;
-        double seconds = 60.0 * value;
-        double changed = rint(greater(greater(seconds + times.left, times.faster * seconds), 0.0) / 60.0);
-        if (letter != 'R' && letter != 'S')
-            memcpy(to, digits, (size_t)count), to += count;
-        else if (changed >= 1e9)
-            return 0;
-        else
-            to = written(to, (int64_t)changed, 0);
+    } else {
+        memcpy(to, c, 3), to += 3, c += 3;
+        while (c < last && *c == ' ' && to < full) {
+            *to++ = *c++;
+            if (c == last || *c < 'A' || *c > 'Z')
+                break;
+            uint8_t letter = *to++ = *c++, *digits = to;
+            const uint8_t *end = changed(c, last, 60.0, times.left, times.faster, &to);
+            if (end == NULL)
+                return 0;
+            if (letter != 'R' && letter != 'S')
+                memcpy(digits, c, (size_t)(end - c)), to = digits + (end - c);
+            c = end;
+        }
     }
     if (c + 1 == last && *c == '\r' && to < full)
         *to++ = *c++;
     return c == last && to - made <= most ? to - made : 0;
 }
 
-/* Change the minutes left in lines at places (n, 2) of a text (size): see progress_lines in Python.
+/* Change the times in lines at places (n, 2) of a text (size): see progress_lines in Python.
  * Returns how many lines stay; others (n): which. */
 static int64_t progress_lines(uint8_t *text, int64_t size, const int64_t *at, int64_t n,
                               const double *elapsed, double before, double after, int64_t room,
@@ -140,7 +172,8 @@ static int64_t progress_lines(uint8_t *text, int64_t size, const int64_t *at, in
         uint8_t made[LONGEST];
         int64_t from = at[2 * i], length = at[2 * i + 1] - from, fits = length + room, done = 0;
         double all = after - before, share = after != 0.0 ? elapsed[i] / after : 0.0;
-        struct times times = {all - all * share, before != 0.0 ? lesser(after / before, 1.0) : 1.0};
+        double faster = before != 0.0 ? lesser(after / before, 1.0) : 1.0;
+        struct times times = {all * share, all - all * share, faster};
         if (length > 0 && fits <= LONGEST && from + fits <= size)
             done = progress_line(text + from, length, times, made, fits);
         if (done == 0) {

@@ -49,7 +49,7 @@ def motion_lines(
 def progress_lines(
     text: Bytes, at: Integers, elapsed: Array, before: float, after: float, room: int, /
 ) -> Integers:
-    """Change the minutes left in lines of M73; return the other lines, (m,), which stay.
+    """Change the times in lines of M73 and ;TIME_ELAPSED; return the other lines, (m,), which stay.
 
     text: with the lines at places (k, 2), and ``room`` blanks behind each. elapsed (k,), before,
     after: see ``writers.print_time.with_times``.

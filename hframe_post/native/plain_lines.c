@@ -7,6 +7,7 @@
 #include "kernels.h"
 
 enum { EXACT_DIGITS = 15, LONGEST_LINE = 512, ROW = 8, MARK = 4, TAKEN = 6, CELL = 128, CELLS = 1024 };
+enum { FEW_SETTINGS = 32 };           /* lines back in which a setting may be repeated */
 enum { APPLY, SKIP };                 /* what to do with a line that limits the motion */
 enum { NO_MOVE, TRAVELS, STANDS };    /* a move: x or y changes; only z or e does */
 
@@ -71,8 +72,8 @@ static const char *words(const char *c, const char *last, double *value, int *gi
 
 /* ------------------------------------------------------------------------ lines that pass */
 
-enum { PLAIN, CLOCK, PLACES, SETS };               /* kinds, as in stream/marks.py */
-enum { UNKNOWN, HARMLESS, TELLS, SHOWS, CHANGES, LABELS }; /* classes of names, as in plain_lines.py */
+enum { PLAIN, CLOCK, PLACES, SETS, RESETS, OTHERS }; /* kinds, as in stream/marks.py */
+enum { UNKNOWN, HARMLESS, TELLS, SHOWS, MODES, CHANGES, LABELS }; /* classes of names, as in plain_lines.py */
 
 /* Words in lower case between bars, and which characters begin one. */
 struct words {
@@ -107,18 +108,18 @@ static int is_any(const char *c, const struct words *words)
     return 0;
 }
 
+enum { READER, LATER, TIMES, LISTS }; /* lists of words, see plain_lines.py */
+
 /* Return the line feed that ends a line; NULL: it has a character that no line of text has.
- * has: set where the line has one of the words of either list. */
-static const char *rest(const char *c, const char *last, const struct words *one,
-                        const struct words *other, int has[2])
+ * has: set where the line has one of the words of a list; lists: NULL: it does not matter. */
+static const char *rest(const char *c, const char *last, const struct words *lists, int has[LISTS])
 {
     for (; *c != '\n'; c++) {
         if (*c == 0 || c >= last || (*c == '\r' && c[1] != '\n'))
             return NULL;
-        if (one && !has[0])
-            has[0] = is_any(c, one);
-        if (other && !has[1])
-            has[1] = is_any(c, other);
+        for (int k = 0; lists && k < LISTS; k++)
+            if (!has[k])
+                has[k] = is_any(c, lists + k);
     }
     return c;
 }
@@ -169,17 +170,28 @@ static const char *progress(const char *c, int64_t *kind)
     return *c == ';' || *c == '\n' || (*c == '\r' && c[1] == '\n') ? c : NULL;
 }
 
+/* Return whether a comment says how much of the print has passed, as Cura does, and no more. */
+static int elapsed(const char *c)
+{
+    static const char label[] = ";TIME_ELAPSED:";
+    double seconds;
+    if (strncmp(c, label, sizeof label - 1) != 0 || !(c[sizeof label - 1] >= '0')
+        || (c = number(c + sizeof label - 1, &seconds)) == NULL || c[-1] == '.')
+        return 0;
+    return *c == '\n' || (*c == '\r' && c[1] == '\n');
+}
+
 /* known: names of commands and their classes, and lines with their line feeds and what the reader found
- * in them (see is_known); words of comments that concern the reader, of those that concern later
- * stages, and of messages that say a time. */
+ * in them (see is_known); words. */
 struct lists {
     const char *known;
-    struct words reader, later, times;
+    struct words words[LISTS];
 };
 
 struct state { /* mm and s; offset: of the place from what the file calls it */
     double at[COLUMNS], offset[COLUMNS], feed, speed, acceleration, travel_acceleration, corner,
-        passed, object, left_object, setting; /* numbers; left_object: of the last motion */
+        passed, object, left_object, setting, /* numbers; left_object: of the last motion */
+        cruise_ratio, path_speed;
 };
 
 /* Return the line feed of a line that passes in mid-motion and that the reader need not know, or knows;
@@ -188,15 +200,16 @@ static const char *passing(const char *c, const char *last, const struct lists *
                            struct state *state, int64_t *kind)
 {
     const char *line = c;
-    int has[2] = {0, 0};
+    int has[LISTS] = {0};
     int64_t class = HARMLESS, number = 0;
     *kind = PLAIN;
     while (*c == ' ' || *c == '\t')
         c++;
     if (*c == ';') {
-        c = rest(c, last, &lists->reader, &lists->later, has);
-        *kind = has[1] ? PLACES : PLAIN;
-        class = has[0] ? LABELS : HARMLESS;
+        int tells = elapsed(c);
+        c = rest(c, last, lists->words, has);
+        *kind = tells ? CLOCK : has[TIMES] ? OTHERS : has[LATER] ? PLACES : PLAIN;
+        class = has[READER] ? LABELS : HARMLESS;
     } else {
         const char *name = c;
         while ((*c >= 'A' && *c <= 'Z') || (*c >= '0' && *c <= '9') || *c == '_' || *c == '.')
@@ -204,13 +217,13 @@ static const char *passing(const char *c, const char *last, const struct lists *
         int ended = *c == '\n' || (*c == '\r' && c[1] == '\n');
         if (!(ended || (c > name && (*c == ' ' || *c == ';'))))
             return NULL;
-        if (c > name && !is_known(name, c - name, lists->known, &class))
+        if (c > name && (!is_known(name, c - name, lists->known, &class) || class == UNKNOWN))
             return NULL;
         if (class == TELLS && (c = progress(c, kind)) == NULL)
             return NULL;
-        c = rest(c, last, class == SHOWS ? &lists->times : NULL, NULL, has);
-        if (has[0])
-            return NULL;
+        c = rest(c, last, class == SHOWS ? lists->words : NULL, has);
+        if (class == MODES || has[TIMES])
+            *kind = class == MODES ? RESETS : OTHERS;
     }
     if (c == NULL || class < CHANGES)
         return c;
@@ -224,12 +237,28 @@ static const char *passing(const char *c, const char *last, const struct lists *
     return c;
 }
 
+/* Let a setting that the last of n lines repeats be one that nothing follows: no move is between them. */
+static void supersede(const char *text, int64_t *marks, int64_t n)
+{
+    const int64_t *last = marks + MARK * (n - 1);
+    for (int64_t *mark = marks + MARK * (n - 2); mark >= marks && mark[0] == last[0]; mark -= MARK) {
+        if (last - mark > MARK * FEW_SETTINGS)
+            return;
+        if (mark[3] != SETS || mark[2] - mark[1] != last[2] - last[1])
+            continue;
+        if (memcmp(text + mark[1], text + last[1], (size_t)(last[2] - last[1])) == 0) {
+            mark[3] = RESETS;
+            return;
+        }
+    }
+}
+
 /* ------------------------------------------------------------------------ all lines */
 
 struct rules { /* see plain_lines.py */
     double scale, factor, least_feed, farthest, most_filament, least[3], greatest[3], relative_e,
-        most_per_path, least_path, longest, moves, m204, m205, velocity_limit, cruise_ratio, path_speed,
-        most_passed, per_line, several;
+        most_per_path, least_path, longest, moves, m204, m205, velocity_limit, most_passed, per_line,
+        several;
 };
 enum { STATE = sizeof(struct state) / sizeof(double), RULES = sizeof(struct rules) / sizeof(double) };
 
@@ -309,16 +338,15 @@ static const char *coded_limit(const char *c, const char *last, double rule, int
     return c;
 }
 
-/* Read SET_VELOCITY_LIMIT; return its end, or NULL. What it may change in mid-motion are acceleration
- * and corner velocity: others must be as they are. */
+/* Read SET_VELOCITY_LIMIT; return its end, or NULL. */
 static const char *velocity_limit(const char *c, const char *last, const struct rules *rules,
                                   struct state *state)
 {
     static const char *const names[] = {"ACCEL=", "SQUARE_CORNER_VELOCITY=", "ACCEL_TO_DECEL=",
                                         "MINIMUM_CRUISE_RATIO=", "VELOCITY="};
     enum { ACCEL, CORNER, SLOWER, RATIO, VELOCITY, PARAMETERS };
-    double value[PARAMETERS] = {state->acceleration, state->corner, 0.0, rules->cruise_ratio,
-                                rules->path_speed};
+    double value[PARAMETERS] = {state->acceleration, state->corner, 1.0, state->cruise_ratio,
+                                state->path_speed};
     int given[PARAMETERS] = {0};
     while (*c == ' ' && c[1] != ';' && c[1] != '\n' && c[1] != '\r') {
         const char *next = NULL;
@@ -330,19 +358,15 @@ static const char *velocity_limit(const char *c, const char *last, const struct 
         if (next == NULL || given[k]++ || (c = number(next, &value[k])) == NULL)
             return NULL;
     }
-    if ((c = line_end(c, last)) == NULL || !(value[ACCEL] >= 1.0) || !(value[CORNER] >= 0.0))
+    if ((c = line_end(c, last)) == NULL || !(value[ACCEL] >= 1.0 && value[SLOWER] >= 1.0)
+        || !(value[CORNER] >= 0.0 && value[RATIO] >= 0.0 && value[VELOCITY] >= 0.1))
         return NULL;
     if (rules->velocity_limit == SKIP)
         return c;
-    if (given[SLOWER]) {
-        if (!(value[SLOWER] >= 1.0))
-            return NULL;
+    if (given[SLOWER])
         value[RATIO] = 1.0 - lesser(1.0, value[SLOWER] / value[ACCEL]);
-    }
-    if (value[RATIO] != rules->cruise_ratio || value[VELOCITY] != rules->path_speed)
-        return NULL;
     state->acceleration = state->travel_acceleration = value[ACCEL];
-    state->corner = value[CORNER];
+    state->corner = value[CORNER], state->cruise_ratio = value[RATIO], state->path_speed = value[VELOCITY];
     return c;
 }
 
@@ -383,19 +407,21 @@ static int64_t plain_lines(const char *text, int64_t size, int64_t offset, int64
                            struct state *state, const struct rules *rules, double *rows,
                            int64_t *marks, int64_t *taken)
 {
-    struct lists lists = {known, words_of(for_reader), words_of(for_later), words_of(of_times)};
+    struct lists lists = {known, {words_of(for_reader), words_of(for_later), words_of(of_times)}};
     const char *c = text + offset, *last = text + size, *next, *end;
     int64_t count = 0, lines = 0, passed = 0;
+    double ratio = state->cruise_ratio, path_speed = state->path_speed; /* hold for all moves */
     memset(taken, 0, TAKEN * sizeof *taken);
     for (; count < most && passed < most_marks && c < last; c = next, lines++) {
         double before = state->at[E];
         int64_t kind = PLAIN;
         int moved = NO_MOVE;
-        taken[5] = 1;
+        int others = state->cruise_ratio != ratio || state->path_speed != path_speed;
+        taken[5] = !others;
         if (memchr(c, '\n', (size_t)(last - c < LONGEST_LINE ? last - c : LONGEST_LINE)) == NULL)
             break;
         if (c[0] == 'G' && (c[1] == '0' || c[1] == '1')) {
-            if (rules->moves == 0.0 || (next = move(c, last, rules, state, &moved)) == NULL)
+            if (others || rules->moves == 0.0 || (next = move(c, last, rules, state, &moved)) == NULL)
                 break;
         } else if ((next = limit(c, last, rules, state)) == NULL) {
             if (c[0] == 'G' && (next = renamed(c, last, rules, state)) != NULL)
@@ -409,6 +435,8 @@ static int64_t plain_lines(const char *text, int64_t size, int64_t offset, int64
             taken[4] += kind == SETS;
             int64_t *mark = marks + MARK * passed++;
             mark[0] = count, mark[1] = c - text, mark[2] = end - text, mark[3] = kind;
+            if (kind == SETS)
+                supersede(text, marks, passed);
             next = end + 1;
         }
         taken[5] = 0;

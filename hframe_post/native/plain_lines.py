@@ -15,9 +15,10 @@ from hframe_post.native import kernels
 
 CELLS, CELL = 1024, 128  # of a table of names and lines, and bytes of each
 NUMBER_BYTES = 8  # of the number that a cell ends with
-# classes of names: nothing in their lines matters; they tell the time left, or may show it; a later
-# stage reads their words; they label objects
-HARMLESS, TELLS, SHOWS, CHANGES, LABELS = 1, 2, 3, 4, 5
+# classes of names: their lines need a closer look; nothing in them matters; they tell the time
+# left, or may show it; they set a mode that is set; a later stage reads their words; they label
+# objects
+UNKNOWN, HARMLESS, TELLS, SHOWS, MODES, CHANGES, LABELS = range(7)
 APPLY, SKIP = 0.0, 1.0  # what to do with a line that limits the motion
 
 
@@ -28,7 +29,7 @@ class Known:
     """
 
     def __init__(self, classes: Mapping[str, int]) -> None:
-        self._classes = classes
+        self._classes = dict(classes)
         self.forget()
 
     def forget(self) -> None:
@@ -37,6 +38,13 @@ class Known:
         for name, number in self._classes.items():
             self._add(name.encode("latin-1", "replace"), number)
 
+    def classify(self, classes: Mapping[str, int]) -> None:
+        """Change the classes of names."""
+        if not classes.items() <= self._classes.items():
+            self._classes.update(classes)
+            for name, number in classes.items():
+                self._add(name.encode(), number)
+
     def learn(self, line: bytes, number: int) -> None:
         """Note the number of a line, a ``digest``: of the object that it names, or what it sets."""
         if self._count >= CELLS // 2:
@@ -44,8 +52,7 @@ class Known:
         self._add(line + b"\n", number)
 
     def _add(self, text: bytes, number: int) -> None:
-        full = self._count >= CELLS // 2
-        if full or not text or len(text) >= CELL - NUMBER_BYTES or b"\0" in text:
+        if not text or len(text) >= CELL - NUMBER_BYTES or b"\0" in text:
             return
         table, at = self.table, 0
         for byte in text:
@@ -53,11 +60,14 @@ class Known:
         key = text + b"\0"
         while table[begin := CELL * (at % CELLS)]:
             if table[begin : begin + len(key)] == key:
-                return
+                break
             at += 1
-        table[begin : begin + len(text)] = text
+        else:
+            if self._count >= CELLS // 2:
+                return
+            table[begin : begin + len(text)] = text
+            self._count += 1
         table[begin + CELL - NUMBER_BYTES : begin + CELL] = number.to_bytes(8, sys.byteorder)
-        self._count += 1
 
 
 def digest(text: bytes) -> int:
@@ -72,21 +82,20 @@ def plain_lines(
     """Read lines from an offset in a text on; return how many moves are among them.
 
     It stops before the first line that is not plain, or that needs a closer look: too far, too
-    slow, off the bed, too much filament for its path, a number with many digits. The text ends
-    with a line feed.
+    slow, off the bed, too much filament for its path, a number with many digits. It also stops
+    before a move for which cruise ratio or path speed are others. The text ends with a line feed.
 
     words: in lower case, between bars: of comments that concern the reader unless it knows them, of
-    those that concern later stages, and of messages that say a time. state (17,): x, y, z, e, mm,
-    the offset of each from what the file calls it, feed rate, speed, mm/s, acceleration with and
-    without extrusion, corner velocity, bytes that passed since the last move, the object that is
-    printed, that of the last move in x or y, the line that set something last, -1: not known; it
-    changes. rules (24,): mm per unit of the file, factor on the speed,
+    those that name a place, and of comments and messages that say a time. state (19,): x, y, z, e,
+    mm, the offset of each from what the file calls it, feed rate, speed, mm/s, acceleration with
+    and without extrusion, corner velocity, bytes that passed since the last move, the object that
+    is printed, that of the last move in x or y, the line that set something last, -1: not known,
+    cruise ratio, path speed; it changes. rules (22,): mm per unit of the file, factor on the speed,
     least feed rate, greatest coordinate, greatest filament of a move, least x, y, z, greatest x, y,
     z, whether E is relative, greatest filament per mm of path, least path, greatest s of a move,
-    whether moves are taken; what to do with M204, M205 and SET_VELOCITY_LIMIT; cruise ratio and
-    path speed, which that must not change; most bytes that pass between moves, those counted for
-    each line in addition to its own; whether there may be several objects, so that the first move
-    in x or y after one needs a closer look.
+    whether moves are taken; what to do with M204, M205 and SET_VELOCITY_LIMIT; most bytes that pass
+    between moves, those counted for each line in addition to its own; whether there may be several
+    objects, so that the first move in x or y after one needs a closer look.
 
     rows (m, 8): become source line, x, y, z, e at the end, speed, acceleration and corner velocity
     of each move; this is negative where x and y do not change; marks (k, 4): for each line that

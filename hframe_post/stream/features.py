@@ -71,12 +71,11 @@ class Place:
 
     def mark(self, text: bytes) -> bool:
         """Read a line; return whether it names a layer or feature."""
-        if named := feature(text):
-            self.feature = named
-            return True
         match = _LAYER.match(text)
         if match is None:
-            return False
+            named = feature(text)
+            self.feature = named or self.feature
+            return named is not None
         number = match["number"] or match["slice"]
         if match["counted"] is not None:
             name = str(int(match["counted"]) - 1)

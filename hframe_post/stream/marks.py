@@ -14,8 +14,9 @@ from hframe_post.arrays import Integers
 
 INDEX, START, END, KIND = range(4)  # columns of a table
 # kinds of lines: those of which no stage needs to know more; those that tell the time left; those
-# that name a layer or feature; those that set pressure advance; others, which may do any of that
-PLAIN, CLOCK, PLACES, SETS, OTHERS = range(5)
+# that name a layer or feature; those that set pressure advance; those that change nothing for later
+# stages, but what the stream has set; others, which may do any of that
+PLAIN, CLOCK, PLACES, SETS, RESETS, OTHERS = range(6)
 
 T = TypeVar("T")
 

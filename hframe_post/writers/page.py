@@ -46,14 +46,19 @@ class Between:
         table[:, ROW], table[:, SAMPLE], table[:, TIME] = rows, marks.at, kinds == CLOCK
         table[:, BEGIN : STOP + 1] = marks.table[:, START : END + 1]
         table[:, BEGIN : STOP + 1] += (-begin, 1 - begin)
-        text, parts, done = marks.text[begin:end], list[tuple[int, Between | bytes]](), 0
+        text, parts, done = marks.text[begin:end], list[bytes](), 0
+        added = np.zeros(len(marks), np.int64)  # bytes behind each line
         for k in np.flatnonzero(kinds >= SETS).tolist():
             line = text[table[k, BEGIN] : table[k, STOP] - 1]
             table[k, TIME] = kinds[k] == OTHERS and says_time(line)
             if modes_after is not None and line[:1] != b";" and (modes := modes_after(line)):
-                parts += [(0, cls(table[done : k + 1], text)), (int(table[k, ROW]), modes)]
-                done = k + 1
-        return cls.joined([*parts, (0, cls(table[done:], text))]) if parts else cls(table, text)
+                parts += [text[done : table[k, STOP]], modes]
+                added[k], done = len(modes), int(table[k, STOP])
+        if parts:
+            text, after = b"".join([*parts, text[done:]]), np.cumsum(added)
+            table[:, BEGIN] += after - added
+            table[:, STOP] += after
+        return cls(table, text)
 
     @classmethod
     def joined(cls, parts: Iterable[tuple[int, Between | bytes]]) -> Between:

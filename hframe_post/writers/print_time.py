@@ -286,7 +286,8 @@ def _spread(
 def _rounded(seconds: float, unit: int, like: bytes) -> bytes:
     """Return seconds in a unit with as many decimals as ``like``, and its leading zeros."""
     decimals = len(like.partition(b".")[2])
-    return _padded(f"{max(seconds, 0.0) / unit:.{decimals}f}".encode(), like)
+    rounded = round(max(seconds, 0.0) / unit * 10.0**decimals) / 10.0**decimals
+    return _padded(f"{rounded:.{decimals}f}".encode(), like)
 
 
 def _padded(text: bytes, like: bytes) -> bytes:

@@ -56,6 +56,9 @@ other = st.sampled_from([
     "M204 S600 ; b", "M204", "M205 X", "SET_PRESSURE_ADVANCE ADVANCE=0.04",
     "SET_PRESSURE_ADVANCE SMOOTH_TIME=0.03",
     "SET_PRESSURE_ADVANCE EXTRUDER=b ADVANCE=1", "M900 K0.05 T1", "M900 L3", "M201 E100", "M203 Z5",
+    "G17", "G18", "G90 ; a", "M83 X", "SET_VELOCITY_LIMIT VELOCITY=60 MINIMUM_CRUISE_RATIO=0.3",
+    "SET_VELOCITY_LIMIT MINIMUM_CRUISE_RATIO=-1", "SET_VELOCITY_LIMIT VELOCITY=0.05",
+    "; time left: 5s", "M117 time left 5m", ";TIME_ELAPSED:5.", ";TIME_ELAPSED:5.5",
 ])  # fmt: skip
 
 
@@ -101,6 +104,7 @@ setting = st.builds(
     lambda name, word: f"{name} {word}", st.sampled_from(["SET_PRESSURE_ADVANCE", "M900"]),
     st.sampled_from(["ADVANCE=0.04", "ADVANCE=0.05", "SMOOTH_TIME=0.03", "K0.1", "K0.2", "T1 K9"]),
 )  # fmt: skip
+mode = st.sampled_from(["G90", "G91", "M82", "M83", "G17", "G18", "G21", "g90", "M83 ; a"])
 going = st.one_of(
     st.integers(20, 60).map("G1 X{}".format), st.integers(20, 60).map("G1 X{} Y9 E1".format),
     st.sampled_from(["G1 Z.6", "G1 E-1", "G92 E0", "G20", "MACRO"]),
@@ -109,7 +113,7 @@ going = st.one_of(
 
 @settings(max_examples=100, deadline=None)
 @given(
-    st.lists(st.one_of(label, label, going, setting), max_size=20), st.integers(1, 3),
+    st.lists(st.one_of(label, label, going, setting, mode), max_size=20), st.integers(1, 3),
     st.sampled_from(sorted(FIRMWARES)),
 )  # fmt: skip
 def test_lines_that_recur(texts: list[str], times: int, firmware: str) -> None:

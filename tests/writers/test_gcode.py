@@ -30,7 +30,7 @@ from hframe_post.stream.types import (
 )
 from hframe_post.writers.decimation import Units
 from hframe_post.writers.gcode import GcodeWriter
-from hframe_post.writers.page import NOTHING_BETWEEN, Page
+from hframe_post.writers.page import NOTHING_BETWEEN, Between, Page
 from hframe_post.writers.print_time import Deferred
 from tests.gcode_tools import follow
 from tests.mark_tools import mark
@@ -236,3 +236,13 @@ def test_reader_and_writer_read_modes_alike(profile: str, spelling: str) -> None
     assert (b"G90" if name == "G91" else b"M83") in following
     reading = follow(text.replace(spelling.encode(), name.encode()))
     assert reading.points[-1][0] == pytest.approx(90.0, abs=0.02)
+
+
+def test_modes_are_restored_after_each_of_many_lines_without_copies_of_them() -> None:
+    lines = [b"M83 %d" % k if k % 3 else b"M82 %d" % k for k in range(3000)]
+    marks = Marks.from_lines(Mark(k, line) for k, line in enumerate(lines))
+    between = Between.from_marks(marks, marks.at, lambda line: b"M83\n" * line.startswith(b"M82"))
+    found = [between.text[begin:end] for _, begin, end in between.places.tolist()]
+    assert found == [line + (b"\n" if k % 3 else b"\nM83\n") for k, line in enumerate(lines)]
+    assert between.places[:, 0].tolist() == list(range(3000))
+    assert len(between.text) == sum(map(len, found))

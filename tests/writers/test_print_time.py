@@ -40,10 +40,11 @@ def test_times_change_as_the_print_and_keep_form(line: bytes, printed: bytes) ->
 
 @pytest.mark.parametrize("after", [700.0, 1000.0, 1234.5])
 def test_lines_of_progress_are_written_as_one_by_one(after: float) -> None:
-    """The loop for M73 in its usual form, and the lines that it leaves."""
+    """The loop for M73 and Cura's comment in their usual forms, and the lines that it leaves."""
     rng = np.random.default_rng(4)
     forms = b"M73 P%d R%d|M73 Q%d S%d|M73 P%d R%d ; left|M73 P%d R%d.5|M73 P%d R0%d".split(b"|")
-    lines = [forms[k % 5] % tuple(rng.integers(0, 100, 2)) for k in range(500)]
+    forms += b";TIME_ELAPSED:%d.%d|;TIME_ELAPSED:%d.0%d5|;TIME_ELAPSED:0%d.%d".split(b"|")
+    lines = [forms[k % 8] % tuple(rng.integers(0, 100, 2)) for k in range(800)]
     elapsed = rng.uniform(0.0, after, len(lines))
     file = io.BytesIO()
     pieces = [Deferred.from_line(*each) for each in zip(lines, elapsed.tolist(), strict=True)]
