@@ -19,7 +19,7 @@ from hframe_post.errors import HframeError
 from hframe_post.firmware.registry import firmware, source_of
 from hframe_post.printer.choice import PROFILE, VARIABLE, choose, config_file
 from hframe_post.printer.firmware_tables import MACROS
-from hframe_post.printer.profile import load, shipped
+from hframe_post.printer.profile import check_identified, load, shipped
 from hframe_post.printer.settings import Printer
 from hframe_post.version import __version__
 
@@ -95,12 +95,10 @@ def _profile(requested: str | None, config: Path | None) -> Findings:
             yield NOTE, text
         return
     yield OK, f"profile {name} ({choice.why}): {profile.description or 'no description'}"
-    if profile.invented:
-        text = (
-            "its resonances are not measured, so nothing is compensated: run 'hframe-post measure' "
-            "or, without an accelerometer, 'hframe-post calibrate-print' (docs/start.md)"
-        )
-        yield NOTE, text
+    try:
+        check_identified(profile)
+    except HframeError as error:
+        yield NOTE, str(error)
     yield from _printer(profile, name, config)
 
 

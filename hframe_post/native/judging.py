@@ -59,7 +59,7 @@ def judge_window(
 
     taps: of the responses of x, of y and, if there are three, of racking, one after the other, of
     which counts (r,) says how many each has; late (r,): see ``coarse_filter``; gains (r, 2): gain
-    at rest and lag. x_c: where the lever arm is 0, mm. Before and after its samples a command rests.
+    at rest and lag. x_c: where the lever arm is 0, mm. Around its samples a command rests.
 
     The path is judged where it moves, at every n-th (``every``) sample from ``first`` to before
     ``stop``: where that is (k,); whether it extrudes there (k,); the nozzle's x, y at all samples

@@ -200,4 +200,4 @@ def test_command_line_refuses_says_what_to_do_and_can_be_overruled(tmp_path: Pat
     done = run("batch", RECTANGLE, "-o", folder, "-p", "example-corexy", "--force")
     assert done.returncode == 0, done.stderr
     assert run(RECTANGLE, "-n", "-p", "example-corexy").returncode == 0  # nothing is written
-    assert b"its resonances are not measured" in run("doctor", "-p", "example-corexy").stdout
+    assert b": this printer is not measured yet" in run("doctor", "-p", "example-corexy").stdout
