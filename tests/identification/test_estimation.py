@@ -70,7 +70,7 @@ def test_what_decays_without_modes_needs_none() -> None:
     X = rng.normal(size=(1000, len(k)))
     y = X @ q + 3.0 * rng.normal(size=1000)
     X, y = X / 3.0, y / 3.0
-    found = regress(Data.of(X, y, k, np.zeros(0), lambda modes, d: X @ ringing(k, modes, d)))
+    found = regress(Data.of(X, y, k, np.zeros(0), lambda modes: X @ ringing(k, modes)))
     assert len(found.prior.modes) <= 1
     off = found.response(k) - q
     known = off @ np.linalg.solve(found.known(k), off) / len(k)
@@ -120,7 +120,7 @@ def test_columns_that_low_noise_leaves_nearly_alike_have_a_posterior() -> None:
     rows = 1e6 * (z - 2.0 + 1.0 / z)[:, None] * z[:, None] ** -k
     X, q = np.concatenate([rows.real, rows.imag]), 5.0 * np.exp(-0.02 * np.abs(k))
     found = regress(
-        Data.of(X, X @ q, k, np.zeros(0), lambda modes, onset: np.zeros((len(X), 2 * len(modes)))),
+        Data.of(X, X @ q, k, np.zeros(0), lambda modes: np.zeros((len(X), 2 * len(modes)))),
         Prior(Decay(1e3, regression.LEAST.beta, 1e-2)),
     )
     assert np.abs(X @ (found.response(k) - q)).max() < 1e-3 * np.abs(X @ q).max()

@@ -5,11 +5,11 @@ What is known of an impulse response q before it is measured:
     q ~ N(0, K),   K = K_D + K_M
     K_D(j, k) = c² e^{−β(|j| + |k|)} e^{−α|j − k|}        it decays, and neighbours are alike
     K_M       = a² Σ_i Φ_i Φ_iᵀ,                          it rings in a few modes
-    Φ_i(k)    = e^{−ζω_i(k−d)} [cos ω'_i(k−d), sin ω'_i(k−d)] / norm,  k ≥ d
+    Φ_i(k)    = e^{−ζω_i(k−1)} [cos ω'_i(k−1), sin ω'_i(k−1)] / norm,  k ≥ 1
 
 K_D is the DC kernel, and K_M one of rank two a mode (Pillonetto, Chen, Chiuso, De Nicolao, Ljung,
 Regularized System Identification, Springer 2022, ch. 5). A printer that is a sum of modes needs no
-K_D, one without clear modes no K_M. c, β, α, the modes and d are hyperparameters. Measured is
+K_D, one without clear modes no K_M. c, β, α and the modes are hyperparameters. Measured is
 
     y = X θ + Ψ a + e,   e ~ N(0, I),   θ = (s, q),   s ~ N(0, S),   q ~ N(0, K_D),   a ~ N(0, a² I)
 
@@ -82,7 +82,6 @@ class Prior:
 
     decay: Decay
     modes: tuple[Mode, ...] = ()
-    onset: int = 1
 
 
 def _poles(modes: Sequence[Mode]) -> tuple[Complex, Array]:
@@ -93,19 +92,19 @@ def _poles(modes: Sequence[Mode]) -> tuple[Complex, Array]:
     ) ** -0.5
 
 
-def ringing(k: Array, modes: Sequence[Mode], onset: int) -> Array:
+def ringing(k: Array, modes: Sequence[Mode]) -> Array:
     """Return Φ (m, 2·modes), every column with a norm of 1 over all time, at samples k (m,)."""
     poles, norms = _poles(modes)
-    t = np.maximum(k - onset, 0.0)[:, None]
-    turning = np.where(k[:, None] >= onset, np.exp(poles * t), 0.0) / norms
+    t = k[:, None] - 1.0
+    turning = np.where(t >= 0.0, np.exp(poles * np.maximum(t, 0.0)), 0.0) / norms
     return np.stack([turning.real, turning.imag], axis=2).reshape(len(k), -1)
 
 
-def transfer(z: Complex, modes: Sequence[Mode], onset: int) -> Complex:
+def transfer(z: Complex, modes: Sequence[Mode]) -> Complex:
     """Return Φ as transfer functions of z (k,), k × 2·modes."""
     poles, norms = _poles(modes)
     z = z[:, None]
-    turning, back = (z**-onset / (1.0 - np.exp(each) / z) / norms for each in (poles, poles.conj()))
+    turning, back = (1.0 / (z - np.exp(each)) / norms for each in (poles, poles.conj()))
     both = np.stack([(turning + back) / 2.0, (turning - back) / 2j], axis=2)
     return both.reshape(len(z), -1)
 
@@ -122,15 +121,13 @@ TRIED = tuple(
     Mode(2.0 * np.pi * TS * hz, zeta)
     for hz in np.geomspace(12.0, 115.0, 60) for zeta in (0.02, 0.05, 0.12, 0.3)
 )  # fmt: skip
-LATEST = 8  # samples: onset of the modes at the latest
 LEAST, MOST = Decay(1e-6, 1.5e-3, 7e-3), Decay(30.0, 0.2, 4.0)  # bounds of K_D
-WORST = 1e15  # cost of what cannot be computed
 
 
 NO_SCALARS = np.zeros(0)
 
 
-def no_modes(modes: Sequence[Mode], onset: int) -> Array:
+def no_modes(modes: Sequence[Mode]) -> Array:
     raise ValueError("these data have no modes")
 
 
@@ -145,21 +142,21 @@ class Data:
     """Measured y (r,), by columns X (r, n + m) of scalars and of q at samples k (m,).
 
     All is divided by the standard deviation of the noise. precision (n,): S⁻¹ of the scalars.
-    by_modes: gives Ψ (r, 2·modes) of modes and their onset. X_X, X_y: XᵀX and Xᵀy.
+    by_modes: gives Ψ (r, 2·modes) of modes. X_X, X_y: XᵀX and Xᵀy.
     """
 
     X: Array
     y: Array
     k: Array
     precision: Array
-    by_modes: Callable[[Sequence[Mode], int], Array]
+    by_modes: Callable[[Sequence[Mode]], Array]
     X_X: Array
     X_y: Array
 
     @classmethod
     def of(
         cls, X: Array, y: Array, k: Array, precision: Array = NO_SCALARS,
-        by_modes: Callable[[Sequence[Mode], int], Array] = no_modes,
+        by_modes: Callable[[Sequence[Mode]], Array] = no_modes,
     ) -> Data:  # fmt: skip
         return cls(X, y, k, precision, by_modes, X.T @ X, X.T @ y)
 
@@ -186,7 +183,7 @@ class Posterior:
         return columns @ self.covariance[own, own] @ columns.T
 
     def _columns(self, k: Array) -> Array:
-        modes = ringing(k, self.prior.modes, self.prior.onset)
+        modes = ringing(k, self.prior.modes)
         return np.column_stack([k[:, None] == self.k, modes])
 
 
@@ -224,21 +221,19 @@ class _Search:
         self._Z = linalg.solve_triangular(L, self._data.X.T, lower=True, check_finite=False)
         self._v = self._data.y - self._data.X @ mean
 
-    def _costs(
-        self, tried: Sequence[Mode], choices: Sequence[Sequence[int]], onset: int
-    ) -> list[float]:
+    def _costs(self, tried: Sequence[Mode], choices: Sequence[Sequence[int]]) -> list[float]:
         """Return by how much each choice of the tried modes changes −log evidence."""
-        M, v = self._seen(tried, onset)
+        M, v = self._seen(tried)
         columns = [
             np.array([[2 * j, 2 * j + 1] for j in chosen], int).ravel() for chosen in choices
         ]
         return [_integrated(M[np.ix_(own, own)], v[own]) for own in columns]
 
-    def _seen(self, modes: Sequence[Mode], onset: int) -> tuple[Array, Array]:
+    def _seen(self, modes: Sequence[Mode]) -> tuple[Array, Array]:
         """Return Ψᵀ M Ψ and Ψᵀ v."""
-        Psi = self._data.by_modes(modes, onset)
+        Psi = self._data.by_modes(modes)
         decaying = self._Z @ Psi
-        return Psi.T @ Psi - decaying.T @ decaying, Psi.T @ self._v
+        return _safe(Psi.T @ Psi) - decaying.T @ decaying, Psi.T @ self._v
 
     def _normal(self) -> _Normal:
         return _Normal.with_modes(self._data, self.prior)
@@ -269,7 +264,7 @@ class _Search:
         modes = self.prior.modes
         apart = [one for one in tried if _apart((*modes, one))]
         choices = [(*range(len(modes)), len(modes) + j) for j in range(len(apart))]
-        costs = self._costs((*modes, *apart), choices, self.prior.onset)
+        costs = self._costs((*modes, *apart), choices)
         return apart[int(np.argmin(costs))]
 
     def improve(self) -> None:
@@ -282,7 +277,7 @@ class _Search:
                 break
 
     def refine(self) -> None:
-        """Move the modes and their onset to greater evidence."""
+        """Move the modes to greater evidence."""
         if not self.prior.modes:
             return
         start = np.log([[mode.omega, mode.zeta] for mode in self.prior.modes]).ravel()
@@ -298,18 +293,15 @@ class _Search:
             moved = [modes(each)[j // 2] for j, each in enumerate(x + slightly * np.eye(n))]
             usual = range(n // 2)
             instead = [[n // 2 + j if k == j // 2 else k for k in usual] for j in range(n)]
-            here, *there = self._costs((*modes(x), *moved), [usual, *instead], self.prior.onset)
+            here, *there = self._costs((*modes(x), *moved), [usual, *instead])
             return here, (np.array(there) - here) / slightly
 
         found = optimize.minimize(
             cost, np.zeros(n), jac=True, method="L-BFGS-B", options={"maxiter": 30, "ftol": 1e-7},
             bounds=(bounds - start[:, None]) / steps[:, None],
         ).x  # fmt: skip
-        if not _apart(modes(found)):
-            return
-        usual = range(n // 2)
-        onset = min(range(LATEST), key=lambda d: self._costs(modes(found), [usual], d)[0])
-        self.prior = replace(self.prior, modes=modes(found), onset=onset)
+        if _apart(modes(found)):
+            self.prior = replace(self.prior, modes=modes(found))
 
     def fit_decay(self) -> None:
         """Move K_D to greater evidence."""
@@ -345,15 +337,12 @@ class _Normal:
 
     @classmethod
     def with_modes(cls, data: Data, prior: Prior) -> _Normal:
-        modes = prior.modes
-        return cls.of(data, data.by_modes(modes, prior.onset) if modes else data.X[:, :0])
+        return cls.of(data, data.by_modes(prior.modes) if prior.modes else data.X[:, :0])
 
     @classmethod
     def of(cls, data: Data, Psi: Array) -> _Normal:
         X_Psi = data.X.T @ Psi
-        A = np.block([[data.X_X, X_Psi], [X_Psi.T, Psi.T @ Psi]])
-        # rounding must leave A positive definite, where low noise makes columns nearly alike
-        A[np.diag_indices_from(A)] *= 1.0 + 1e-11
+        A = _safe(np.block([[data.X_X, X_Psi], [X_Psi.T, Psi.T @ Psi]]))
         b = np.concatenate([data.X_y, Psi.T @ data.y])
         return cls(A, b, float(data.y @ data.y), data.k, data.precision)
 
@@ -377,6 +366,12 @@ class _Normal:
         return L, mean, float(0.5 * (log_det + left) + integrated)
 
 
+def _safe(A: Array) -> Array:
+    """Return A (n, n), which rounding leaves positive definite even where columns are alike."""
+    A[np.diag_indices_from(A)] *= 1.0 + 1e-11
+    return A
+
+
 def _apart(modes: Sequence[Mode]) -> bool:
     """Return whether the frequencies of modes differ by 3 % or more."""
     omega = np.log(sorted(mode.omega for mode in modes))
@@ -385,12 +380,8 @@ def _apart(modes: Sequence[Mode]) -> bool:
 
 def _integrated(M: Array, v: Array) -> float:
     """Return what the amplitudes of modes add to −log evidence, M (2n, 2n) and v (2n,)."""
-    try:
-        R = linalg.cholesky(M + np.eye(len(M)) / AMPLITUDE**2, lower=True, check_finite=False)
-    except linalg.LinAlgError:
-        return WORST
+    R = linalg.cholesky(M + np.eye(len(M)) / AMPLITUDE**2, lower=True, check_finite=False)
     if not len(v):
         return 0.0
     z = linalg.solve_triangular(R, v, lower=True, check_finite=False)
-    cost = np.log(np.diag(R)).sum() + len(v) * np.log(AMPLITUDE) - 0.5 * z @ z
-    return float(cost) if np.isfinite(cost) else WORST
+    return float(np.log(np.diag(R)).sum() + len(v) * np.log(AMPLITUDE) - 0.5 * z @ z)

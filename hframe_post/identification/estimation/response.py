@@ -157,20 +157,19 @@ class _Linear:
     def data(self, weight: Array) -> Data:
         """Return the data of a regression, for 1 / noise (k,)."""
 
-        def by_modes(modes: Sequence[Mode], onset: int) -> Array:
-            return rows(weight, self._ringing(modes, onset))
+        def by_modes(modes: Sequence[Mode]) -> Array:
+            return rows(weight, self._ringing(modes))
 
         X, y = rows(weight, self._columns), rows(weight, self._H - self._rest)
         return Data.of(X, y, DECAYING, self._precision, by_modes)
 
     def modelled(self, found: Posterior) -> Complex:
         """Return the mean of the response (k,)."""
-        ringing = self._ringing(found.prior.modes, found.prior.onset)
-        columns = np.hstack([self._columns, ringing])
+        columns = np.hstack([self._columns, self._ringing(found.prior.modes)])
         return np.asarray(self._rest + columns @ found.mean.astype(complex))
 
-    def _ringing(self, modes: Sequence[Mode], onset: int) -> Complex:
-        return np.asarray(self._acceleration[:, None] * transfer(self._z, modes, onset))
+    def _ringing(self, modes: Sequence[Mode]) -> Complex:
+        return np.asarray(self._acceleration[:, None] * transfer(self._z, modes))
 
 
 def _turn(hz: Array, k: Array) -> Complex:
