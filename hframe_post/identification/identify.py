@@ -12,7 +12,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from hframe_post.arrays import Flags
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
 from hframe_post.identification.estimation.fit import Fit
@@ -89,8 +88,9 @@ class Identified:
     @property
     def refusal(self) -> str | None:
         """Return why the models are too poor for a profile, or None if they are good enough."""
+        cause = self.changes or "check that nothing is loose and that all files are of one printer"
         for name in self.axes:
-            measured = self.measured[name]
+            measured, found = self.measured[name], self.fits[name]
             if not measured.known_start and measured.repeated > verdict.SPREAD:
                 return (
                     f"the recordings of {AXIS[name]} differ from each other by "
@@ -98,20 +98,17 @@ class Identified:
                     "They are of two printers, of one that was changed in between, or of other "
                     "motions than their names say: identify each by itself"
                 )
-        for name in self.axes:
-            off, struck = abs(self.fits[name].gain - 1.0), self.measured[name].known_start
+            off, struck = abs(found.gain - 1.0), measured.known_start
             bound = verdict.GAIN_ERROR_STROKES if struck else verdict.GAIN_ERROR_TEST
             if off > bound:
                 return (
                     f"the sensor would have to read {100 * off:.0f} % wrong in {AXIS[name]}, more "
-                    f"than the {100 * bound:g} % that sensors do: {self._cause}"
+                    f"than the {100 * bound:g} % that sensors do: {cause}"
                 )
-        for name in self.axes:
-            found = self.fits[name]
             if found.residual > verdict.UNEXPLAINED:
                 return (
                     f"the model of {name} leaves {100 * found.residual:.0f} % of the measurement "
-                    f"unexplained (at most {100 * verdict.UNEXPLAINED:.0f} %): {self._cause}"
+                    f"unexplained (at most {100 * verdict.UNEXPLAINED:.0f} %): {cause}"
                 )
         return None
 
@@ -125,11 +122,6 @@ class Identified:
             f"Gxx varies by {100 * x.spread:.0f} % between the gantry's positions; one model "
             "cannot describe all of them"
         )
-
-    @property
-    def _cause(self) -> str:
-        general = "check that nothing is loose and that all files are of one printer"
-        return self.changes or general
 
     def plant(self, x_c: float) -> Plant:
         """Return the plant; ``x_c`` (mm) is used if it was not identified.
@@ -159,11 +151,6 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
         raise IdentificationError("no run of the nozzle's sensor. Give one with --nozzle")
     measured = axis_responses(runs, settings)
     fits = _fit_all(measured)
-    fits |= {
-        name: fit_known_start(at_the_middle(one.places))
-        for name, one in measured.items()
-        if one.known_start and changes(one)
-    }
     repeated = {name: _repetition(one) for name, one in measured.items()}
     repetitions = {name: one for name, one in repeated.items() if one is not None}
     racking, sought = None, False
@@ -179,8 +166,11 @@ def identify(runs: Sequence[Run], settings: MeasurementSettings) -> Identified:
 def _fit_all(measured: Mapping[str, Measured]) -> dict[str, Fit]:
     others = {name: one for name, one in measured.items() if not one.known_start}
     fits = fit_unknown_start({name: average(one.excited()) for name, one in others.items()})
-    known = [name for name in measured if name not in others]
-    fits |= {name: fit_known_start(measured[name].mean) for name in known}
+    fits |= {
+        name: fit_known_start(at_the_middle(one.places) if changes(one) else one.mean)
+        for name, one in measured.items()
+        if one.known_start
+    }
     return {name: fits[name] for name in measured}
 
 
@@ -193,15 +183,10 @@ def _repetition(measured: Measured) -> float | None:
     """
     if measured.known_start:
         return None
-    near = _most_repeated([place for place, _ in measured.places])
+    at = np.array([place for place, _ in measured.places])
+    near = max((np.abs(at - place) < SAME_PLACE for place in at), key=np.count_nonzero)
     if np.count_nonzero(near) < 2:
         return None
     runs = [run for run, chosen in zip(measured.excited(), near, strict=True) if chosen]
     shares = [share_left(one.H, other, other.power) for one, other in pairwise(runs)]
     return float(np.mean(shares)) / math.sqrt(2.0)
-
-
-def _most_repeated(places: Sequence[float]) -> Flags:
-    """Flag the runs at the place (mm) that has most of them."""
-    at = np.array(places)
-    return max((np.abs(at - place) < SAME_PLACE for place in at), key=np.count_nonzero)

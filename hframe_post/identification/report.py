@@ -63,13 +63,6 @@ class IdentificationReport:
     compensation: Recommendation | None
     gathered: Gathered
 
-    @property
-    def setup(self) -> list[str]:
-        """Return the recordings that were used, a line each."""
-        return [
-            f"  {one.label}, {one.motion}, sha256 {one.source.digest}" for one in self.gathered.used
-        ]
-
     def warnings(self) -> list[str]:
         """Return what the user should not rely on, with the contour error that may remain."""
         identified, messages = self.identified, list[str]()
@@ -104,13 +97,6 @@ class IdentificationReport:
         none = self.compensation.rms("none")
         return f". Up to {share * none:.0f} of the {none:.0f} µm without compensation may remain"
 
-    def _repetitions(self) -> list[str]:
-        parts = [
-            f"recordings of {AXIS[name]} differ by {100 * share:.0f} %"
-            for name, share in self.identified.repetitions.items()
-        ]
-        return [", ".join(parts)] if parts else []
-
     def notes(self) -> list[str]:
         missing = [axis for axis in "xy" if axis not in self.identified.gains]
         notes = list[str]()
@@ -134,7 +120,11 @@ class IdentificationReport:
         rows.append(("sensor", self._sensor()))
         error = f"whole model, with day-to-day change: ±{100.0 * self.identified.model_error:.1f} %"
         rows.append(("uncertainty", error))
-        rows += [("repeats", text) for text in self._repetitions()]
+        repeats = [
+            f"recordings of {AXIS[name]} differ by {100 * share:.0f} %"
+            for name, share in self.identified.repetitions.items()
+        ]
+        rows += [("repeats", ", ".join(repeats))] if repeats else []
         rows += self.compensation.rows() if self.compensation else []
         rows += [("note", text) for text in self.notes()]
         rows += [("WARNING", text) for text in self.warnings()]
@@ -163,7 +153,6 @@ class IdentificationReport:
             "sensor_gain": {axis: round(gain, 5) for axis, gain in identified.gains.items()},
             **(self.compensation.as_json() if self.compensation else {}),
             **self.gathered.as_json(),
-            "setup": self.setup,
             "warnings": self.warnings(),
             "notes": self.notes(),
         }
@@ -181,27 +170,32 @@ class IdentificationReport:
             ],
         }
 
-    def origin(self) -> list[str]:
-        rows = [
-            f"{name}: {100 * found.residual:.2f} % unexplained, "
-            f"{len(self.identified.measured[name].places)} runs"
-            for name, found in self.identified.fits.items()
+    def _facts(self) -> list[tuple[str, str]]:
+        """Return what is known of each response, labelled."""
+        return [
+            (G, "; ".join(f"{column}: {text}" for column, text in zip(COLUMNS, row, strict=True)))
+            for G, row in functions(self.identified).items()
         ]
+
+    def origin(self) -> list[str]:
+        """Return what the profile's model is from, a line each."""
+        used = self.gathered.used
+        recordings = [f"  {one.label}, {one.motion}, sha256 {one.source.digest}" for one in used]
         gain = [f"predicted {self.compensation.gain()}"] if self.compensation else []
-        return ["Identified by hframe-post from:", *self.setup, *rows, *gain]
+        known = [f"{G}: {text}" for G, text in self._facts()]
+        return ["Identified by hframe-post from:", *recordings, *known, *gain]
 
     def page(self, name: str) -> bytes:
         """Return the report as a page for a browser, of the printer with this name."""
         fits, cards, lead = self.identified.fits, list[Card](), list[str]()
-        for G, axis in AXIS.items():
-            if G in fits:
-                hz, damping = _strongest(fits[G])
-                rings = f"at {hz:.0f} Hz, damping {damping:.2f}"
-                lead.append(f"{axis} rings {rings}" if hz else f"{axis} does not ring")
-                cards.append(
-                    Card(f"{axis} rings at", f"{hz:.1f}", "Hz", f"damping {damping:.2f}")
-                    if hz else Card(f"{axis} rings at", "–", "", "no mode rings")
-                )  # fmt: skip
+        for G in self.identified.axes:
+            axis, (hz, damping) = AXIS[G], _strongest(fits[G])
+            if hz:
+                lead.append(f"{axis} rings at {hz:.0f} Hz, damping {damping:.2f}")
+                cards.append(Card(f"{axis} rings at", f"{hz:.1f}", "Hz", f"damping {damping:.2f}"))
+            else:
+                lead.append(f"{axis} does not ring")
+                cards.append(Card(f"{axis} rings at", "–", "", "no mode rings"))
         predicted = "No profile can be made from these recordings."
         if self.compensation is not None:
             none, racking = (self.compensation.rms(strategy) for strategy in ("none", "racking"))
@@ -217,11 +211,7 @@ class IdentificationReport:
             Section(TITLES[G], _charts(G, measured[G], found, getattr(self.plant, G)))
             for G, found in fits.items()
         ]
-        facts = [
-            (G, "; ".join(f"{column}: {text}" for column, text in zip(COLUMNS, row, strict=True)))
-            for G, row in functions(self.identified).items()
-        ]
-        facts += self.gathered.rows()
+        facts = [*self._facts(), *self.gathered.rows()]
         text = f"{', '.join(lead)}. {predicted}"
         return page(name, text, cards, sections, self.remarks(), facts)
 

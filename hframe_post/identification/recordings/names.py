@@ -36,10 +36,12 @@ CHIP = re.compile(
     r"(?:adxl345|lis2dw12|lis2dw|lis3dh|mpu[-_]?\d+|icm\d+|bmi\d+|bma\d+|beacon|cartographer)"
     r"(?:_(?!at_)[a-z]\w*?(?=_20\d{6}))?"
 )
-NAMED_CHIP = re.compile(r"(?!at_\d)[a-z]\w*?(?=_20\d{6}_\d{6}$)")  # by the section's last word
+# by its section's last word, between the axis and a point or the date
+NAMED_CHIP = re.compile(r"(?!at_\d)[a-z]\w*?(?=_-?\d+\.\d{3}_|_20\d{6}_\d{6}$)")
 WORD = re.compile(r"(?<![a-z0-9])([xyz])(?![a-z0-9])")
 NUMBERED = re.compile(r"(?<![a-z0-9])([xyz])(?=\d)")
 BELT = re.compile(r"belts?(?:comparison)?(?:[-_].*?)?[-_]([abxz])(?![a-z0-9])")
+SHAKETUNE = re.compile(r"shaketune-|inputshaper_|shaper_|resonances_20|axis_")
 OTHER_TESTS = {  # tests that excite no band of frequencies
     "a test of the sensor's axes, which the other recordings show as well": re.compile(
         r"axe?s?_?map"
@@ -96,21 +98,25 @@ def parsed(name: str) -> RecordingName:
     stamps = ["".join(filter(None, found.groups())) for found in DATE.finditer(name)]
     stamp = stamps[-1] if stamps else ""
     other = next((kind for kind, form in OTHER_TESTS.items() if form.search(name)), "")
-    if found := RAW_DATA.match(name):
-        rest = found["rest"] or ""
-        point = POINT.search(rest)
-        direction = AXES[found["axis"]] if found["axis"] else _direction(found["dir"])
-        named = NAMED_CHIP.match(rest)
-        chip = rest[: point.start()] if point else named[0] if named else _chip(rest)
-        place = (float(point[1]), float(point[2])) if point else _place(rest)
-        return RecordingName(direction, place, chip, stamp, direction is not None, other)
-    shaketune = re.match(r"(shaketune-|inputshaper_|shaper_|resonances_20|axis_)", name) is not None
-    if found := BELT.search(name):
-        return RecordingName(_unit(BELTS[found[1]]), _place(name), _chip(name), stamp, True, other)
+    raw, belt = RAW_DATA.match(name), BELT.search(name)
     words = set(WORD.findall(name)) or set(NUMBERED.findall(name))
-    axis = AXES[words.pop()] if len(words) == 1 else None
+    if raw:
+        along = AXES[raw["axis"]] if raw["axis"] else _vector(raw["dir"])
+    elif belt:
+        along = BELTS[belt[1]]
+    else:
+        along = AXES[words.pop()] if len(words) == 1 else (0.0, 0.0, 0.0)
+    length = math.hypot(*along)
+    rest = (raw["rest"] or "") if raw else name
+    point = (raw and POINT.search(rest)) or PLACE.search(DATE.sub("", rest))
+    chip = (raw and NAMED_CHIP.match(rest)) or CHIP.match(rest)
     return RecordingName(
-        axis, _place(name), _chip(name), stamp, shaketune and axis is not None, other
+        (along[0] / length, along[1] / length, along[2] / length) if length > 0.0 else None,
+        (float(point[1]), float(point[2])) if point else None,
+        chip[0].replace("-", "_") if chip else "",
+        stamp,
+        length > 0.0 and bool(raw or belt or SHAKETUNE.match(name)),
+        other,
     )
 
 
@@ -126,29 +132,10 @@ def day_of(name: RecordingName, path: Path) -> date:
     return datetime.fromtimestamp(path.stat().st_mtime, UTC).date()
 
 
-# ---------------------------------------------------------------------- parts of names
-
-
-def _direction(text: str) -> tuple[float, float, float] | None:
+def _vector(text: str) -> tuple[float, float, float]:
+    """Return x, y and z in a text such as 1.000,-1.000 or 1,0,0; zeros if it has no such form."""
     try:
-        x, y, *z = (float(part) for part in text.split(","))
+        x, y, z = map(float, (*text.split(","), "0")[:3])
     except ValueError:
-        return None
-    return _unit((x, y, z[0] if z else 0.0)) if len(z) < 2 else None
-
-
-def _unit(vector: tuple[float, float, float]) -> tuple[float, float, float] | None:
-    length = math.hypot(*vector)
-    x, y, z = vector
-    return (x / length, y / length, z / length) if length > 0.0 else None
-
-
-def _chip(text: str) -> str:
-    found = CHIP.match(text)
-    return found[0].replace("-", "_") if found else ""
-
-
-def _place(text: str) -> tuple[float, float] | None:
-    """Return the place in a name such as ``at_110_150`` or ``x-at-110-150``."""
-    found = PLACE.search(DATE.sub("", text))
-    return (float(found[1]), float(found[2])) if found else None
+        return 0.0, 0.0, 0.0
+    return x, y, z
