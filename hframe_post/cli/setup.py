@@ -120,8 +120,9 @@ class NewProfile:
                 outputs.open(self.target).write(self._text.encode())
             write_kernel(outputs, self.target, self.printer)
             for name, content in self._companions.items():
-                if not _holds(folder / name, content):
-                    outputs.open(folder / name).write(content.encode())
+                path, data = folder / name, content.encode()
+                if not (path.is_file() and path.read_bytes() == data):
+                    outputs.open(path).write(data)
             more(outputs)
 
     def conclude(self) -> list[str]:
@@ -183,10 +184,6 @@ def _made_default(target: Path, warnings: list[str]) -> str:
         )
         return "not the default"
     return "from now on the default"
-
-
-def _holds(path: Path, text: str) -> bool:
-    return path.is_file() and path.read_bytes() == text.encode()
 
 
 def _model_of(target: Path, before: Printer | None) -> str:

@@ -26,7 +26,15 @@ from hframe_post.firmware.dialect import NO_ADVANCE, Advance
 from hframe_post.process import end_after
 from hframe_post.stream.features import Place
 from hframe_post.stream.marks import PLACES, SETS, Marks
-from hframe_post.stream.types import Handling, MoveAtRest, Passthrough, Plan, Planned, SpanEnd
+from hframe_post.stream.types import (
+    Handling,
+    MoveAtRest,
+    Passthrough,
+    Plan,
+    Planned,
+    SpanEnd,
+    Standing,
+)
 from hframe_post.writers.gcode import GcodeWriter
 from hframe_post.writers.print_time import Output
 
@@ -60,7 +68,7 @@ class Span:
         parts = ([getattr(plan, name) for plan in plans] for name in ARRAYS)
         joined = [(np.concatenate(part), [*map(len, part)]) for part in parts if plans]
         marks = Marks.joined(plan.marks for plan in plans), [len(plan.marks) for plan in plans]
-        rests = [plan.rests for plan in plans]
+        rests = [(plan.rests, plan.standing) for plan in plans]
         return _unpickled, (self.beginning, others, joined, *marks, rests)
 
 
@@ -70,12 +78,12 @@ def _unpickled(
     joined: list[tuple[Array, list[int]]],
     marks: Marks,
     counts: list[int],
-    rests: list[bool],
+    rests: list[tuple[bool, tuple[Standing, ...]]],
 ) -> Span:
     parts = (_cut(array, counts) for array, counts in joined)
     ends = accumulate(counts)
     of_plans = (marks.rows(end - n, end) for n, end in zip(counts, ends, strict=True))
-    plans = map(Plan, *parts, of_plans, rests)
+    plans = map(Plan, *parts, of_plans, *zip(*rests, strict=True))
     return Span(beginning, tuple(next(plans) if item is None else item for item in others))
 
 

@@ -1,9 +1,10 @@
 """Spans are cut by the input alone; bytes do not depend on jobs; nothing is lost between them."""
 
 import os
+import pickle
 import signal
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from hframe_post import library
 from hframe_post.conversion import spans
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import Chain
+from hframe_post.conversion.pipeline import Beginning, Chain
 from hframe_post.conversion.spans import Span, Spans
 from hframe_post.conversion.whole_file import WholeFile
 from hframe_post.errors import GcodeError, HframeError, LimitError
@@ -24,7 +25,8 @@ from hframe_post.planner import sampling
 from hframe_post.planner.lookahead import plan
 from hframe_post.printer.profile import load
 from hframe_post.printer.settings import Extruder, Printer
-from hframe_post.stream.types import MoveAtRest, Planned, SpanEnd
+from hframe_post.stream.marks import Marks
+from hframe_post.stream.types import MoveAtRest, Plan, Planned, SpanEnd
 from hframe_post.writers.print_time import Deferred
 from tests import gcode_tools
 from tests.conftest import few
@@ -68,6 +70,22 @@ def test_spans_hold_all_items_and_begin_where_the_machine_stands(paper: Printer)
     for beginning, part in cut[1:]:
         assert isinstance(part[0], MoveAtRest)
         assert beginning.place == part[0].start
+
+
+def test_a_worker_gets_all_that_a_span_has(paper: Printer) -> None:
+    """Its plans are pickled together, and each is as it was."""
+    items = planned(layers("cube.gcode", 1), paper)
+    lift = next(item for item in items if isinstance(item, MoveAtRest))
+    items = [replace(o, standing=((1, lift),)) if isinstance(o, Plan) else o for o in items]
+    again = pickle.loads(pickle.dumps(Span(Beginning(), tuple(items)))).items
+    for one, other in zip(items, again, strict=True):
+        assert type(one) is type(other)
+        for each in fields(one):
+            same, found = getattr(one, each.name), getattr(other, each.name)
+            if isinstance(same, Marks):
+                assert [*same] == [*found]
+            else:
+                np.testing.assert_equal(found, same, each.name)
 
 
 @pytest.mark.usefixtures("short")
