@@ -23,7 +23,7 @@ from hframe_post.gcode.reader import read
 from hframe_post.gcode.state import ReadOptions
 from hframe_post.model.lpfbs import Window
 from hframe_post.model.plant import Plant
-from hframe_post.prediction.predict import Judgement, judge, with_path
+from hframe_post.prediction.predict import Judgement, judge
 from hframe_post.prediction.statistics import Labels
 from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Moves
@@ -208,7 +208,10 @@ def widths(printer: Printer, lines: Iterable[bytes], printed_window: bool = Fals
         window, printer = "printed", printer.with_windows(PRINTED_WINDOW)
     strategies = "none", "fbs", "racking"
     options = Options("racking", strategies, limits="printer")
-    commands = map(with_path, WholeFile(lines, printer, options).samples())
+    commands = (
+        replace(chunk, commands={"none": chunk.xyze[:, :Z], **chunk.commands})
+        for chunk in WholeFile(lines, printer, options).samples()
+    )
     error: dict[str, list[Array]] = {name: [] for name in strategies}
     for walls in _outer_walls(judge(commands, printer.plant)).values():
         wanted = _width(walls["path"], walls["path"])

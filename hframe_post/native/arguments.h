@@ -42,7 +42,6 @@ void *new_array(struct call *call, int k, const char *type, int64_t rows, int64_
 #define WITHIN(k, least, most) whole_argument(call, k, least, most)
 #define TEXT(k) text_argument(call, k)
 #define FLOATS(k, n) ((const double *)array_argument(call, k, n, "d", 0))
-#define SINGLES(k, n) ((const float *)array_argument(call, k, n, "f", 0))
 #define INTEGERS(k, n) ((const int64_t *)array_argument(call, k, n, "lq", 0))
 #define INDICES(k, n, least, end) indices_argument(call, k, n, least, end) /* from least, below end */
 #define PARTS(k, n, whole) parts_argument(call, k, n, whole) /* from 0, with a sum of at most whole */
@@ -52,6 +51,7 @@ void *new_array(struct call *call, int k, const char *type, int64_t rows, int64_
 #define BOUNDED(k, value, least, most) bounded_value(call, k, value, least, most) /* a value that k gives */
 #define BYTES(k, n) ((const uint8_t *)array_argument(call, k, n, "B?", 0))
 #define OUT_FLOATS(k, n) ((double *)array_argument(call, k, n, "d", 1))
+#define OUT_SINGLES(k, n) ((float *)array_argument(call, k, n, "f", 1))
 #define OUT_INTEGERS(k, n) ((int64_t *)array_argument(call, k, n, "lq", 1))
 #define OUT_BYTES(k, n) ((uint8_t *)array_argument(call, k, n, "B?", 1))
 #define NEW_FLOATS(k, n) ((double *)new_array(call, k, "f8", n, -1, ALL))

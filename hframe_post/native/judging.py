@@ -52,10 +52,12 @@ def distances(path: Array, nozzle: Array, at: Integers, /) -> Array:
 
 @compiled
 def judge_window(
-    xyze: Array, commands: Array, taps: Array, counts: Integers, late: Integers, gains: Array,
-    x_c: float, first: int, begin: int, stop: int, every: int, apart: int, /,
+    xyze: Array, sliced: bool, commands: Array, taps: Array, counts: Integers, late: Integers,
+    gains: Array, x_c: float, first: int, begin: int, stop: int, every: int, apart: int, /,
 ) -> tuple[Integers, Flags, Array, Array, Array]:  # fmt: skip
     """Return how far the nozzle is off a path xyze (n, 4) with each of s commands (s, n, 2).
+
+    sliced: whether the path is a command, too, before the given ones.
 
     taps: of the responses of x, of y and, if there are three, of racking, one after the other, of
     which counts (r,) says how many each has; late (r,): see ``coarse_filter``; gains (r, 2): gain
@@ -103,23 +105,38 @@ def line_pieces(
 
 
 # ----------------------------------------------------------------------
-# Joining of the straight pieces of a picture.
+# Pieces of a picture.
 
 Table = NDArray[np.float32]
 
 
-def joined_pieces(
-    shape: Table, alike: int, ways: int, length: float, near: float, off: float
-) -> Integers:
-    """Return where pieces end after neighbours were joined pair by pair.
+@compiled
+def draw_pieces(
+    xyze: Array, line: Integers, at: Integers, start: int, extruding: Flags, runs: Integers,
+    places: Integers, begins: bool, nozzle: Array, begin: int, apart: int, off: Array,
+    errors: Array, alike: int, length: float, near: float, off_line: float, sums: Array,
+    table: Table, /,
+) -> int:  # fmt: skip
+    """Fill a table (k, 7 + 5·s) with pieces that end at samples of a window; return their number.
 
-    shape: x, y; from row ``alike`` on numbers, the bits of int32, that must be equal; in the row
-    before ``ways`` whether a piece starts again; then ways off the path. Pieces are joined up to a
-    length, if x and y stay ``near`` their line, and the ways are off theirs by less than ``off``.
+    xyze (n, 4), line (n,): a path and its lines, whose window begins at ``start``; at (k,) counts
+    from there. runs (r,): where in the window layers and features begin; places (r, 2): their
+    numbers. begins: whether the first piece does. See ``Judgement`` for the rest of what is drawn,
+    ``join_pieces`` for which pieces are left, and ``Pieces`` for what each holds. To sums
+    (r, 2, 1 + s) number and squared errors of samples that extrude, then of others, are added.
     """
-    kept = np.arange(shape.shape[1])
-    rules = alike, ways, length * length, near, off
-    return kept[: kernels.joined_pieces(np.ascontiguousarray(shape), *shape.shape, *rules, kept)]
+
+
+@compiled
+def join_pieces(
+    table: Table, strategies: int, alike: int, length: float, near: float, off: float, /
+) -> int:
+    """Join neighbours in a table pair by pair; return how many pieces are left, the first ones.
+
+    Their numbers from column ``alike`` on are equal. Pieces are joined up to a length, if x and y
+    stay ``near`` their line, and the ways off the path are off theirs by less than ``off``. If
+    alike is behind the last number, any are.
+    """
 
 
 # ----------------------------------------------------------------------

@@ -17,13 +17,14 @@
     EACH(breakpoints)                                                                         \
     EACH(coarse_filter)                                                                       \
     EACH(distances)                                                                           \
+    EACH(draw_pieces)                                                                         \
     EACH(far_off)                                                                             \
     EACH(find_runs)                                                                           \
     EACH(finite_filter)                                                                       \
     EACH(fitted)                                                                              \
     EACH(follow)                                                                              \
     EACH(greatest_speeds)                                                                     \
-    EACH(joined_pieces)                                                                       \
+    EACH(join_pieces)                                                                         \
     EACH(judge_window)                                                                        \
     EACH(klipper_durations)                                                                   \
     EACH(klipper_feeds)                                                                       \

@@ -100,13 +100,13 @@ class Doubts:
     ) -> tuple[Integers, dict[str, Array]]:
         """Return which of the samples ``at`` (k,) of a piece were looked at, and their products.
 
-        commands: by strategy, (n, 2) of the piece; off (s, k, 2): of each, the way from the path to
+        commands: by strategy, (n, 2) of the piece; off (k, s, 2): of each, the way from the path to
         the model's nozzle at these samples, mm. Without compensation the error is the printer's
         own, and promises nothing.
         """
         which, found = np.flatnonzero((piece.first + at) % EVERY == 0), dict[str, Array]()
         at = at[which]
-        for (name, command), way in zip(commands.items(), off, strict=True):
+        for (name, command), way in zip(commands.items(), off.transpose(1, 0, 2), strict=True):
             if name == "none" or not len(at):
                 continue
             first, last = int(at[0]), int(at[-1])

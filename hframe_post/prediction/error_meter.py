@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -28,7 +27,7 @@ from hframe_post.model.pressure_advance import extruding
 from hframe_post.native.judging import line_pieces
 from hframe_post.native.linear import recursion
 from hframe_post.prediction.doubts import Doubts
-from hframe_post.prediction.predict import COMPENSATING, Judge, Judgement, Played, with_path
+from hframe_post.prediction.predict import COMPENSATING, Judge, Judgement, Played
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.prediction.windows import Window, Windows
 from hframe_post.stream.types import Samples
@@ -176,9 +175,7 @@ class ErrorMeter:
             self.add(window)
 
     def add(self, window: Window) -> None:
-        if self.picture is not None:
-            window = replace(window, piece=with_path(window.piece))
-        judgement = self.judge.judged(window, self._played)
+        judgement = self.judge.judged(window, self._played, sliced=self.picture is not None)
         if self.picture is not None:
             self.picture.add(judgement)
         weight = window.weight

@@ -96,17 +96,18 @@ class Nozzle:
         self.ahead = max(each.ahead for each in filters)
 
     def judged(
-        self, xyze: Array, commands: Array, first: int, begin: int, stop: int, every: int,
-        apart: int,
+        self, xyze: Array, sliced: bool, commands: Array, first: int, begin: int, stop: int,
+        every: int, apart: int,
     ) -> tuple[Integers, Flags, Array, Array, Array]:  # fmt: skip
         """Return at, extruding, nozzle, off and errors of a ``Judgement`` of commands (s, n, 2).
 
+        sliced: judge the path as a command, too, before the others.
         first, begin: of the samples before ``stop`` of a path xyze (n, 4) that are judged, and of
         those at which the nozzle is.
         """
         own = self._taps, self._counts, self._late, self._gains, self._x_c
-        s, cut = len(commands), (first, begin, stop, every, apart)
-        at, extruding, nozzle, off, errors = judge_window(xyze, commands, *own, *cut)
+        s, cut = sliced + len(commands), (first, begin, stop, every, apart)
+        at, extruding, nozzle, off, errors = judge_window(xyze, sliced, commands, *own, *cut)
         nozzle = nozzle.reshape(s, len(range(begin, stop, apart)), 2)
         return at, extruding, nozzle, off.reshape(len(at), s, 2), errors
 
@@ -123,23 +124,32 @@ class Judge:
         self.before = max(self._nozzle.past, NEAREST, doubts.past if doubts else 0)
         self.after = max(self._nozzle.ahead, NEAREST + 1, doubts.ahead if doubts else 0)
 
-    def judged(self, window: Window, played: Sequence[Played] = ()) -> Judgement:
-        """Return the judgement of a window. played: of commands whose lines are judged instead."""
+    def judged(
+        self, window: Window, played: Sequence[Played] = (), sliced: bool = False
+    ) -> Judgement:
+        """Return the judgement of a window.
+
+        played: of commands whose lines are judged instead. sliced: judge the path itself, too, as
+        the command without compensation, unless there is one.
+        """
         piece, start, stop = window.piece, window.start, window.stop
-        names = tuple(piece.commands)
-        commands = np.array([*piece.commands.values()])
+        names, sliced = tuple(piece.commands), sliced and "none" not in piece.commands
+        commands = np.array([*piece.commands.values()]).reshape(len(names), len(piece), 2)
         for each in played:
             if each.strategy in names:
                 each.write(piece.first, commands[names.index(each.strategy)])
         every, apart = (self._every, 1) if window.weight else (SHOWN_EVERY, SHOWN_EVERY)
         first, begin = (start + -(piece.first + start) % each for each in (every, apart))
         cut = first, begin, stop, every, apart
-        at, extruding, nozzle, off, errors = self._at(window).judged(piece.xyze, commands, *cut)
+        at, extruding, nozzle, off, errors = self._at(window).judged(
+            piece.xyze, sliced, commands, *cut
+        )
         which, products = np.zeros(0, np.int64), dict[str, Array]()
         if self._doubts is not None and window.weight:
             own = dict(zip(names, commands, strict=True))
-            which, products = self._doubts.along(piece, own, at, off.transpose(1, 0, 2))
+            which, products = self._doubts.along(piece, own, at, off[:, sliced:])
         known = nozzle, off, errors, which, products
+        names = ("none", *names) if sliced else names
         return Judgement(
             window, names, every, begin - start, apart, at - start, extruding, *known
         )  # fmt: skip
@@ -158,11 +168,6 @@ def judge(
     """Yield judgements of all windows of a stream, at every n-th sample at which the path moves."""
     own = Judge(plant, every, doubts)
     yield from map(own.judged, Windows(own.before, own.after).of(chunks))
-
-
-def with_path(chunk: Samples) -> Samples:
-    """Return the chunk with the path itself as the command without compensation."""
-    return replace(chunk, commands={"none": chunk.xyze[:, :Z], **chunk.commands})
 
 
 class Played:

@@ -44,21 +44,27 @@ class Labels:
     features: list[str] = field(default_factory=lambda: [TRAVEL, BEFORE])
     _e: float = -np.inf  # filament at the last sample
 
-    def number(self, chunk: Samples) -> tuple[Integers, Integers]:
-        """Return the numbers of layer and feature of each sample of the next chunk, (n,) each."""
-        n = len(chunk)
-        layer, feature = (np.full(n, number) for number in self._current())
+    def runs(self, chunk: Samples) -> tuple[Integers, Integers]:
+        """Return at which samples (r,) of the next chunk others begin, and their numbers (r, 2).
+
+        The first is 0. Samples without extrusion are travel, whatever the comments say.
+        """
+        starts, numbers = [0], [self._current()]
         for event in chunk.events:
             for mark in said(event, PLACES):
                 if self.place.mark(mark.text):
-                    at = max(mark.index - chunk.first, 0)
-                    layer[at:], feature[at:] = self._current()
-        if n:
+                    starts.append(max(mark.index - chunk.first, 0))
+                    numbers.append(self._current())
+        return np.array(starts), np.array(numbers)
+
+    def number(self, chunk: Samples) -> tuple[Integers, Integers]:
+        """Return the numbers of layer and feature of each sample of the next chunk, (n,) each."""
+        starts, numbers = self.runs(chunk)
+        numbers = numbers.repeat(np.diff(starts, append=len(chunk)), axis=0)
+        layer, feature = numbers.T
+        if len(chunk):
             e = chunk.xyze[:, E]
-            travels = np.empty(n, bool)
-            travels[0] = e[0] <= self._e
-            np.less_equal(e[1:], e[:-1], out=travels[1:])
-            np.copyto(feature, self.features.index(TRAVEL), where=travels)
+            feature[np.diff(e, prepend=self._e) <= 0.0] = self.features.index(TRAVEL)
             self._e = float(e[-1])
         return layer, feature
 

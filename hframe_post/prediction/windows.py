@@ -15,7 +15,7 @@ import numpy as np
 
 from hframe_post.arrays import Array, E
 from hframe_post.stream.chunks import join, part
-from hframe_post.stream.types import Event, Samples
+from hframe_post.stream.types import Samples
 
 WINDOW = 4096  # samples; before each, about 1000 more lead the filters into their state
 ALIKE = 8  # windows that follow each other and count alike are taken together: 5 % of a page's CPU
@@ -60,6 +60,11 @@ class Windows:
 
     def take(self, chunk: Samples) -> Iterator[Window]:
         """Yield the windows that are complete with the next chunk."""
+        if self._kept and not (len(self._kept[-1]) and len(chunk)):  # one may have events alone
+            last = self._kept.pop()
+            events = last.events + chunk.events
+            both = chunk if len(chunk) else last
+            chunk = replace(both, events=events, ends_stretch=chunk.ends_stretch)
         self._kept.append(chunk)
         if self._start < 0 and len(chunk):
             self._start, self._filament = chunk.first, float(chunk.xyze[0, E])
@@ -72,7 +77,7 @@ class Windows:
     def _complete(self, ended: bool) -> Iterator[Window]:
         end = self._kept[-1].end if self._kept else -1
         if ended and self._kept and self._start < 0:  # there may be events
-            yield Window(replace(self._kept[-1], events=self._events), 0, 0, 1, 0.0)
+            yield Window(self._kept[-1], 0, 0, 1, 0.0)
         while 0 <= self._start < end:
             stop, weight = self._stop(self._start)
             if weight or self._shown:
@@ -100,23 +105,14 @@ class Windows:
         every = SOME if k * WINDOW < BEGINNING * self._whole else FEW
         return every if k % every == every // 2 else 0
 
-    @property
-    def _events(self) -> tuple[Event, ...]:
-        return tuple(event for chunk in self._kept for event in chunk.events)
-
     def _window(self, stop: int, weight: int) -> Window:
-        last = self._kept[-1]
-        low, high = self._start - self._before, min(stop + self._after, last.end)
-        near = [
-            chunk for chunk in self._kept if len(chunk) and low < chunk.end and chunk.first < high
-        ]
-        low = max(low, near[0].first)
+        low, high = self._start - self._before, stop + self._after
         piece = join([
-            part(each, max(low - each.first, 0), min(high, each.end) - each.first) for each in near
+            part(each, max(low - each.first, 0), min(high, each.end) - each.first)
+            for each in self._kept if low < each.end and each.first < high
         ])  # fmt: skip
-        ends = last.ends_stretch and high == last.end
-        piece = replace(piece, events=self._events, ends_stretch=ends)
-        return Window(piece, self._start - low, stop - low, weight, self._filament)
+        start = self._start - piece.first
+        return Window(piece, start, stop - piece.first, weight, self._filament)
 
 
 def around(rows: Array, low: int, high: int) -> Array:

@@ -27,7 +27,7 @@ from hframe_post.planner.sliced import AsSliced
 from hframe_post.prediction.doubts import Doubts
 from hframe_post.prediction.error_meter import JUDGED_EVERY, ErrorMeter, Lines
 from hframe_post.prediction.picture import Picture
-from hframe_post.prediction.predict import Judge, Judgement, quantise, with_path
+from hframe_post.prediction.predict import Judge, Judgement, quantise
 from hframe_post.prediction.statistics import ContourErrors, Figures, Labels
 from hframe_post.prediction.windows import Windows
 from hframe_post.printer.settings import Printer, Steps
@@ -301,8 +301,6 @@ class _Judged:
     def run(self, parts: Parts, picture: Picture | None = None) -> None:
         """Add the errors to parts, and those of this path without compensation to the picture."""
         study, commands = self._study, self._rated(parts)
-        if picture is not None:
-            commands = map(with_path, commands)
         if self._steps is not None:
             commands = quantise(commands, self._kinematics, self._steps)
         drawn = [meter for each in self._meters.values() for meter in each]
@@ -310,7 +308,7 @@ class _Judged:
         judges = [own, *(meter.judge for meter in drawn)]
         before, after = (max(k) for k in zip(*((j.before, j.after) for j in judges), strict=True))
         for window in Windows(before, after).of(commands):
-            judgement = own.judged(window)
+            judgement = own.judged(window, sliced=picture is not None)
             for meter in drawn:
                 meter.add(window)
             if picture is not None:

@@ -86,7 +86,8 @@ def test_a_piece_of_a_command_moves_the_nozzle_as_all_of_it(
 
     def places(command: Array, begin: int, stop: int, every: int) -> Array:
         path = np.zeros((len(command), 4))
-        _, _, found, *_ = nozzle.judged(path, command[None], begin, begin, stop, every, every)
+        cut = begin, begin, stop, every, every
+        _, _, found, *_ = nozzle.judged(path, False, command[None], *cut)
         return np.asarray(found[0])
 
     for way in (rough, smooth):

@@ -11,8 +11,11 @@ from hframe_post.conversion.options import Options
 from hframe_post.conversion.whole_file import convert
 from hframe_post.prediction import picture as picture_module
 from hframe_post.prediction.picture import Picture
-from hframe_post.prediction.predict import SHOWN_EVERY
+from hframe_post.prediction.predict import SHOWN_EVERY, Judge
+from hframe_post.prediction.statistics import Labels
+from hframe_post.prediction.windows import ALIKE, WINDOW, Windows
 from hframe_post.printer.settings import Printer
+from hframe_post.stream.types import Samples
 from tests.gcode_tools import sample
 
 STRATEGIES = ("fbs", "racking")  # errors without compensation are those of the file as sliced
@@ -53,6 +56,19 @@ def test_the_nozzle_is_off_the_path_by_its_error(paper: Printer) -> None:
     ends = pieces.xy[pieces.begins == 0]
     corner = 0.5 * 100.0 * TS * SHOWN_EVERY / np.sqrt(2.0)  # cut between two samples at 100 mm/s
     assert max(distance_to(place, ends) for place in nearest[::7].reshape(-1, 2)) < corner
+
+
+def test_each_piece_has_the_speed_of_its_path(paper: Printer) -> None:
+    """In the second window, too, which begins in motion."""
+    n, judge, picture = (ALIKE + 1) * WINDOW, Judge(paper.plant), Picture(Labels())
+    path = np.zeros((n, 4))
+    path[:, 0] = 100.0 + 5.0 * TS * np.arange(n)
+    whole = Samples(0, path, np.zeros(n, np.int64), (), {"none": path[:, :2]}, ends_stretch=True)
+    windows = list(Windows(judge.before, judge.after).of([whole]))
+    assert len(windows) == 2
+    for window in windows:
+        picture.add(judge.judged(window))
+    assert picture.pieces().speed == pytest.approx(5.0)
 
 
 def test_a_long_print_is_coarser(paper: Printer, monkeypatch: pytest.MonkeyPatch) -> None:
