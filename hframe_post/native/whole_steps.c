@@ -6,14 +6,15 @@ enum { MOTORS = 2 };
 
 struct steps {
     int64_t n;
-    const int64_t *place; /* (n + 1, 2): of the motors, since the first sample */
-    const int64_t *path;  /* (n + 1): steps of the leading motor, since then */
+    const int64_t *place; /* (n + 1, 2): of the motors */
+    const int64_t *path;  /* (n + 1): steps of the leading motor since the first sample */
     int64_t least;        /* of a segment */
 };
 
-static int64_t most(const int64_t *place, const int64_t *from)
+/* Return the steps of the motor that makes the most of them from a place to another. */
+static int64_t leading_steps(const int64_t *from, const int64_t *to)
 {
-    int64_t one = llabs(place[0] - from[0]), other = llabs(place[1] - from[1]);
+    int64_t one = llabs(to[0] - from[0]), other = llabs(to[1] - from[1]);
     return one > other ? one : other;
 }
 
@@ -99,9 +100,9 @@ static int superfluous(const struct steps *s, const int64_t *ends, int64_t k, in
     int any = 0;
     for (int64_t j = 0; j < k; j++) {
         const int64_t *to = s->place + MOTORS * ends[j];
-        steps[j] = most(to, from), cancelled[j] = drop[j] = 0;
+        steps[j] = leading_steps(from, to), cancelled[j] = drop[j] = 0;
         if (j > 0)
-            cancelled[j - 1] = steps[j - 1] + steps[j] - most(to, before);
+            cancelled[j - 1] = steps[j - 1] + steps[j] - leading_steps(before, to);
         before = from, from = to;
     }
     for (int64_t j = 0, row = 0; j < k; j++) {
@@ -121,19 +122,17 @@ static int superfluous(const struct steps *s, const int64_t *ends, int64_t k, in
     return any;
 }
 
-/* ends (n): the samples at which segments end; returns how many. steps (n, 2); room (6 n + 6). */
-static int64_t segment_ends(const int64_t *steps, int64_t n, int64_t least, int64_t apart, int64_t stall,
+/* ends (n): the samples at which segments end; returns how many. place (n + 1, 2); room (4 n + 4). */
+static int64_t segment_ends(const int64_t *place, int64_t n, int64_t least, int64_t apart, int64_t stall,
                             int64_t last, int64_t *room, int64_t *ends)
 {
-    int64_t *place = room, *path = place + MOTORS * (n + 1), *one = path + n + 1, *other = one + n + 1;
+    int64_t *path = room, *one = path + n + 1, *other = one + n + 1;
     uint8_t *stops = (uint8_t *)(other + n + 1), *marks = stops + n + 1;
     struct steps s = {n, place, path, least};
-    place[0] = place[1] = path[0] = 0;
+    path[0] = 0;
     stops[0] = 0;
     for (int64_t i = 0; i < n; i++) {
-        int64_t *to = place + MOTORS * (i + 1);
-        to[0] = to[-2] + steps[MOTORS * i], to[1] = to[-1] + steps[MOTORS * i + 1];
-        path[i + 1] = path[i] + most(to, to - MOTORS);
+        path[i + 1] = path[i] + leading_steps(place + MOTORS * i, place + MOTORS * (i + 1));
         stops[i + 1] = 0;
     }
     mark_rests(&s, stops);
@@ -150,8 +149,8 @@ static int64_t segment_ends(const int64_t *steps, int64_t n, int64_t least, int6
     return k;
 }
 
-LOOP(segment_ends, INTEGERS(0, 0), ITEMS(0) / MOTORS, WHOLE(1), WHOLE(2), COUNT(3), WHOLE(4),
-     (int64_t *)ROOM(0, 6 * (ITEMS(0) / MOTORS + 1)), UP_TO_INTEGERS(1, ITEMS(0) / MOTORS))
+LOOP(segment_ends, INTEGERS(0, MOTORS), ITEMS(0) / MOTORS - 1, WHOLE(1), WHOLE(2), COUNT(3), WHOLE(4),
+     (int64_t *)ROOM(0, 4 * (ITEMS(0) / MOTORS)), UP_TO_INTEGERS(1, ITEMS(0) / MOTORS - 1))
 
 struct limits { /* as BlockLimits */
     double belt, z, e, belt_acceleration, z_acceleration, e_acceleration, retraction, deviation;
@@ -236,12 +235,6 @@ struct run {
     double *cost; /* (n + 1): least sum of squares up to a segment that ends there */
     int64_t *from;
 };
-
-static int64_t leading_steps(const int64_t *from, const int64_t *to)
-{
-    int64_t one = llabs(to[0] - from[0]), other = llabs(to[1] - from[1]);
-    return one > other ? one : other;
-}
 
 static void add_up(struct run *run)
 {

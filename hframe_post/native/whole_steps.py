@@ -30,12 +30,13 @@ def most_steps(steps: Integers) -> Integers:
 
 
 @compiled
-def segment_ends(steps: Integers, least: int, apart: int, stall: int, last: bool, /) -> Integers:
+def segment_ends(motors: Integers, least: int, apart: int, stall: int, last: bool, /) -> Integers:
     """Return the samples, ascending, at which segments end; the first begins at sample 0.
 
-    steps (n, 2): of the motors, from sample to sample. Segments last ``apart`` samples, unless
-    the machine rests or a motor turns before, and their leading motor makes ``least`` steps or
-    none; last: motion ends at sample n, which must be reached, with fewer steps if it must be.
+    motors (n + 1, 2): their places. Segments last ``apart`` samples, unless the machine rests or a
+    motor turns before, and their leading motor makes ``least`` steps or none; stall: samples by
+    which a motor that turns is late; last: motion ends at sample n, which must be reached, with
+    fewer steps if it must be.
     """
 
 

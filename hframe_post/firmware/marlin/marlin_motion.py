@@ -172,7 +172,7 @@ class MarlinMotion(MotionRules):
         least, stall = self.code.table.min_steps_per_segment, round(self.planner.stall / TS)
         matrix = self.kinematics.matrix
         motors = motor_places(cells, matrix)
-        ends = segment_ends(np.diff(motors, axis=0), least, apart, stall, last)
+        ends = segment_ends(motors, least, apart, stall, last)
         ends = slow_segment_ends(in_steps, cells, motors, ends, least, apart)
         ends, vertices = with_late_starts(ends, cells, matrix, least, apart)
         at = points[ends]
