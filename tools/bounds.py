@@ -151,7 +151,6 @@ BY_ROOM: dict[str, tuple[Callable[[], Figures], ...]] = {
     "verdict": (test, check),
     "check": (check,),
     "recordings.accelerometer": (test,),
-    "recordings.chirp": (test,),
     "recordings.clock": (test,),
     "recordings.resonance_search": (test,),
 }

@@ -23,7 +23,6 @@ from scipy.signal import savgol_filter
 from hframe_post.arrays import Array, Integers
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
-from hframe_post.identification.recordings.chirp import robust_fit
 from hframe_post.identification.recordings.formats import Table
 
 GAP = 2.5  # sample periods between neighbours, from which samples are missing
@@ -85,6 +84,16 @@ def _steady(t: Array, number: Integers) -> tuple[Array, tuple[str, ...]]:
         f"its time stamps wander by up to {off:.2g} ms; the evenness of its samples is used instead"
     )
     return t[0] + first + rate * number, (note,)
+
+
+def robust_fit(columns: Array, wanted: Array) -> Array:
+    """Return the coefficients (k,) of columns (n, k) that fit most of the values wanted (n,)."""
+    weight = np.ones(len(wanted))
+    for _ in range(20):
+        fit = np.linalg.lstsq(columns * weight[:, None], wanted * weight, rcond=None)[0]
+        miss = np.abs(wanted - columns @ fit)
+        weight = 1.0 / np.hypot(1.0, miss / (1.5 * np.median(miss) + 1e-9))
+    return np.asarray(fit)
 
 
 GRAVITY = 9806.65  # mm/s²

@@ -1,6 +1,6 @@
 """A resonance test found in its recording: its true parameters, its start and the clock's drift.
 
-The pulses draw a line into the spectrogram (``chirp``). On a sensor's clock that is fast by
+The pulses draw a line into the spectrogram (``clock``). On a sensor's clock that is fast by
 d its slope is hz_per_sec / (1 + d)². Then the motion itself is compared with the recording at low
 frequencies, where a printer still follows its motors: this gives the first frequency, the kind
 of pulses, the start, and the levels of pulses and sweeping.
@@ -20,9 +20,15 @@ from scipy.signal.windows import hann
 from hframe_post.arrays import TS, Array, Complex
 from hframe_post.errors import IdentificationError
 from hframe_post.identification import verdict
-from hframe_post.identification.recordings.accelerometer import Recording
-from hframe_post.identification.recordings.chirp import ChirpLine, find_line, robust_fit, uniform
-from hframe_post.identification.recordings.clock import Clock, follows, summit
+from hframe_post.identification.recordings.accelerometer import Recording, robust_fit
+from hframe_post.identification.recordings.clock import (
+    ChirpLine,
+    Clock,
+    find_line,
+    follows,
+    summit,
+    uniform,
+)
 from hframe_post.identification.recordings.resonance_test import (
     DEFAULTS,
     FORMER_MAX_FREQ,
