@@ -33,16 +33,13 @@ from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
 SECTION = "resonance_tester"
 SLACK = 1e-6  # Hz by which the last frequency may exceed max_freq, as in the firmware
 STOP_ACCEL = 3000.0  # mm/s², where printer.cfg has no max_accel
-DEFAULTS = {  # of options that printer.cfg leaves out
-    "min_freq": 5.0, "max_freq": 135.0, "hz_per_sec": 1.0, "accel_per_hz": 60.0,
-    "sweeping_accel": 400.0, "sweeping_period": 1.2,
+OPTIONS = {  # as Klipper has it where printer.cfg leaves it out, and bounds
+    "min_freq": (5.0, 1.0, 300.0), "max_freq": (135.0, 1.0, 300.0),
+    "hz_per_sec": (1.0, 0.05, 20.0), "accel_per_hz": (60.0, 0.1, 10000.0),
+    "sweeping_accel": (400.0, 0.1, 100000.0), "sweeping_period": (1.2, 0.05, 60.0),
 }  # fmt: skip
+DEFAULTS = {key: usual for key, (usual, _, _) in OPTIONS.items()}
 FORMER_MAX_FREQ = 10000.0 / 75.0  # Hz, the default before December 2024
-BOUNDS = {
-    "min_freq": (1.0, 300.0), "max_freq": (1.0, 300.0), "hz_per_sec": (0.05, 20.0),
-    "accel_per_hz": (0.1, 10000.0), "sweeping_accel": (0.1, 100000.0),
-    "sweeping_period": (0.05, 60.0),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +78,7 @@ class ResonanceTest:
         if not (np.isfinite(length) and length > 0.0):
             raise IdentificationError(f"{tuple(direction)} is not a direction: try (1, 0)")
         values = {key: config.number(SECTION, key, usual) for key, usual in DEFAULTS.items()}
-        for key, (low, high) in BOUNDS.items():
+        for key, (_, low, high) in OPTIONS.items():
             value = values[key]
             if not (low <= value <= high or (value == 0.0 and key == "sweeping_period")):
                 raise IdentificationError(

@@ -33,7 +33,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hframe_post.arrays import TS, Array, Integers, X, Y, Z
-from hframe_post.errors import HframeError, LimitError, PrinterError
+from hframe_post.errors import HframeError, LimitError
 from hframe_post.firmware.code import plain
 from hframe_post.firmware.klipper.klipper_stream import KlipperCode, KlipperMotion, stream_limits
 from hframe_post.firmware.registry import Klipper, firmware
@@ -175,26 +175,13 @@ def seconds_of(planned: Sequence[PlannedRun]) -> float:
 # ---------------------------------------------------------------------- output
 
 
-def check_records(printer: Printer) -> None:
-    """Raise PrinterError if the printer's firmware records no accelerometers."""
-    if not printer.firmware.kind.records:
-        raise PrinterError(
-            f"{printer.firmware.dialect} records no accelerometers, which this run needs. To find "
-            "out what drifted, measure again: 'hframe-post measure', then identify. To see what "
-            "compensation brings, print a part with and without it (-c none)",
-            "firmware.dialect", printer.name,
-        )  # fmt: skip
-
-
 def gcode(
     printer: Printer, planned: list[PlannedRun], chips: tuple[str, ...], z: float
 ) -> Iterator[Output]:
     """Yield the G-code of all runs. z: mm.
 
     chips: Klipper's names of the accelerometers; empty: those of the profile for each axis.
-    Raises PrinterError if the printer's firmware is not Klipper.
     """
-    check_records(printer)
     stamp = f"{__version__}, printer {printer.name}, settings {printer.digest}"
     yield b"%s %s\n" % (STAMP, stamp.encode())
     height = plain(z, 3)

@@ -22,12 +22,12 @@ import numpy as np
 from hframe_post.arrays import TS, Array, X, Y
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain
+from hframe_post.errors import PrinterError
 from hframe_post.identification.recordings.folder import STROKES
 from hframe_post.identification.recordings.runs import (
     QUIET,
     PlannedRun,
     allowed,
-    check_records,
     named,
     room,
     seconds_of,
@@ -60,7 +60,13 @@ def runs(
     A run moves both axes. Only where the bed moves, which has a sensor of its own, it moves one.
     Raises HframeError, and LimitError at a place without room.
     """
-    check_records(printer)
+    if not printer.firmware.kind.records:
+        raise PrinterError(
+            f"{printer.firmware.dialect} records no accelerometers, which this run needs. To find "
+            "out what drifted, measure again: 'hframe-post measure', then identify. To see what "
+            "compensation brings, print a part with and without it (-c none)",
+            "firmware.dialect", printer.name,
+        )  # fmt: skip
     made = []
     for axes in [(X,), (Y,)] if printer.kinematics.bed_moves else [(X, Y)]:
         prefix = name if len(axes) > 1 else f"{name}-{'xy'[axes[0]]}"

@@ -16,7 +16,6 @@ Any program may record it: start and clock are found from the motion (``self_ali
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -54,26 +53,6 @@ HEAD = """\
 """
 
 
-@dataclass(frozen=True, slots=True)
-class _Moves:
-    """Moves one after the other: whole steps (k,) with their sign, speeds (k,) in mm/s.
-
-    reversal: speed of the moves at both sides of a turn and at the start, if they are not at rest.
-    """
-
-    steps: Integers
-    v: Array
-    reversal: float
-
-    @property
-    def turns(self) -> Array:
-        """Return the most speed (k + 1,) at the ends, where the axis turns or rests, too."""
-        v, sign = np.pad(self.v, 1), np.sign(np.pad(self.steps, 1))
-        passed = np.where(sign[:-1] == sign[1:], np.minimum(v[:-1], v[1:]), self.reversal)
-        passed[-1] = 0.0
-        return np.asarray(passed)
-
-
 def runs(
     printer: Printer, places: Sequence[tuple[float, float]], z: float
 ) -> list[tuple[PlannedRun, list[str]]]:
@@ -108,15 +87,16 @@ def played(
     end_hz = min(sweep.end_hz, USED_LINES_SHARE * lines_per_second / 2.0)  # two lines a period
     pulses = _pulses(play, a, min(RISE, velocity - SLOW), reach, end_hz, sweep.rate_hz_per_s)
     steps, v = (np.array(column) for column in zip(*pulses, strict=True))
-    moves = _Moves(steps, np.round(60.0 * v, 1) / 60.0, play.reversal)  # as F has it
-    cells = np.zeros((len(moves.v) + 1, 2), dtype=np.int64)
-    cells[1:, axis] = np.cumsum(moves.steps)
-    along = np.pad(play.motion(cells, moves.v, moves.turns, a), QUIET, mode="edge")
+    v = np.round(60.0 * v, 1) / 60.0  # as F has it
+    cells = np.zeros((len(v) + 1, 2), dtype=np.int64)
+    cells[1:, axis] = np.cumsum(steps)
+    turns = _turns(np.sign(steps), v, play.reversal)
+    along = np.pad(play.motion(cells, v, turns, a), QUIET, mode="edge")
     command = np.tile(np.array([x, y]), (len(along), 1))
     command[:, axis] += along
     done = PlannedRun(name, frozen(command))
     ends = (x, y)[axis] + cells[1:, axis] * play.step
-    return done, _gcode(printer, play, done, np.asarray(ends), moves.v, a, z)
+    return done, _gcode(printer, play, done, np.asarray(ends), v, a, z)
 
 
 def summary(stem: str, played: list[PlannedRun], bed_may_move: bool) -> str:
@@ -163,6 +143,18 @@ def _pulses(
         for n, v in ((slow, SLOW), (fast, top)):
             yield way * n, play.speed(v)
     yield from ((way * n, v) for n, v in turn)
+
+
+def _turns(way: Integers, v: Array, reversal: float) -> Array:
+    """Return the most speed (k + 1,) at the ends of moves, where the axis turns or rests, too.
+
+    way (k,): 1 or -1; v (k,): speeds. reversal: speed at a turn and at the start, 0 at rest.
+    """
+    same = np.diff(np.pad(way, 1)) == 0
+    v = np.pad(v, 1)
+    passed = np.where(same, np.minimum(v[:-1], v[1:]), reversal)
+    passed[-1] = 0.0
+    return np.asarray(passed)
 
 
 def _safe_speed(play: WrittenMoves, a: float, most: float, steps: int) -> float:
