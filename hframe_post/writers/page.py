@@ -164,9 +164,8 @@ class Page:
         self._limits.clear()
 
     def finish(self) -> None:
-        """Add what takes back the last change."""
+        """Add, at the end, what takes back the last change."""
         self.add_lines(self._revert)
-        self._revert = b""
 
     # ------------------------------------------------------------------ motion
 

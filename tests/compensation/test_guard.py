@@ -216,13 +216,6 @@ def test_a_clamp_moves_a_command_smoothly_onto_the_bed(height: float) -> None:
     np.testing.assert_array_equal(result[:, 1], 50.0)
 
 
-def test_a_clamp_is_the_same_where_a_stretch_begins() -> None:
-    path = standing(800, x=0.1)
-    command = bumped(path, 0, -1.0, 150)
-    whole, later = (clamped(chunk(path[k:], command[k:]), FAR)[0] for k in (0, 150))
-    np.testing.assert_array_equal(later, whole[150:])
-
-
 @pytest.mark.parametrize("width", [10, 20, 30])
 def test_a_clamp_reduces_compensation_until_the_motors_can_follow(width: int) -> None:
     path = standing(800)

@@ -12,9 +12,7 @@ from examples.paper.tables import transfer_functions
 from hframe_post.arrays import TS, Array, E, Y
 from hframe_post.conversion import spans
 from hframe_post.conversion.options import Options
-from hframe_post.conversion.pipeline import prepared
 from hframe_post.conversion.whole_file import WholeFile
-from hframe_post.model.lpfbs import Lpfbs
 from hframe_post.model.plant import Bed
 from hframe_post.model.transfer_function import TransferFunction
 from hframe_post.prediction.predict import contour_error
@@ -150,15 +148,3 @@ def test_commands_stand_still_where_the_model_changes(slinger: Printer) -> None:
             last, ended = command[-1], False
         ended |= chunk.ends_stretch
     assert changes >= LAPS - 1
-
-
-def test_windows_are_certified_for_every_mass(fixed: Printer) -> None:
-    for name in ("example-cartesian", "example-ender"):
-        printer = load(name)
-        printer = replace(printer, plant=replace(printer.plant, bed=Bed(1.0, 1e-3)))
-        compensator = prepared(printer)
-        for grams in (0, 5, 50, 300, 1000):
-            solver = compensator.at(float(grams)).y
-            assert isinstance(solver, Lpfbs)
-            assert solver.radius < 1.0
-        assert compensator.at(300.0) is compensator.at(300.1)

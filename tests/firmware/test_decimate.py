@@ -1,6 +1,5 @@
 """Decimation: every sample within the tolerance of its chord, nothing forced left out."""
 
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -9,14 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import TS, Array, Flags, Integers
-from hframe_post.conversion.options import TOLERANCE
 from hframe_post.firmware.klipper.klipper_stream import PIECE_SAMPLES, sparser
-from hframe_post.model.plant import Response
 from hframe_post.native.decimate import breakpoints, fitted
-from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import Samples
 from tests.paths import wander
-from tests.quantities import below
 
 MM = 0.002  # tolerance of most tests
 SHORT, E_WEIGHT = 8, 4.0  # samples up to which it counts in full; mm of path a mm of filament
@@ -117,23 +111,6 @@ def test_no_vertex_leaves_the_bed_where_no_sample_does() -> None:
     points = np.column_stack([100.0 * t, 5.0 * t * t, 0 * t, 0 * t])
     vertices = fitted(points, breakpoints(points, none(400), 0.01))
     assert vertices[:, 1].min() >= 0.0
-
-
-def test_the_nozzle_stays_near(paper: Printer, commands: Callable[[str], Samples]) -> None:
-    """What counts is what the nozzle does: the rectangle at 10 000 mm/s², shipped tolerance."""
-    chunk = commands("racking")
-    points = np.column_stack([chunk.commands["racking"], chunk.xyze[:, 2:]])
-    n = len(points) - 1
-    ends = breakpoints(points, none(n), TOLERANCE)
-    vertices = np.round(np.vstack([points[:1], fitted(points, ends)]), 3)
-    at = np.append(0, ends)
-    written = np.column_stack([np.interp(np.arange(n + 1), at, vertices[:, k]) for k in (0, 1)])
-    nozzle, as_written = (
-        Response(paper.plant, points[0, :2]).run(xy) for xy in (points[:, :2], written)
-    )
-    off = np.hypot(*(as_written - nozzle).T)
-    below(np.sqrt(np.mean(off**2)), 6e-4, "RMS distance of the nozzle to that of all samples, mm")
-    below(len(ends), n / 6, "segments")
 
 
 @pytest.mark.parametrize("rate", [20.0, 60.0, 200.0])

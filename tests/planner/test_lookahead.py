@@ -11,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hframe_post.arrays import Array
-from hframe_post.firmware.base import FirmwareLimits
 from hframe_post.native.planning import greatest_speeds
 from hframe_post.planner.lookahead import plan
-from hframe_post.planner.sliced import AsSliced, ShortMoves
+from hframe_post.planner.sliced import ShortMoves
 from hframe_post.printer.settings import Limits
 from hframe_post.stream.marks import Mark
 from hframe_post.stream.types import (
@@ -74,13 +73,6 @@ def test_straight_on_at_another_feed_is_passed_at_the_lower_one() -> None:
     straight = moves(line((50, 0, 0, 0), (50, 0, 0, 0)), np.array([100.0, 40.0]))
     assert one(straight).speed[1] == pytest.approx(40.0, rel=2e-4)
     assert one(straight).speed[1] <= 40.0
-
-
-def test_extrusion_while_moving_is_limited_only_by_what_melts() -> None:
-    for e, speed in ((1.6, 300.0), (5.0, 100.0)):
-        planned = one(moves(line((10, 0, 0, e)), 300.0))
-        assert planned.cruise[0] == pytest.approx(speed)
-        assert planned.acceleration[0] == 1e4
 
 
 @pytest.mark.parametrize(
@@ -184,16 +176,6 @@ def test_batches_give_the_speeds_of_one_plan() -> None:
     assert len(common) > 0.99 * len(in_parts)
     for vertex in common:
         assert in_parts[vertex] == pytest.approx(at_once[vertex], rel=1e-6, abs=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("length", "seconds"), [(100.0, 100.0 / 100.0 + 100.0 / 1e3), (5.0, 2.0 * math.sqrt(5e-3))]
-)
-def test_the_firmwares_own_time_is_that_of_its_ramps(length: float, seconds: float) -> None:
-    own = AsSliced(FirmwareLimits(replace(LIMITS, acceleration=1e3), 1e3, 1e3, 5.0))
-    for item in (moves(line((length, 0, 0, 1))), None):
-        list(own.timed(item))
-    assert own.seconds == pytest.approx(seconds)
 
 
 def test_boards_leave_out_moves_of_too_few_steps() -> None:

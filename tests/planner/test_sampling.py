@@ -171,17 +171,6 @@ def there(start: float = 0.0) -> Moves:
     return moves([(start, 0, 0.2, 2), (start + 50, 0, 0.2, 2)])
 
 
-def test_motion_and_pauses_have_standstill_between_them() -> None:
-    events = whole(sampled([there(), RETRACT]))[1]
-    first, before, pause = events
-    assert first == Rest(1, RESTS.long_rest)
-    assert isinstance(before, Rest)
-    assert before.samples == RESTS.before
-    assert isinstance(pause, Dwell)
-    assert pause.index == before.index + RESTS.before
-    assert pause.action is RETRACT
-
-
 def test_dwell_lasts_whole_samples_and_keeps_its_exact_time() -> None:
     (pause,) = (e for e in whole(sampled([there(), DWELL]))[1] if isinstance(e, Dwell))
     assert (pause.samples, pause.exact) == (13, 0.0125)

@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 
 from hframe_post.arrays import Array, Integers
 from hframe_post.firmware.registry import firmware
-from hframe_post.model.strategies import Compensator
 from hframe_post.native.stop import NEAREST
 from hframe_post.prediction.error_meter import ErrorMeter
-from hframe_post.prediction.predict import Played, contour_error, judge
+from hframe_post.prediction.predict import Played, contour_error
 from hframe_post.prediction.statistics import SMALLEST, ErrorStatistics
 from hframe_post.prediction.windows import FEW, SOME, WINDOW, Windows
 from hframe_post.printer.settings import Printer
@@ -56,19 +55,6 @@ def test_contour_error_is_the_distance_to_the_path(seed: int, every: int) -> Non
     assert (got >= widest - 1e-12).all()
     assert (got <= np.hypot(*(actual - path[at]).T) + 1e-12).all()
     assert np.sqrt((got**2).mean()) <= 1.02 * np.sqrt((widest**2).mean())
-
-
-def test_standstill_does_not_count_and_extrusion_is_flagged(compensator: Compensator) -> None:
-    """An extrusion to sample 40, a retraction to 60, a travel."""
-    path = np.tile([103.9, 50.0, 0.0, 0.0], (100, 1))
-    path[:40, 0], path[60:, 0] = 100.0 + 0.1 * np.arange(40), 103.9 + 0.2 * np.arange(1, 41)
-    path[:40, 3], path[40:60, 3] = 0.01 * np.arange(40), 0.39 - 0.02 * np.arange(1, 21)
-    path[60:, 3] = path[59, 3]
-    block = Samples(0, path, np.zeros(100, np.int64), (), {"none": path[:, :2]})
-    (judgement,) = judge([block], compensator.plant)
-    assert judgement.at.tolist() == [*range(1, 40), *range(60, 100)]
-    assert len(judgement.contour["none"]) == len(judgement.tracking("none")) == 79
-    assert judgement.at[judgement.extruding].tolist() == [*range(1, 40)]
 
 
 WHOLE = 8 * WINDOW

@@ -72,16 +72,6 @@ def blocks(sizes: list[int], yields: int | None = None) -> list[Samples]:
     return cut
 
 
-@pytest.mark.parametrize("size", [1, 7, 100])
-def test_cuts_change_no_bit(size: int) -> None:
-    (whole,) = quantise(blocks([300]), Kinematics(), STEPS)
-    cut = list(quantise(blocks([size] * (300 // size) + [300 % size]), Kinematics(), STEPS))
-    for name, command in whole.commands.items():
-        joined = np.concatenate([block.commands[name] for block in cut])
-        np.testing.assert_array_equal(joined, command)
-        assert not command.flags.writeable
-
-
 def test_the_command_after_a_release_is_quantised_on_its_own() -> None:
     both = blocks([80, 120], yields=0)
     got = list(quantise(both, Kinematics(), STEPS))

@@ -9,16 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hframe_post.compensation.shape import shape
 from hframe_post.conversion.options import Options
 from hframe_post.conversion.pipeline import Chain
 from hframe_post.conversion.sliced_errors import SHAPED_PIECES, SlicedFile
 from hframe_post.firmware.registry import FIRMWARES, Klipper
-from hframe_post.model.shapers import AxisShaping, Shaping, most_damping, shaper
+from hframe_post.model.shapers import AxisShaping, Shaping, most_damping
 from hframe_post.prediction.best_shaper import Paths, error, guess, quadratic_form, ranked
 from hframe_post.prediction.statistics import ContourErrors, ErrorStatistics
 from hframe_post.printer.settings import Printer
-from hframe_post.stream.types import Samples
 from hframe_post.studies.shaping import ShaperComparison, comparison_as_text
 from hframe_post.studies.tuning import rectangle
 from tests.command_line import run
@@ -49,20 +47,6 @@ def test_the_best_shaper_halves_the_error(paper: Printer, corner: Paths) -> None
     (found,) = ranked(paper.plant, corner, ["mzv"])
     assert found.rms < 0.5 * bare
     assert found.rms == error(paper.plant, found, corner).rms
-
-
-def test_the_stream_is_shaped_as_the_whole_is(corner: Paths) -> None:
-    path = np.pad(corner[0][0], ((0, 0), (0, 2)))
-    line = np.zeros(len(path), np.int64)
-    x = y = AxisShaping("ei", 30.0, 0.2)
-    for cut in (1, 7, 100, 10_000):
-        pieces = [
-            Samples(k, path[k : k + cut], line[k : k + cut]) for k in range(0, len(path), cut)
-        ]
-        done = list(shape(pieces, {"ei": Shaping(x, y)}))
-        got = np.concatenate([chunk.commands["ei"] for chunk in done])
-        whole = np.column_stack([shaper("ei", 30.0, 0.2).run(column) for column in path[:, :2].T])
-        np.testing.assert_allclose(got, whole, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["ei", "2hump_ei", "3hump_ei"])

@@ -136,14 +136,3 @@ def test_no_model_error_is_the_plant_itself(plant: Plant) -> None:
     for drawn in plant.drawn(0.0, 3, seed=0):
         assert (drawn.x_c, drawn.Gxtheta is None) == (plant.x_c, plant.Gxtheta is None)
         assert same(drawn, plant)
-
-
-def test_parameters_are_uniform_within_the_share() -> None:
-    share, own = 0.05, [len(CARTESIAN.Gxx.deviation), len(CARTESIAN.Gyy.deviation)]
-    drawn = CARTESIAN.drawn(share, 400, seed=3)
-    lengths = np.array([[len(p.Gxx.deviation), len(p.Gyy.deviation)] for p in drawn]) / own
-    off = (lengths - 1.0) / share
-    assert np.abs(off).max() <= 1.1
-    assert np.abs(off).max(axis=0).min() > 0.9
-    quartiles = np.quantile(off, [0.25, 0.5, 0.75], axis=0)
-    np.testing.assert_allclose(quartiles, np.array([[-0.5], [0.0], [0.5]]).repeat(2, 1), atol=0.2)

@@ -87,14 +87,6 @@ def test_number_too_long_is_an_error(value: int) -> None:
         extruded([value], 3)
 
 
-@given(st.lists(st.integers(0, 10**17), min_size=1, max_size=20), st.integers(1, 17))
-def test_whole_numbers_equal_those_of_python(values: list[int], width: int) -> None:
-    values = [value % 10**width for value in values]
-    column = np.array(values, dtype=np.int64)
-    end = digits.column(b"\n", len(values))
-    assert digits.rows([digits.whole(column), end]) == b"".join(b"%d\n" % value for value in values)
-
-
 @given(st.lists(st.floats(-1e5, 1e5) | st.floats(-1e-8, 1e-8), min_size=1, max_size=20),
        st.integers(0, 9))  # fmt: skip
 def test_fixed_numbers_equal_those_of_python(values: list[float], decimals: int) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import hframe_post as hp
-from hframe_post.writers.outputs import Outputs
 from hframe_post.writers.print_time import (
     SUMMARY,
     Deferred,
@@ -63,16 +62,6 @@ def test_at_the_end_nothing_is_left_and_a_faster_print_takes_some_time() -> None
     faster = with_times(b";TIME:100", 0.0, 1000.0, 600.0)
     assert faster == b";TIME:60"  # the slicer expects a tenth of what the firmware takes
     assert with_times(b";TIME:100", 0.0, 0.0, 0.0) == b";TIME:100"
-
-
-def test_times_are_filled_in_at_their_place(tmp_path: Path) -> None:
-    target = tmp_path / "out.gcode"
-    with Outputs() as outputs:
-        lines: list[Output] = [b"a\n", Deferred.from_line(b";TIME:9", 0.0), b"b\n"]
-        write_output(outputs.open(target), lines, lambda: (7.0, 98.0))
-    assert [line.rstrip() for line in target.read_bytes().splitlines()] == [
-        b"a", b";TIME:100", b"b",
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from hframe_post.printer.settings import Printer
 from hframe_post.stream.types import Samples
 from hframe_post.writers.tables import (
     COLUMNS,
+    DECIMALS,
     End,
     Header,
     Item,
@@ -23,6 +24,7 @@ from hframe_post.writers.tables import (
     Start,
     StepFileWriter,
     Stepped,
+    as_csv,
     inlined,
     tabulate,
     write_npz,
@@ -97,6 +99,10 @@ def test_each_row(paper: Printer, commands: Callable[[str], Samples], table: Arr
     for k, name in enumerate(("x", "y")):
         np.testing.assert_array_equal(column(table, f"{name}_dm"), command[:, k])
         np.testing.assert_allclose(column(table, name), moved[:, k], atol=1e-9)
+    names, *rows = b"".join(as_csv([table])).splitlines()
+    assert names == ",".join(COLUMNS).encode()
+    off = np.abs(np.loadtxt(rows, delimiter=",") - table)
+    assert (off <= 0.51 * 10.0 ** -np.array(DECIMALS)).all()
 
 
 def test_theta_is_what_moves_the_nozzle_at_a_lever(paper: Printer, table: Array) -> None:
