@@ -165,7 +165,7 @@ def test_again_it_keeps_an_identified_plant(config: Path) -> None:
         (b"[printer]\nkinematics: corexy\n", "[printer] max_velocity is missing"),
         (b"[printer]\nkinematics: corexy\nmax_velocity: 9\nmax_accel: 9\n", "position_max"),
         (b"[printer]\nkinematics: corexy\nmax_velocity: 9%s\n" % (b"9e" * 9999), "not a number"),
-        (b"nonsense\n", "printer.cfg:1 is neither a [section]"),
+        (b"# mine\nnonsense\n", "printer.cfg:2 is neither a [section]"),
         (b"", "no section [printer]"),
     ],
 )

@@ -267,6 +267,8 @@ def test_advance_is_computed_into_e_and_said(marlin: Printer) -> None:
     assert fed[1].min() < -0.01  # where it brakes
     assert fed[0].sum() == pytest.approx(fed[1].sum(), abs=1e-9)
     assert b"M900 K0.05" in advanced[0].splitlines()
+    by_the_file = [*lines[:3], b"M900 K0.05\n", lines[3]]  # none is in force before
+    assert converted(by_the_file, marlin)[1].advancing.most == 0.05
 
 
 @pytest.mark.parametrize("planner", MARLIN_PLANNERS)
