@@ -194,29 +194,31 @@ INSIDE struct vector from_segment(const struct path *path, struct vector a, int6
     return (struct vector){a.x - dx * share, a.y - dy * share};
 }
 
+enum { LATEST = 31 }; /* bits of a key, which tell of which number it is; the others are those of the number */
+
+/* Return the lesser key, of two. The bits of a positive number grow with it, and integers are sooner compared. */
+INSIDE int64_t lesser_key(int64_t least, double number, int64_t which)
+{
+    int64_t key;
+    memcpy(&key, &number, sizeof key);
+    key = (key & ~(int64_t)LATEST) | which;
+    return key < least ? key : least;
+}
+
 /* Return the sample nearest to the point: try some around ``at``, then the neighbours of the best. */
 INSIDE int64_t nearest(const struct path *path, struct vector a, int64_t at)
 {
-    int64_t from = at - NEAREST - path->base, least = INT64_MAX, best_k = at;
+    int64_t from = at - NEAREST - path->base, least = INT64_MAX;
     const double *x = path->thirds[from % COARSE][X] + from / COARSE;
     const double *y = path->thirds[from % COARSE][Y] + from / COARSE;
-    for (int64_t i = 0; i < TRIED; i++) { /* a number's bits grow with it; the last tell which it is */
-        double tried = square((struct vector){a.x - x[i], a.y - y[i]});
-        int64_t key;
-        memcpy(&key, &tried, sizeof key);
-        key = (key & -32) | i;
-        least = key < least ? key : least;
-    }
-    int64_t found = at - NEAREST + COARSE * (least & 31);
+    for (int64_t i = 0; i < TRIED; i++)
+        least = lesser_key(least, square((struct vector){a.x - x[i], a.y - y[i]}), i);
+    int64_t found = at - NEAREST + COARSE * (least & LATEST);
     int64_t candidates[] = {found - 1, found, found + 1, at - 1, at, at + 1};
-    double best = INFINITY;
-    for (int i = 0; i < 6; i++) {
-        double tried = square(from_sample(path, a, candidates[i]));
-        int nearer = tried < best;
-        best = nearer ? tried : best;
-        best_k = nearer ? candidates[i] : best_k;
-    }
-    return within(best_k, path->n);
+    least = INT64_MAX;
+    for (int64_t i = 0; i < 6; i++)
+        least = lesser_key(least, square(from_sample(path, a, candidates[i])), i);
+    return within(candidates[least & LATEST], path->n);
 }
 
 /* Return the way to a point from the path near its sample ``at``, one of those laid out. */

@@ -34,12 +34,10 @@ TRAVEL = "TRAVEL"  # motion without extrusion, whatever feature the comments nam
 class Labels:
     """Layers and features by number, as the slicer's comments name them.
 
-    place: where in the print the first chunk begins. by_name: number layers by their names, so
-    that layers of one name are one; otherwise by their order in the print, from 1.
+    place: where in the print the first chunk begins. Layers of one name are one.
     """
 
     place: Place = field(default_factory=Place)
-    by_name: bool = True
     layers: list[str] = field(default_factory=lambda: [BEFORE])
     features: list[str] = field(default_factory=lambda: [TRAVEL, BEFORE])
     _e: float = -np.inf  # filament at the last sample
@@ -77,9 +75,7 @@ class Labels:
         return _index(self.features, name)
 
     def _current(self) -> tuple[int, int]:
-        named = self.layer(self.place.name or BEFORE)
-        layer = named if self.by_name else self.place.layer
-        return layer, self.feature(self.place.feature or BEFORE)
+        return self.layer(self.place.name or BEFORE), self.feature(self.place.feature or BEFORE)
 
 
 def _index(names: list[str], name: str) -> int:
