@@ -87,17 +87,11 @@ def joined_times(blocks: Blocks, v: Array, rate: Array, before: float, stepper: 
 
     before: speed of the block that precedes. The last ends at its own speed.
     """
-    n, d, a, corners = blocks
     own = v, rate, before, stepper.free_entry, stepper.row
-    return kernels.marlin_times(n, d, a, _at_ends(corners, len(v)), *own)
+    return kernels.marlin_times(*blocks, *own)
 
 
 def feed_rates(blocks: Blocks, T: Array, before: float, stepper: Stepper) -> Array:
     """Return speeds (k,), mm/s, at which blocks take the time T (k,); see ``joined_times``."""
-    n, d, a, corners = blocks
     own = T, before, stepper.free_entry, stepper.row, ROUNDS, FASTEST
-    return kernels.marlin_feed_rates(n, d, a, _at_ends(corners, len(T)), *own)
-
-
-def _at_ends(corners: Array | float, k: int) -> Array:
-    return np.full(k + 1, corners)
+    return kernels.marlin_feed_rates(*blocks, *own)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -123,13 +122,14 @@ def _turns_back(before: list[int], at: list[int], after: list[int]) -> bool:
 class Blocks(NamedTuple):
     """Blocks (k,): steps n, mm of path d, acceleration a (steps/s²).
 
-    corners (k + 1,): greatest speeds, mm/s, at which their ends may be passed, or one for all.
+    corners (k + 1,): greatest speeds, mm/s, at which their ends may be passed; none for blocks
+    whose speeds at both ends are given.
     """
 
     n: Array
     d: Array
     a: Array
-    corners: Array | float = math.inf
+    corners: Array = np.zeros(0)
 
 
 class BlockLimits(NamedTuple):
