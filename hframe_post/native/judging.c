@@ -161,10 +161,11 @@ INSIDE void lay_out(struct path *path, int64_t first)
         const double *at = path->places + path->columns * within(path->base + i, path->n);
         x[i] = at[X], y[i] = at[Y];
     }
-    for (int64_t i = 0; i < ALL; i++) {
-        path->thirds[i % COARSE][X][i / COARSE] = x[i];
-        path->thirds[i % COARSE][Y][i / COARSE] = y[i];
-    }
+    for (int64_t k = 0; k < COARSE; k++)
+        for (int64_t i = 0; k + COARSE * i < ALL; i++) {
+            path->thirds[k][X][i] = x[k + COARSE * i];
+            path->thirds[k][Y][i] = y[k + COARSE * i];
+        }
     for (int64_t i = 1; i < ALL - 1; i++) {
         double ax = x[i] - x[i - 1], ay = y[i] - y[i - 1], bx = x[i + 1] - x[i], by = y[i + 1] - y[i];
         double cross = ax * by - ay * bx, dot = ax * bx + ay * by;
@@ -311,8 +312,14 @@ static void respond(struct coarse of, const double *command, int64_t width, stru
     int64_t size = past + (at.stop - at.begin) + of.late;
     int64_t halves = at.apart % 2 ? 2 : 1, step = halves * at.apart;
     double *u = room, *some = u + size;
-    for (int64_t i = 0; i < size; i++) /* before the first and after the last sample it rests */
-        u[i] = command[width * within(at.begin - past + i, at.n)];
+    int64_t first = at.begin - past, inside = first < 0 ? -first : 0, after = at.n - first;
+    after = after < size ? after : size;
+    for (int64_t i = 0; i < inside; i++) /* before the first and after the last sample it rests */
+        u[i] = command[0];
+    for (int64_t i = inside; i < after; i++)
+        u[i] = command[width * (first + i)];
+    for (int64_t i = after; i < size; i++)
+        u[i] = command[width * (at.n - 1)];
     for (int64_t half = 0; half < halves; half++) { /* of an odd step, every second output */
         int64_t begin = half * at.apart, count = numbers_of(at.begin + begin, at.stop, step);
         filter_coarsely(of, u + past + begin, count, step / 2, (float *)(some + count), some);
@@ -352,12 +359,13 @@ WIDE static int64_t judge_window(const double *xyze, int64_t n, int sliced, cons
     while (done < k) {
         int64_t end = at[done] + AT_ONCE;
         lay_out(&path, at[done]);
-        for (; done < k && at[done] < end; done++)
-            for (int64_t s = 0; s < strategies; s++, off++) {
-                int64_t number = number_of(at[done], judged.begin, judged.apart);
-                *off = way_off(&path, nozzle[m * s + number], at[done]);
+        for (; done < k && at[done] < end; done++) {
+            const struct vector *place = nozzle + number_of(at[done], judged.begin, judged.apart);
+            for (int64_t s = 0; s < strategies; s++, off++, place += m) {
+                *off = way_off(&path, *place, at[done]);
                 *error++ = sqrt(square(*off));
             }
+        }
     }
     return k;
 }
@@ -561,8 +569,8 @@ static int64_t draw_pieces(const double *xyze, const int64_t *line, const int64_
         number[FEATURE] = extruding[i] ? (int32_t)places[2 * run + 1] : 0;
         number[BEGINS] = i == 0 && begins;
         piece[SPEED(strategies)] = (float)(sqrt(dx * dx + dy * dy) / TS);
-        for (int64_t s = 0; s < strategies; s++, off += 2, errors++) {
-            const struct vector *place = nozzle + m * s + within(number_of(at[i], begin, apart), m);
+        const struct vector *place = nozzle + within(number_of(at[i], begin, apart), m);
+        for (int64_t s = 0; s < strategies; s++, off += 2, errors++, place += m) {
             sum[1 + s] += *errors * *errors;
             piece[WAYS + 2 * s] = (float)off[X], piece[WAYS + 2 * s + 1] = (float)off[Y];
             piece[SPEED(strategies) + 1 + 2 * s] = (float)(place->x - p[X]);

@@ -79,6 +79,8 @@ class Labels:
 
 
 def _index(names: list[str], name: str) -> int:
+    if names[-1] == name:  # the latest of a thousand layers is asked for most often
+        return len(names) - 1
     if name not in names:
         names.append(name)
     return names.index(name)
