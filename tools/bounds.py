@@ -4,9 +4,11 @@ make bounds
 
 rectangle: RMS contour error that the response of a published CoreXY leaves 18 days later, and the
 later one on the first day, where they change: 120 × 20 mm at 10 000 mm/s². response: change of a
-response at most, as a print weighs it (a share of G − 1): of a published test of resonances, of
-strokes on a simulated printer with friction, and of its check. refused: a recording is not taken.
-other words: the report says something else, or a figure in it.
+response at most, as a print weighs it (a share of G − 1): of a published test of resonances, and of
+simulated recordings: a test whose time stamps wander, a Marlin printer with a sharp mode, an H-bot
+with friction at three places, strokes with friction, a check after drift, and recordings that are
+refused. refused: one that is taken is not. other words: the report says something else, or a
+figure in it.
 """
 
 from __future__ import annotations
@@ -19,8 +21,9 @@ import lzma
 import multiprocessing
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from datetime import date
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -28,27 +31,35 @@ from typing import Any
 
 import numpy as np
 
-from hframe_post.arrays import TS, Complex
+from hframe_post.arrays import TS, Array, Complex, X
 from hframe_post.errors import HframeError
 from hframe_post.firmware.klipper.printer_cfg import KlipperConfig
-from hframe_post.identification.check import drifts
+from hframe_post.identification.check import CheckReport, drifts
 from hframe_post.identification.check import runs as check_runs
 from hframe_post.identification.estimation.measured import MeasurementSettings
-from hframe_post.identification.gather import gather
+from hframe_post.identification.gather import Gathered, gather
 from hframe_post.identification.identify import Run, identify
+from hframe_post.identification.recordings.accelerometer import Recording, repaired
+from hframe_post.identification.recordings.resonance_search import find
 from hframe_post.identification.recordings.strokes import runs
+from hframe_post.identification.recordings.written_sweep import played
 from hframe_post.identification.report import IdentificationReport
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.printer.settings import Travel
 from tests.identification import test_unknown_start as published
-from tests.random_printers import BAND, printer, recorded
+from tests.identification.test_written_sweep import at, motion
+from tests.printers import ender
+from tests.random_printers import BAND, drawn, printer, recorded
 from tests.recordings import SV08_CONFIG
+from tests.resonance_recordings import SENSORS, drawn_sensor, klipper, wandering
+from tests.resonance_recordings import recorded as recorded_test
 from tests.simulator import Axis, Chip, Machine, Mode
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "hframe_post.identification"
 SV08 = ROOT / "tests/identification/data/raw_data_y_20250601_120000.csv.xz"
 HZ = np.arange(5.0, 100.0, 0.25)
+TEST = klipper(min_freq=8.0, max_freq=105.0, hz_per_sec=2.0)
 HEAD = ("module", "bound", "value", "unit and source", "halved: rectangle, µm", "halved: response",
         "doubled: rectangle, µm", "doubled: response")  # fmt: skip
 # value of the one of 15 published recordings that is nearest to the bound
@@ -109,10 +120,66 @@ def machine(hz: float) -> Machine:
 CHIP = Chip(gains=(1.03, 0.97, 1.0), rate_error=0.01)
 
 
+def shown(runs: Sequence[Run], racks: bool = False) -> Figures:
+    """Return the responses that runs show, and what is said of them."""
+    found = identify(runs, MeasurementSettings(BAND, racks))
+    report = IdentificationReport(found, found.plant(140.0), None, Gathered([], []))
+    x_c = None if found.x_c is None else round(found.x_c, 1)
+    return {
+        "words": [found.refusal, x_c, *report.remarks()],
+        **{name: at_hz(found.fits[name].G) for name in found.axes},
+    }
+
+
 @cache
 def struck() -> list[Run]:
     planned = runs(printer(machine(40.0)), seconds=20.0)
     return recorded(machine(40.0), CHIP, planned[:1], 1)
+
+
+def strokes() -> Figures:
+    """Return the response that strokes show."""
+    return shown(struck())
+
+
+@cache
+def at_places() -> list[Run]:
+    hbot, chip, _ = drawn(11)  # with friction, which hides half of its racking
+    return recorded(hbot, chip, runs(printer(hbot), seconds=20.0), 11, 0.0206)
+
+
+def places() -> Figures:
+    """Return the responses of an H-bot, and its racking."""
+    return shown(at_places(), racks=True)
+
+
+@cache
+def swept() -> list[Run]:
+    sharp = Machine(Axis((Mode(25.5, 0.03),)), Axis((Mode(30.0, 0.1),)), kinematics="cartesian")
+    one, lines = played(ender(1000.0), *at(X, 110.0, 110.0), 10.0)
+    moved = motion("\n".join(lines).encode())
+    still = np.pad(moved, ((2000, 2000), (0, 0)), mode="edge")
+    chip = replace(SENSORS["adxl345"], lead=3.0)
+    return [Run("x", one.command, chip.record(sharp, still, 1))]
+
+
+def marlin() -> Figures:
+    """Return the response of a printer whose mode rings for more than 0.4 s."""
+    return shown(swept())
+
+
+@cache
+def wandered() -> tuple[Array, Array]:
+    """Return time stamps of a LIS2DW, and its samples."""
+    made = recorded_test(machine(40.0), TEST, drawn_sensor(1, "lis2dw"), 3, 1).recording
+    return made.t + wandering(made.t - made.t[0], 5e-3), made.a
+
+
+def stamps() -> Figures:
+    """Return the response that a test shows whose time stamps wander."""
+    t, a, _ = repaired(*wandered())
+    found = find(Recording(t, a, False), TEST)
+    return shown([Run("x", found.test.command(), Recording(t, a, False), found.clock)])
 
 
 @cache
@@ -120,17 +187,37 @@ def checked() -> list[Run]:
     return recorded(machine(38.0), CHIP, check_runs(printer(machine(40.0)))[:1], 2)
 
 
-def strokes() -> Figures:
-    """Return the response that strokes show."""
-    found = identify(struck(), MeasurementSettings(BAND, racks=False))
-    return {"Gxx": at_hz(found.fits["Gxx"].G), "words": [found.refusal]}
-
-
 def check() -> Figures:
     """Return the response that a check shows, and whether it drifted."""
     plant = replace(printer(machine(40.0)).plant, Gxx=exact(40.0))
-    found = drifts(plant, checked())["Gxx"]
-    return {"Gxx": at_hz(found.G), "words": [found.certain]}
+    found = drifts(plant, checked())
+    report = CheckReport(printer(machine(40.0)), found, date(2026, 7, 1))
+    return {"Gxx": at_hz(found["Gxx"].G), "words": [found["Gxx"].certain, list(report.moved)]}
+
+
+@cache
+def spoilt() -> list[list[Run]]:
+    """Return strokes of noise and of a sensor 14 % wrong, and a check of another printer."""
+    (one,) = struck()
+    noise = np.random.default_rng(0).normal(0.0, 2000.0, one.nozzle.a.shape)
+    wrong = replace(CHIP, gains=(1.14, 0.97, 1.0))
+    return [
+        [replace(one, nozzle=replace(one.nozzle, a=noise))],
+        recorded(machine(40.0), wrong, runs(printer(machine(40.0)), seconds=20.0)[:1], 1),
+        recorded(machine(33.0), CHIP, check_runs(printer(machine(40.0)))[:1], 2),
+    ]
+
+
+def refused() -> Figures:
+    """Return what is said of recordings that are refused."""
+    noise, wrong, other = spoilt()
+    plant, words = replace(printer(machine(40.0)).plant, Gxx=exact(40.0)), list[Any]()
+    for said in (lambda: shown(noise)["words"][0], lambda: drifts(plant, other)["Gxx"].certain):
+        try:
+            words.append(said())
+        except HframeError as error:
+            words.append(str(error))
+    return {"words": [*words, shown(wrong)["words"][0]]}
 
 
 @cache
@@ -141,18 +228,18 @@ def exact(hz: float) -> Any:
 
 BY_ROOM: dict[str, tuple[Callable[[], Figures], ...]] = {
     "identify": (test, check),
-    "places": (test,),
-    "estimation.fit": (test,),
-    "estimation.regression": (rectangle, strokes),
-    "estimation.response": (rectangle, strokes),
-    "estimation.frequency_response": (test,),
-    "estimation.directions": (test,),
-    "estimation.measured": (test,),
-    "verdict": (test, check),
-    "check": (check,),
-    "recordings.accelerometer": (test,),
-    "recordings.clock": (test,),
-    "recordings.resonance_search": (test,),
+    "places": (test, places),
+    "estimation.fit": (test, marlin),
+    "estimation.regression": (rectangle, strokes, marlin),
+    "estimation.response": (rectangle, strokes, marlin),
+    "estimation.frequency_response": (test, strokes),
+    "estimation.directions": (test, marlin),
+    "estimation.measured": (test, marlin),
+    "verdict": (test, check, refused),
+    "check": (check, refused),
+    "recordings.accelerometer": (test, stamps),
+    "recordings.clock": (test, stamps),
+    "recordings.resonance_search": (test, stamps),
 }
 
 

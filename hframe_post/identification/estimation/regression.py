@@ -111,7 +111,6 @@ def transfer(z: Complex, modes: Sequence[Mode]) -> Complex:
 
 AMPLITUDE = 30.0  # a, samples²: more than the q of any printer
 FIRST = Decay(0.02, 0.04, 0.1)  # so little that modes are sought first
-ENOUGH, MOST_ROUNDS = 0.5, 3  # gain of log evidence, up to which a search goes on
 LEAST_GAIN = 8.0  # of log evidence, for a mode: four numbers
 MOST_MODES = 4
 OMEGA = 2.0 * np.pi * TS * 8.0, 2.0 * np.pi * TS * 150.0  # of modes
@@ -195,7 +194,8 @@ def regress(data: Data, start: Prior | None = None) -> Posterior:
     search = _Search(data, start or Prior(FIRST))
     if start is None:
         search.add_modes()
-    search.improve()
+    search.fit_decay()
+    search.refine()
     search.drop_modes()
     return posterior(data, search.prior)
 
@@ -266,15 +266,6 @@ class _Search:
         choices = [(*range(len(modes)), len(modes) + j) for j in range(len(apart))]
         costs = self._costs((*modes, *apart), choices)
         return apart[int(np.argmin(costs))]
-
-    def improve(self) -> None:
-        """Move K_D and the modes in turn, as long as the evidence grows."""
-        for _ in range(MOST_ROUNDS):
-            before = self.cost()
-            self.fit_decay()
-            self.refine()
-            if not self.prior.modes or before - self.cost() < ENOUGH:
-                break
 
     def refine(self) -> None:
         """Move the modes to greater evidence."""
