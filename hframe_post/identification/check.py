@@ -30,7 +30,7 @@ from hframe_post.identification.estimation.frequency_response import (
     share_left,
 )
 from hframe_post.identification.estimation.measured import Run
-from hframe_post.identification.identify import AXIS, DRIFT, LEAST_CHANGE
+from hframe_post.identification.identify import AXIS, DRIFT
 from hframe_post.identification.recordings import strokes
 from hframe_post.identification.recordings.folder import CHECK
 from hframe_post.identification.recordings.runs import PlannedRun
@@ -248,7 +248,7 @@ class CheckReport:
     def uncertainty(self) -> float:
         """Return that of the model today: that of its age, unless both axes are known by now."""
         aged = round(self.profile.uncertainty_on(self.day), 4)
-        return min(LEAST_CHANGE, aged or LEAST_CHANGE) if self.complete else aged
+        return min(DRIFT, aged or DRIFT) if self.complete else aged
 
     def as_text(self) -> str:
         rows = [(AXIS[name], one.as_text()) for name, one in self.found.items()]

@@ -29,16 +29,15 @@ from hframe_post.identification.estimation.measured import (
 from hframe_post.identification.estimation.response import fit_known_start, fit_unknown_start
 from hframe_post.identification.places import (
     DAY_TO_DAY,
-    SAME_PLACE,
     at_the_middle,
     changes,
     find_racking,
 )
+from hframe_post.identification.recordings.runs import NEAREST
 from hframe_post.model.impulse_response import ImpulseResponse
 from hframe_post.model.plant import Plant
 from hframe_post.native.linear import one_blas_thread
 
-LEAST_CHANGE = 0.02  # relative, that is assumed of a printer that repeats itself
 # standard deviation of all frequencies of an axis from one session to another: 2.0 % on six axes of
 # three published printers, 12 minutes to ten weeks later
 DRIFT = 0.02
@@ -73,7 +72,7 @@ class Identified:
         every axis was recorded more than once."""
         shares = [share / BY_SHIFT for share in self.repetitions.values()]
         known = self.repetitions.keys() >= set(self.axes)
-        return max([LEAST_CHANGE if known else DAY_TO_DAY, *shares])
+        return max([DRIFT if known else DAY_TO_DAY, *shares])
 
     @property
     def axes(self) -> list[str]:
@@ -184,7 +183,7 @@ def _repetition(measured: Measured) -> float | None:
     if measured.known_start:
         return None
     at = np.array([place for place, _ in measured.places])
-    near = max((np.abs(at - place) < SAME_PLACE for place in at), key=np.count_nonzero)
+    near = max((np.abs(at - place) < NEAREST for place in at), key=np.count_nonzero)
     if np.count_nonzero(near) < 2:
         return None
     runs = [run for run, chosen in zip(measured.excited(), near, strict=True) if chosen]

@@ -29,12 +29,11 @@ from hframe_post.identification.estimation.response import fit_racking
 from hframe_post.identification.recordings.runs import NEAREST
 
 DAY_TO_DAY = 0.05  # relative change of a printer as belts, bearings and temperature change
-SAME_PLACE = 5.0  # mm
 
 
 def changes(axis: Measured) -> bool:
     """Return whether one model cannot describe an axis at all places."""
-    return axis.spread > verdict.PLACES
+    return axis.spread > verdict.MISFIT
 
 
 def at_the_middle(places: Sequence[tuple[float, FrequencyResponse]]) -> FrequencyResponse:
@@ -42,7 +41,7 @@ def at_the_middle(places: Sequence[tuple[float, FrequencyResponse]]) -> Frequenc
     at = [place for place, _ in places]
     middle = (min(at) + max(at)) / 2.0
     nearest = min(at, key=lambda place: abs(place - middle))
-    return average([response for place, response in places if abs(place - nearest) < SAME_PLACE])
+    return average([response for place, response in places if abs(place - nearest) < NEAREST])
 
 
 OFF_LINE = 0.3  # of the lever arms' effect, that may deviate from the line through the positions

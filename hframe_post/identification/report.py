@@ -74,7 +74,7 @@ class IdentificationReport:
                     f"{axis} was tested up to {measured.excited_hz[1]:.0f} Hz, so what rings above "
                     "is not known. Test up to 135 Hz (max_freq of [resonance_tester])"
                 )
-            if share > verdict.NONLINEAR:
+            if share > verdict.MISFIT:
                 messages.append(
                     f"{100 * share:.0f} % of what {axis} does is not linear in its command: look "
                     "for friction, play and loose parts" + self._uncompensated(share)

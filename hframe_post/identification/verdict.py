@@ -16,8 +16,9 @@ SPREAD = 0.4  # of the recordings of an axis; of a printer that was used for ten
 
 # identify warns
 TESTED_BAND = 0.8  # of the band that the model must explain, from which a test was long enough
-NONLINEAR = 0.2  # unexplained: of an SV08 0.37, of a Neptune and two Vorons 0.03 to 0.13
-PLACES = 0.2  # of the response, by which places along x differ from their mean
+# of a response, that its one linear model does not describe, or by which places along x differ from
+# their mean; unexplained are of an SV08 0.37, of a Neptune and two Vorons 0.03 to 0.13
+MISFIT = 0.2
 
 # check refuses
 FREQUENCY_CHANGE = 0.1  # of the main resonance, from which it is another printer
