@@ -71,7 +71,7 @@ docs:
 results:
 	$(PYTHON) -m tools.results
 
-# docs/bounds.md: what each number of an identification changes, half an hour
+# docs/bounds.csv: what each number of an identification changes, half an hour
 bounds:
 	$(PYTHON) -m tools.bounds
 
