@@ -185,19 +185,19 @@ class ItemBuilder:
 
         passed: bytes since the last move.
         """
-        stand, at, left = np.flatnonzero(rows[:, CORNER] < 0.0).tolist(), 0, len(marks)
-        for k in stand:
-            before = marks.count_before(k - at + 1) if left else 0
-            self._add_travel(start, rows[at:k], marks.rows(0, before) if before else NO_MARKS)
-            if left:
-                marks, left = marks.rows(before).shifted(at - k - 1), left - before
-            at = k + 1
+        stand, at, done = np.flatnonzero(rows[:, CORNER] < 0.0), 0, 0
+        before = marks.at.searchsorted(stand, "right").tolist()
+        for k, passed_by in zip(stand.tolist(), before, strict=True):
+            own = marks.rows(done, passed_by).shifted(-at) if done < passed_by else NO_MARKS
+            self._add_travel(start, rows[at:k], own)
+            at, done = k + 1, passed_by
             if k > 0:
                 start = tuple(rows[k - 1, 1:5].tolist())
             number, *end, speed, acceleration, _ = rows[k].tolist()
             self.stand(int(number), start, tuple(end), speed, acceleration)
             start = tuple(end)
-        self._add_travel(start, rows[at:], marks)
+        own = marks.rows(done).shifted(-at) if done < len(marks) else NO_MARKS
+        self._add_travel(start, rows[at:], own)
         self.passed = passed
         if not self.free:
             self.flush()

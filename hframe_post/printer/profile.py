@@ -6,7 +6,6 @@ import re
 import tomllib
 from dataclasses import dataclass, field, fields, replace
 from datetime import date
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +52,7 @@ KLIPPER_SECTION = re.compile(r"^\[(printer|mcu|stepper_x|include .*)\]\s*$", re.
 
 def shipped() -> dict[str, str]:
     """Return the TOML texts of the profiles that come with hframe-post, by name."""
-    folder = resources.files(__package__) / "profiles"
+    folder = Path(__file__).parent / "profiles"
     found = (f for f in folder.iterdir() if f.name.endswith(".toml"))
     return {f.name.removesuffix(".toml"): f.read_text("utf-8") for f in sorted(found, key=str)}
 

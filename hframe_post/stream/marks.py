@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, wraps
@@ -138,7 +139,7 @@ class Marks:
 
     def count_before(self, index: int) -> int:
         """Return how many lines have a lower index."""
-        return int(self.table[:, INDEX].searchsorted(index))
+        return bisect_left(self.table[:, INDEX], index)  # searchsorted would copy the column
 
     def shifted(self, by: int) -> Marks:
         """Return the lines with their indices raised."""
