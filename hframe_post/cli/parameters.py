@@ -171,7 +171,7 @@ def share(text: str) -> float:
 def pair(
     what: str, of_x: tuple[float, float], of_y: tuple[float, float]
 ) -> Callable[[str], tuple[float, float]]:
-    """Return a type of options: two numbers ``X,Y`` within ranges, of what a message says."""
+    """Return a reader of ``X,Y``, two numbers within ranges. what: their name in a message."""
 
     def convert(text: str) -> tuple[float, float]:
         x, y = (round(number(part), 3) for part in text.partition(",")[::2])
